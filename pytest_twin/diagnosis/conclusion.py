@@ -95,7 +95,7 @@ def with_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
 
     Args:
         found: the search.
-        budget: what is left of its time bounds the fit.
+        budget: its remaining time bounds the fit.
     """
     prepared, pruned = _refitted(found, budget)
     problem = prepared.problem

@@ -272,12 +272,12 @@ def diagnose(
 
 
 def _laws_left(structure: ChosenModel, run: Run) -> FreeLaws:
-    """Laws without a name for what is left, where the time lasts."""
+    """Laws without a name for the residual, if time remains."""
     try:
         with run.budget.fitting():
             return laws_left(structure.given, structure.found, structure.near)
     except OutOfTime:
-        run.skip("a law without a name for what is left unexplained")
+        run.skip("a law without a name for the unexplained residual")
         return FreeLaws((), structure.found.explained.hypothesis, ())
 
 

@@ -60,9 +60,9 @@ _SINGLE, _KEPT, _GROWN = 60, 6, 3
 # Sets of one, two and three effects for each subset, and of all, that are fitted along the motion;
 # starts of one set at most.
 _OF_SIZE, _POLISHED, _STARTED = (4, 2, 2), 24, 2
-# Sets that are simulated as they start, of these with parameters of what they stand for and with
-# fewer effects; sets that stay for each step of the fit; evidence behind the final set beyond which
-# none does after one.
+# Sets that are simulated before they are fitted, of these with the parameters of the effects that
+# they replace and with fewer effects; sets that remain for each step of the fit; evidence behind
+# the final set beyond which none remains after one step.
 _SIMULATED, _ALIKE, _FEWER, _IN_FRONT, _FAR_BEHIND = 12, 4, 3, (6, 4, 3), 400.0
 _DAMPINGS = (1e-4, 1e-1)
 # Share of the evidence that a set gains over the worst one from which a smaller set in it explains
@@ -213,7 +213,7 @@ def _near(
         (e, f.hypothesis) for e, f in zip(values, fitted, strict=True) if allowed(f.hypothesis)
     ]
     # What is linearized is exact for small effects only. Sets that are alike by structure may seem
-    # far apart along the motion: they are simulated with the parameters of what they stand for.
+    # far apart along the motion: they are simulated with the parameters of what they replace.
     likeliest = _without_additions(ranked, 1)
     fewer = [h for h in likeliest if len(h.terms) < len(own.terms)]
     out = [*(h for h in alike[:_ALIKE] if allowed(h)), *fewer[:_FEWER], *likeliest]

@@ -1,4 +1,4 @@
-"""How strongly residuals speak for one hypothesis against another."""
+"""Evidence of residuals for one hypothesis against another."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from pytest_twin.diagnosis.problem import Problem
 _DAMPINGS = (1e-4, 1e-1)
 _FAST, _ENOUGH = 0.5, 1e-4
 _TINY = 1e-6
-# A parameter that moves the prediction by less than this share of what is left, all of it, has no
-# slope but that of rounding: a roll of the base where all axes are level.
+# A parameter that moves the prediction by less than this share of the whole residual has a slope of
+# rounding errors only: a roll of the base where all axes are level.
 _MUTE = 1e-4
 # Parts of its reach by which a parameter is tried beside its slope.
 _REACHED = (-1.0, -0.25, 0.25, 1.0)

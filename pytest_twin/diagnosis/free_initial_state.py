@@ -1,11 +1,10 @@
-"""Where a window starts is known as well as its samples say: the rest is taken out of residuals.
+"""Windows with a free initial state: its error is removed from residuals.
 
 Under an effort command an error of the initial velocity grows with time, far above the sensors'
-noise; a velocity servo keeps an error of the initial position for ever. Their windows therefore
-have the initial state free, held by a Gaussian prior of what a local cubic leaves open: residuals
-are freed of what a shifted start explains (partialled-out nuisance parameters; Golub, Pereyra, SIAM
-J. Numer. Anal. 10, 1973). Where the motor of a velocity servo stands behind a gear that gives is
-no reading, and it keeps an error of that, too: it is free within what its load stretches the gear.
+noise. A velocity servo keeps an error of the initial position for ever. The initial state of their
+windows is therefore a nuisance parameter that is partialled out (Golub, Pereyra, SIAM J. Numer.
+Anal. 10, 1973), with a Gaussian prior from a local cubic fit of the samples. The position of a motor
+behind an elastic transmission is not measured: it is free within the deflection under its load.
 """
 
 from __future__ import annotations

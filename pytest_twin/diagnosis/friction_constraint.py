@@ -36,8 +36,8 @@ CREEPS = (
     "dry friction creeps under load in these recordings, as in MuJoCo's default friction "
     "constraint; with friction that holds at rest the residual is larger"
 )
-# Share of what stands above the floor that may be left where the other way is right, and before
-# anything is fitted to it.
+# Greatest share of the residual above the noise floor with the other friction constraint if that is
+# right: with fitted effects, and with the nominal model.
 _LEFT, _UNFITTED = 0.5, 0.8
 
 
@@ -175,6 +175,6 @@ def _greatest(problem: Problem, left: FloatArray) -> float:
 def _leaves_less(
     problem: Problem, left: FloatArray, than: FloatArray, share: float = _LEFT
 ) -> bool:
-    """Whether so little stands above the floor, summed over joints."""
+    """Whether the residual above the noise floor is this small, summed over joints."""
     here, there = (np.maximum(_squares(problem, x) - 1.0, 0.0).sum() for x in (left, than))
     return bool(here <= share * there)

@@ -142,8 +142,8 @@ class Hypothesis:
         )
 
     def out_of_shape(self, term: Term) -> bool:
-        """Whether a parameter that shapes the effect stands at a physical bound: the law stands for
-        something else.
+        """Whether a parameter that shapes the effect stands at a physical bound: the law
+        compensates for another effect.
 
         At zero it is a special case (rigid teeth, no damping), and an edge in time may lie at
         either end of the trial.

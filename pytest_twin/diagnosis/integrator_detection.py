@@ -39,8 +39,8 @@ from pytest_twin.effects.segment import Predicted
 SUBSTEPS = (1, 2, 4, 5)
 """Steps, for each of the model's, of simulations that are told from a robot: what more of them
 leave of the error is in the floor."""
-# Share of what stands above the noise that may be left where recordings were simulated, and to
-# first order for a search to be worth its time.
+# Greatest share of the residual above the noise if recordings were simulated, and of the linearized
+# residual for a search to be worth its time.
 _LEFT, _FAR_LESS = 0.5, 0.25
 # Of a joint's travel, up to which the step's error is taken for one of first order.
 _SMALL = 0.05
@@ -51,7 +51,7 @@ _LEAST = 1e-9
 def as_simulated_before(
     given: ModelSetup, prepared: Prepared, trials: TrialSet, run: Run
 ) -> tuple[ModelSetup, Prepared, TrialSet]:
-    """The problem, stepped as the recordings were simulated, where they are the model's as it came.
+    """The problem, stepped as the recordings were simulated, where the nominal model explains them.
 
     Args:
         given: the model.
@@ -67,7 +67,7 @@ def as_simulated_before(
 
 
 def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | None:
-    """How a simulation may have made the recordings, by what is left once something was found; None
+    """How a simulation may have made the recordings, by the residual once effects were found; None
     where none is seen.
 
     Held against each other to first order around what was found: its values give way, and smooth
@@ -102,7 +102,7 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
     most = _FAR_LESS * float(np.maximum(before - 1.0, 0.0).sum())
     if seen and ways[creeps, substeps] <= most:
         return replace(given, creeps=creeps, substeps=substeps)
-    # Of first order around a name that is wrong nothing is told: what is left may be the step's.
+    # The linearization around a wrong effect shows nothing: the residual may be the step's error.
     named = found.explained.findings
     may_be = named and integration_errors(problem, found.errors, 1.0)
     return replace(given, substeps=1) if may_be else None
@@ -191,7 +191,7 @@ def _ways(problem: Problem, hypothesis: Hypothesis, given: ModelSetup) -> dict[b
 
 
 def _squares(problem: Problem, hypothesis: Hypothesis, noise: FloatArray) -> FloatArray:
-    """(joints,) mean squares, in those of the noise, of what is left of the fitted positions."""
+    """(joints,) mean squares, in those of the noise, of the residual of the fitted positions."""
     (left,) = problem.residuals([hypothesis], problem.fit)
     return in_noise_floors(left[:, : len(noise)], noise) ** 2
 

@@ -42,7 +42,7 @@ class ModelSetup:
     def of(
         cls, realization: Realization, inherited: Patched | None, threads: int = 0
     ) -> ModelSetup:
-        """A realization as it came, by an earlier diagnosis or not.
+        """A realization, nominal or written by an earlier diagnosis.
 
         Whether a simulation made the recordings is not the model's: it is asked of each set anew.
         """

@@ -39,7 +39,7 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 
-# Share of the greatest effort below which a model's negative efforts say nothing of the sign.
+# Share of the greatest effort below which a model's negative efforts do not show the sign.
 _UNSIGNED = 0.05
 # Times the noise, and share of the motion, by which a finer step may change a window of usual
 # length; samples that one of half that length has to have.
@@ -49,7 +49,7 @@ STEP_LEFT_IN = 0.01
 fall between steps, and numbers end."""
 NOISE = "sensor noise and quantization"
 STEP = "discretization of the simulator"
-# Times that the floor and what is trusted are told by each other.
+# Alternating estimates of the noise floor and of the weights.
 _PASSES = 3
 # Share of a joint's floor below which it was set far too high.
 _FAR_LOWER = 0.5

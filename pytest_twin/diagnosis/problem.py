@@ -131,7 +131,7 @@ class Problem:
         return np.tile(at, len(self.signal_floor) // len(self.joints))
 
     def out_of_shape(self, hypothesis: Hypothesis, term: Term) -> bool:
-        """Whether a law stands for something else, as :meth:`Hypothesis.out_of_shape` has it.
+        """Whether a law compensates for another effect, as :meth:`Hypothesis.out_of_shape` has it.
 
         Where trials differ in temperature, what depends on it need not warm up within one of them.
         """

@@ -53,7 +53,7 @@ _EARNS, _WORTH = 5.0, 0.3
 _CLEARLY_WORSE, _MOST_NAMED = 3.0, 2
 # Joints that one effect does not explain are looked at by themselves, so many times.
 _MOST_LOOKS = 3
-# What a short fit leaves below this share of the model's own error speaks for no name.
+# Share of the nominal error below which the residual of a short fit supports no effect.
 _COARSE = 0.05
 # One stretch of one recording settles nothing.
 _MOST_SURE = 0.9
@@ -119,7 +119,7 @@ def quick_diagnosis(
     Args:
         realization: the nominal model.
         trial: what was recorded.
-        patched: what stands beside the model, where a diagnosis wrote it.
+        patched: effects outside the model, if a diagnosis wrote it.
         failed: joints whose errors are to be explained; all, where it names none that both have.
             Others may have errors that somebody allowed them, and that are larger in noise floors.
 

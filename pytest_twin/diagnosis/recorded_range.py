@@ -2,7 +2,7 @@
 
 A warm-up of minutes in recordings of seconds, a Stribeck velocity above the greatest speed, a
 ripple finer than the samples: there the shape of the effect is not in the data. A fit that ends
-there stands for another effect, so no finding may lie there.
+there compensates for another effect, so no finding may lie there.
 """
 
 from __future__ import annotations

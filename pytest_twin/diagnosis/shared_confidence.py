@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.equivalent_sets import ComparedSets
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.scored_model import Alternative, SelectedModel
 
-# Odds below which a structure says nothing of how well parameters are known.
+# Odds below which a structure does not widen the intervals of parameters.
 _NEARLY = 0.01
 
 

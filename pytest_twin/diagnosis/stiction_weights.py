@@ -1,8 +1,8 @@
 """How far windows under effort commands are trusted where joints stick, slip or turn around.
 
 Dry friction yields a little before it slides, and damps as it does (Armstrong-Helouvry, Dupont,
-Canudas de Wit, Automatica 30, 1994), and where a joint breaks loose hangs on a few per cent of its
-level. Neither is in any data sheet, and both are less than what the catalogue has names for. A
+Canudas de Wit, Automatica 30, 1994), and where a joint breaks loose depends on a few per cent of
+its level. Neither is in any data sheet, and both are less than what the catalogue has names for. A
 servo holds at bay what they change. Under effort commands they change the speed with which a joint
 leaves a turn, and that stays for the rest of a window: by ten floors and more in a few windows,
 while all others are followed to the noise. Such windows would earn names that none of the others

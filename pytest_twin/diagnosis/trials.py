@@ -358,7 +358,7 @@ def _friction_could_hold(trial: Trial, joint: str) -> bool:
 
 
 def _refuse_too_few(trial: Trial) -> None:
-    """What is too short to show its sensors' noise says nothing of a model either.
+    """Refuse a recording that is too short to show the noise of its sensors.
 
     Raises:
         RecordingError: it is.

@@ -284,7 +284,7 @@ class NormalEquations:
             return x, mean_square
         eye = np.eye(p)
         for _ in range(3):
-            # Again under the weights of what is left: what is explained must not drown the rest.
+            # Again with the weights of the residual: large explained errors must not dominate.
             weight = 1.0 / (mean_square + self.view.floor**2)
             a = np.einsum("ks,skpq->kpq", weight, normal)
             b = np.einsum("ks,skp->kp", weight, right)

@@ -1,4 +1,4 @@
-"""Short stretches of segments that what is left, and what candidates change, are averaged over."""
+"""Short stretches of segments over which residuals and sensitivities are averaged."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Laws that repeat over a joint's way, at the wavenumber that the recordings ask for.
 
 Slots, magnets and teeth come in tens to hundreds a turn. Over a way of L a wave answers only within
-pi/L of its wavenumber: no grid of starting sizes is fine enough for all ways. What is left of the
-joint that is furthest off is compared with waves all along the range (a periodogram over position
+pi/L of its wavenumber: no grid of starting sizes is fine enough for all ways. The residual of the
+joint with the largest one is compared with waves all along the range (a periodogram over position
 instead of time, through the equation of small deviations), and the best of each law competes.
 Deviations are small for a wave that is longer than they are: where a motion is far from followed,
 fine ones say nothing.
@@ -38,7 +38,7 @@ def search_harmonics(
 
     Args:
         linear: around the fit at hand.
-        view: what is left of it.
+        view: its residual.
         terms: candidates; those whose law has a wavenumber are looked at, at one joint.
     """
     joints = len(linear.problem.joints)
@@ -78,7 +78,7 @@ def _off(linear: Linear, joint: int) -> float:
 
 
 def _between(parameter: Parameter, apart: float, finest: float) -> FloatArray:
-    """Wavenumbers ``apart`` from each other, as far as the ``finest``, that no start stands for;
+    """Wavenumbers ``apart`` from each other, as far as the ``finest``, between the starting sizes;
     all whole ones where no fit moves it.
     """
     if parameter.choice:

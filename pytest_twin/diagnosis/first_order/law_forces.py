@@ -280,7 +280,7 @@ class LawForces:
         samples = along.position.shape[1]
         count, columns = lanes.joint.shape
         mean = self._commands(effects, lanes, samples - 1)
-        # A command holds from its sample on; a sample stands for half a sample to either side.
+        # A command holds from its sample on; a sample represents half a sample to either side.
         held = np.concatenate([mean[:, :1], 0.5 * (mean[:, 1:] + mean[:, :-1]), mean[:, -1:]], 1)
 
         def spread(x: NDArray[Any]) -> NDArray[Any]:

@@ -31,7 +31,7 @@ def refine_limits(
 
     Args:
         linear: around ``best``.
-        view: what is left of it.
+        view: its residual.
         answers: responses on the grid.
         best: the hypothesis at hand.
     """

@@ -21,7 +21,7 @@ from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
 NEARBY, FAR_OFF = 3, 8
-"""Iterations of what starts near where it ends, and of what stands for something else."""
+"""Iterations of what starts near where it ends, and of equivalents of another effect."""
 _DAMPINGS = (1e-4, 1e-2, 1.0)
 _ENOUGH = 3e-3
 _FEW, _AT_ONCE = 4, 48

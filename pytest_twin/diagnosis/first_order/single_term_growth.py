@@ -35,7 +35,7 @@ def grow_single_terms(
     search: Callable[[], BeamSearch],
     cores: int = 1,
 ) -> list[Hypothesis]:
-    """The best structure of every size around each of the foremost single terms.
+    """The best structure of every size around each of the best single terms.
 
     Args:
         view: of the fit at hand.

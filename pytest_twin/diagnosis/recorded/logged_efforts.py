@@ -31,7 +31,7 @@ _COMMAND_ITSELF = Fact(
     "demanded",
     0.9,
     "data",
-    "the logged efforts equal the commanded ones to within their noise, so they say nothing of "
+    "the logged efforts equal the commanded ones to within their noise, so they do not show "
     "what reaches the joint",
 )
 

@@ -4,7 +4,7 @@ Where a joint sticks and slips, a whole motion parts from another wherever a sli
 simulation leaves has leaps and valleys everywhere, and a fit by slopes stops in the first. An
 evolution strategy asks for values alone (covariance matrix adaptation; Hansen, The CMA Evolution
 Strategy: A Tutorial, 2016). It begins with what short windows say of the parameters, where slopes
-do lead somewhere: they are moved together as those windows can hardly tell apart, which is how
+do lead somewhere: they are moved together as those windows hardly separate them, which is how
 valleys of whole motions lie. The deepest of several searches stands.
 """
 
@@ -40,7 +40,7 @@ def initial_covariance_root(fitted: Fitted, floor: FloatArray) -> FloatArray:
     """
     free = fitted.hypothesis.movable
     slopes = (fitted.jacobian[:, :, free] / floor[:, None]).reshape(-1, int(free.sum()))
-    # What runs away beside the fit says nothing of how far to go.
+    # A divergence beside the fit is no measure of how far to go.
     slopes = np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0)
     left = float(np.mean((fitted.residual / floor) ** 2))
     most = _STEP * fitted.hypothesis.sizes[free]

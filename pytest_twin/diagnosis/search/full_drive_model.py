@@ -51,13 +51,14 @@ def fit_all_terms(comparison: ModelComparison, start: Hypothesis) -> ScoredModel
 def weigh_by_removal(
     comparison: ModelComparison, best: ScoredModel, absent: Mapping[Term, float]
 ) -> SelectedModel:
-    """A fit, each name as likely as what is left without it says, and never more than even: of
-    rivals in its place nothing is known.
+    """A fitted model with confidences from the removal of each effect, at most 50 %.
+
+    Alternatives to the effects were not compared.
 
     Args:
         comparison: where it was fitted.
         best: the fit.
-        absent: evidence, over it, of what is left without each of its terms.
+        absent: evidence, over it, of the residual without each of its terms.
     """
     selected = SelectedModel(best, comparison.nominal, tried=comparison.tried)
     selected.weigh({((t,), None): evidence for t, evidence in absent.items()})

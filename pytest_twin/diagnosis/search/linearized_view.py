@@ -35,7 +35,7 @@ class LinearizedView:
     Attributes:
         around: the fit.
         linear: laws along the measured motion; None where candidates were simulated.
-        view: what is left of the fit, and what may give way.
+        view: residual of the fit, and the sensitivities to its own parameters.
         answers: responses of the candidates.
         asked: all candidates, also those that change nothing.
         failed: candidates that were simulated and came to nothing.
@@ -49,7 +49,7 @@ class LinearizedView:
     failed: frozenset[Term] = frozenset()
 
     def without(self, failed: set[Term]) -> LinearizedView:
-        """What is left of it once some candidates have failed."""
+        """The same view without some candidates that have failed."""
         answers = CandidateSensitivities(
             [r for r in self.answers.responses if r.term not in failed]
         )
@@ -60,7 +60,7 @@ def linearize_for_additions(problem: Problem, best: ScoredModel) -> LinearizedVi
     """As :func:`linearize_around`, for what may be added.
 
     Behind a gear that was named the motor moves apart from the link, as a law that would be added
-    moves it: where such a joint still stands above the floor, its candidates are simulated.
+    moves it: where such a joint still has a residual, its candidates are simulated.
     """
     linear = linearize(problem, problem.fit, best.hypothesis)
     terms = _unnamed(problem, best)
@@ -76,7 +76,7 @@ def linearize_for_additions(problem: Problem, best: ScoredModel) -> LinearizedVi
 
 
 def _behind_gears(problem: Problem, best: ScoredModel, linear: Linear) -> set[int]:
-    """Joints whose gear was named and that still stand above the floor."""
+    """Joints with a residual above the noise floor behind a gear that was found."""
     gears = {t.joint for t in best.hypothesis.terms if t.law.is_elastic_transmission}
     if not gears:
         return gears
@@ -88,7 +88,7 @@ def _behind_gears(problem: Problem, best: ScoredModel, linear: Linear) -> set[in
 def linearize_around(
     problem: Problem, best: ScoredModel, known: LinearizedView | None = None
 ) -> LinearizedView:
-    """What is left around a fit, and what every candidate would do to it.
+    """The residual of a fit, and the sensitivity of it to every candidate.
 
     Args:
         problem: what to explain.

@@ -192,7 +192,7 @@ class ModelComparison:
 
     def _at_its_own(self, rival: ScoredModel, weights: FloatArray) -> ScoredModel:
         """A rival with the simulator's step corrected for itself, fitted on where that moves it: a
-        gear that gives costs a step more than what it is confused with.
+        elastic transmission has a larger integration error than its alternatives.
         """
         before = self.problem.defect
         self.problem.refine_at(rival.hypothesis)
@@ -210,7 +210,7 @@ class ModelComparison:
 
     def settled(self, rival: ScoredModel) -> ScoredModel:
         """The rival fitted to the end, with the simulator's step corrected where it now stands; as
-        far as it came where time runs out.
+        far as the fit got before time ran out.
         """
         try:
             return self._settled(rival)

@@ -1,4 +1,4 @@
-"""Rivals: fitted hypotheses and what speaks for each."""
+"""Fitted hypotheses with the evidence for each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Place = tuple[tuple[Term, ...], Term | None]
 
 @dataclass(slots=True)
 class ScoredModel:
-    """A fitted hypothesis and what speaks for it.
+    """A fitted hypothesis with its evidence.
 
     Attributes:
         fitted: on the fit segments.
@@ -120,7 +120,7 @@ class SelectedModel:
 def simplest_good_model(earning: Sequence[ScoredModel]) -> ScoredModel:
     """The rival to go on from; ``earning`` by evidence, best first.
 
-    What is left is never white: a name more, or a parameter more, follows anything a little better.
+    Residuals are never white: one more effect or parameter always follows them a little better.
     A name that was needed after all is found in the next round.
     """
     first = earning[0].evidence

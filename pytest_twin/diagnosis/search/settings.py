@@ -100,7 +100,7 @@ class ExchangeSettings:
             grid knows little of the shape of a law.
         first: number of these.
         far_apart: floors that the removal of an elastic transmission leaves, beyond which the
-            linearized motion says nothing of its alternatives.
+            linearized motion does not apply to its alternatives.
         chance: evidence that more parameters gain by chance, at most.
         general_ahead: share of the evidence for a law by which a more general law must be ahead:
             it follows the errors of the simulator a little, in proportion to what the law does.

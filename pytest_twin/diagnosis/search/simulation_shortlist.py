@@ -72,8 +72,8 @@ def _misread(problem: Problem, best: ScoredModel) -> list[Hypothesis]:
 def _anchored(
     tryout: TrialSimulation, best: ScoredModel, starts: Sequence[Hypothesis]
 ) -> list[Hypothesis]:
-    """Each as it came from along the motion, or what was named as it was fitted by simulation: the
-    one that leaves less.
+    """Each start with the parameters of the linearized fit or of the simulated one, whichever
+    leaves the smaller residual.
     """
     own = len(best.hypothesis.theta)
     kept = [h.with_theta(np.concatenate([best.hypothesis.theta, h.theta[own:]])) for h in starts]
@@ -119,7 +119,7 @@ def _scanned(
     terms += [t for t in _gears(problem, look, found.left, FAR_OFF) if t not in seen]
     rows = [best.hypothesis.with_term(t, start) for t in terms for start in starts_in_first_form(t)]
     whole = look.view.mean_square
-    # Once, around the nominal model: they are many replays, and what is left later is less far.
+    # Once, around the nominal model: they are many replays, and later residuals are smaller.
     limited = [] if best.hypothesis.terms else limits_of_large_residuals(problem, whole)
     limits = [t for t in limited if t not in look.failed]
     unseen = [t for t in limits if t not in seen]
@@ -152,7 +152,7 @@ def _gears(problem: Problem, look: LinearizedView, left: FloatArray, floors: flo
 def _yielding(
     tryout: TrialSimulation, best: ScoredModel, look: LinearizedView, found: LinearizedShortlist
 ) -> list[Hypothesis]:
-    """The transmission that takes most off what stands above the floor by simulation, if any."""
+    """The transmission that reduces the simulated residual most, if any."""
     own = best.hypothesis.terms
     seen = {*own, *(h.terms[-1] for h in found.starts if len(h.terms) == len(own) + 1)}
     gears = [t for t in _gears(tryout.problem, look, found.left, STANDS_OUT) if t not in seen]

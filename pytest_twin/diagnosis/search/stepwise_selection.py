@@ -314,9 +314,9 @@ class StepwiseSelection:
     def _forward(self, best: ScoredModel) -> ScoredModel | None:
         """A better fit with more terms, if there is one.
 
-        A law that reads the measured motion back (a softer drive, a gear that gives) may explain
-        along it what it does not when it is simulated, and one may help most that is stretched to
-        its bound: such terms leave, and the search goes on.
+        A law that depends on the motion (a softer drive, an elastic transmission) may explain the
+        residual in the linearized motion and not in a simulation. Another may help most at its
+        bound. Such terms are left out, and the search goes on.
         """
         look = self.last_look = linearize_for_additions(self.problem, best)
         for term in look.asked:
@@ -499,12 +499,10 @@ class StepwiseSelection:
         self, best: ScoredModel, found: Sequence[TermExchange], beside: Container[Term | None]
     ) -> list[tuple[TermExchange, ScoredModel]]:
         """Exchanges that are fitted by simulation, with their evidence over ``best``: in each place
-        the nearest two that are not far behind along the motion, and those where that says nothing.
+        the two with the most evidence, and those that the linearized motion does not judge.
 
-        Once the replays are spent, what seems better, for no name would be sure of what was not
-        seen, what may stand for several where nothing is said of it, and the nearest of those that
-        are not far behind instead of several. Never what is better ``beside`` what stands
-        there.
+        Once the simulations are spent, only those that seem better, and the best candidates instead
+        of several effects, are fitted. Candidates that are better as an addition are not exchanged.
         """
         spent = self._spent(best)
         near, doubtful, behind = [], [], []
@@ -563,8 +561,8 @@ class StepwiseSelection:
         if not claims:
             return None
         claim, _ = max(claims, key=lambda each: each[1])
-        # As if it explained all: the weights of what is left now would hold it to what other
-        # signals say.
+        # Weights as if it explained everything: those of the present residual would bind it to
+        # other signals.
         weights = self.problem.weights(np.zeros_like(self.problem.signal_floor))
         rival = self._judged(claim, weights, best)
         return rival if self._earns(rival, best) else None
@@ -648,8 +646,10 @@ class StepwiseSelection:
         return True
 
     def _known_around(self, best: ScoredModel) -> LinearizedView | None:
-        """The last look, whose responses serve around a fit nearby; none where that look was at
-        another fit and a little is left: laws that bend answer it where it is.
+        """The last linearization, if it holds around this fit.
+
+        It does not if it was made at another fit and the residual is small: non-linear laws then
+        need a linearization at this fit.
         """
         look = self.last_look
         most = float(np.sqrt(np.max(best.left / self.problem.signal_floor**2)))

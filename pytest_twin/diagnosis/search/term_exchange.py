@@ -1,10 +1,10 @@
-"""What could stand instead of what was named, along the measured motion.
+"""Exchange of chosen effects for others, in the linearized motion.
 
-With a term taken away, every candidate is compared with what is missing then, to first order; those
-in front are fitted along the motion as deviations from the fit at hand. There the term itself is
-exact and what is alike differs by little, however much both do. Where it is a gear, which along the
-motion says little of what it does, what is missing is simulated. Several terms of one joint are
-taken away together, too: two wrong ones may hold each other up instead of one.
+Without a term, every candidate is compared with the residual, to first order. The best are fitted
+as deviations from the present fit, where the term itself is exact and similar effects differ
+little. An elastic transmission is removed by simulation, because the linearized motion does not show what it
+does. Several terms of one joint are removed together too: two wrong ones may compensate for each
+other's errors.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class TermExchange:
         new: what stands there; None for nothing.
         hypothesis: fitted along the motion, where that may be in front.
         evidence: over the fit at hand, along the motion.
-        doubtful: along the motion as good as nothing is said of it.
+        doubtful: whether the linearized motion does not show its effect.
     """
 
     gone: tuple[Term, ...]
@@ -149,10 +149,10 @@ def better_than_several(
     beside: Mapping[Term, tuple[Hypothesis, float]],
     name_price: float,
 ) -> list[TermExchange]:
-    """What is clearly better beside everything, instead of several terms of its joint, where
-    along the motion that is better than what stands there: two wrong names may hold each other up
-    so well that neither yields to the one that is right. A grid knows little of the shape of a law
-    that bends sharply; beside everything it was fitted.
+    """Candidates that are clearly better as an addition, tried instead of several terms of a joint.
+
+    Two wrong effects may compensate for each other so well that neither can be exchanged alone. As
+    an addition the candidate was fitted; a grid knows little of the shape of a non-linear law.
 
     Args:
         best: the fit at hand.
@@ -205,11 +205,10 @@ def chance_gain(
     unseen: float = 1.0,
     simulated: Mapping[tuple[Term, ...], float] = MappingProxyType({}),
 ) -> dict[Place, float]:
-    """Evidence by which each may be ahead and be no better: where it has more parameters than what
-    it stands for, for what is left is never white, and more of them follow anything a little.
+    """Evidence that each exchange gains by chance.
 
-    Negative where it may be behind and be as good: one law that has fewer than the one it stands
-    for, or that this one has in it.
+    More parameters always follow the residual a little, because it is never white. The value is
+    negative for a law with fewer parameters, or for a special case of the one that it replaces.
 
     Args:
         own: the fit at hand.
