@@ -3,8 +3,8 @@
 Under an effort command an error of the initial velocity grows with time, far above the sensors'
 noise. A velocity servo keeps an error of the initial position for ever. The initial state of their
 windows is therefore a nuisance parameter that is partialled out (Golub, Pereyra, SIAM J. Numer.
-Anal. 10, 1973), with a Gaussian prior from a local cubic fit of the samples. The position of a motor
-behind an elastic transmission is not measured: it is free within the deflection under its load.
+Anal. 10, 1973), with a Gaussian prior from a local cubic fit of the samples. The position of a
+motor behind an elastic transmission is not measured: it is free within the deflection by its load.
 """
 
 from __future__ import annotations

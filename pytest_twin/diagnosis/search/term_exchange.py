@@ -2,9 +2,9 @@
 
 Without a term, every candidate is compared with the residual, to first order. The best are fitted
 as deviations from the present fit, where the term itself is exact and similar effects differ
-little. An elastic transmission is removed by simulation, because the linearized motion does not show what it
-does. Several terms of one joint are removed together too: two wrong ones may compensate for each
-other's errors.
+little. An elastic transmission is removed by simulation: the linearized motion does not show what
+it does. Several terms of one joint are removed together too, because two wrong ones may compensate
+for each other's errors.
 """
 
 from __future__ import annotations
