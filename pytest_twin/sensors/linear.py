@@ -32,7 +32,7 @@ class Linear:
         covariance: (k, m + 1, m + 1) for each channel: its row of the matrix, then its bias.
         untold: unit vectors (m + 1,) of the scaled true signal, and the bias, not excited.
         residual: (k,) root mean square of what is not explained.
-        blocks: how many the covariance rests on.
+        blocks: how many the covariance depends on.
     """
 
     matrix: FloatArray
