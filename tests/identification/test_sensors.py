@@ -119,12 +119,12 @@ def drawn_sensor(seed: int) -> ForceTorqueSensor:
     )
 
 
-def identified(folder: Path, kind: str, readings: Any) -> dict[str, Any]:
+def identified(folder: Path, kind: str, readings: Any, first_motion: int = 0) -> dict[str, Any]:
     """Two recordings to fit and one held out; ``readings`` makes them of the true signals."""
     (folder / "arm.xml").write_text(ARM)
     (folder / "out").mkdir()
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
-        q, v, a = moved(seed)
+        q, v, a = moved(first_motion + seed)
         write(folder / f"{seed}.mcap", q, readings(true_signals(q, v, a), seed), kind,
               {"role": role})  # fmt: skip
     return identify_files(
