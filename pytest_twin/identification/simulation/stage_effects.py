@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import product
 
 import numpy as np
 
@@ -94,7 +93,9 @@ def terms_at(names: Sequence[str], modes: Sequence[str]) -> list[Term]:
 
 def starts_of(effect: str) -> list[tuple[float, ...]]:
     """Parameters at which a fit of an effect starts, in multiples of their scales."""
-    return list(product(*(p.starts for p in catalogue()[effect].parameters)))
+    parameters = catalogue()[effect].parameters
+    count = max(len(p.starts) for p in parameters)
+    return [tuple(p.starts[min(k, len(p.starts) - 1)] for p in parameters) for k in range(count)]
 
 
 def start(terms: Sequence[Term], scales: Scales, first: FloatArray) -> Hypothesis:
