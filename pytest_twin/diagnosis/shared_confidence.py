@@ -14,6 +14,8 @@ from pytest_twin.diagnosis.search.scored_model import Alternative, SelectedModel
 
 # Odds below which a structure does not widen the intervals of parameters.
 _NEARLY = 0.01
+# Share up to which a remainder is rounding, and its logarithm no evidence.
+_ROUNDING = 1e-12
 
 
 def share_confidence(selected: SelectedModel, compared: ComparedSets) -> SelectedModel:
@@ -108,9 +110,15 @@ def _of_the_search(
             continue
         listed: Sequence[tuple[Term, float]] = selected.alternatives.get(term, [])
         nothing = 1.0 - confidence - sum(c for _, c in listed)
-        for new, share in (*((((t,), c)) for t, c in listed), ((), nothing)):
-            there = (terms - {term}) | frozenset(new)
-            if there in known or share <= 0.0:
+        evidence = selected.evidence.get(term, {})
+        for new, share in (*listed, (None, nothing)):
+            added = () if new is None else (new,)
+            there = (terms - {term}) | frozenset(added)
+            ratio = evidence.get(new, -np.inf)
+            if share > _ROUNDING:
+                ratio = max(ratio, float(np.log(share / confidence)))
+            if there in known or not np.isfinite(ratio):
                 continue
-            out.append(_Structure(there, tuple(new), (share / confidence) ** tempering, None))
+            odds = float(np.exp(min(tempering * ratio, 700.0)))
+            out.append(_Structure(there, added, odds, None))
     return out

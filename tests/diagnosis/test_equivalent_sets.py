@@ -221,6 +221,20 @@ def test_confidence_is_shared_by_the_odds_of_sets_that_lack_an_effect() -> None:
     assert halved.sets[LATE_COMMAND][0].new == (DRAG,)
 
 
+def test_a_rival_far_behind_keeps_its_distance_under_model_error() -> None:
+    """5,000 nats at a five-hundredth of their weight are 10, though a share of e^-5000 is zero."""
+    problem = problem_of(SLIDER, "position", {})
+    comparison = ModelComparison(problem)
+    h = EMPTY.with_term(LATE_COMMAND, grid(LATE_COMMAND)[0][0])
+    (best,) = comparison.rivals([h], comparison.weights(comparison.nominal), 0)
+    selected = SelectedModel(best, comparison.nominal)
+    gone = (LATE_COMMAND,)
+    selected.weigh({(gone, DRAG): -5000.0, (gone, DRY): -5000.0, (gone, None): -9000.0})
+    shared = share_confidence(selected, ComparedSets(best, (), 0.002, 0.0))
+    odds = 2 * np.exp(-10.0) + np.exp(-18.0)
+    assert shared.confidence[LATE_COMMAND] == pytest.approx(1.0 / (1.0 + odds))
+
+
 def test_a_general_law_at_its_special_case_is_no_rival() -> None:
     problem = problem_of(PENDULUM.format(drive=SERVO), "position", {})
     comparison = ModelComparison(problem)

@@ -72,6 +72,8 @@ class SelectedModel:
         nominal: the nominal model.
         confidence: term -> share of the evidence against the rivals in its place.
         alternatives: term -> rivals in its place with their share, best first.
+        evidence: term -> log-likelihood ratio of each rival in its place over the best; None for
+            nothing in its place. The share of a rival far behind is lost in rounding.
         sets: term -> alternatives to it, sets of effects among them, most likely first; empty
             until the final set was compared with such sets. They then replace ``alternatives``.
         near: structures that explain nearly as much: their odds against the best, and how far the
@@ -83,6 +85,7 @@ class SelectedModel:
     nominal: ScoredModel
     confidence: dict[Term, float] = field(default_factory=dict)
     alternatives: dict[Term, list[tuple[Term, float]]] = field(default_factory=dict)
+    evidence: dict[Term, dict[Term | None, float]] = field(default_factory=dict)
     sets: dict[Term, list[Alternative]] = field(default_factory=dict)
     near: list[tuple[float, dict[Term, FloatArray]]] = field(default_factory=list)
     tried: int = 0
@@ -101,12 +104,14 @@ class SelectedModel:
         """
         self.confidence.clear()
         self.alternatives.clear()
+        self.evidence.clear()
         for term in self.best.hypothesis.terms:
             # A law that has this one in it says the same where it says no more.
             others = {
                 new: e for (gone, new), e in evidence.items()
                 if gone == (term,) and not (new and term.effect in new.law.generalizes)
             }  # fmt: skip
+            self.evidence[term] = others
             values = np.array([0.0, *others.values()])
             share = np.exp(np.clip(values - values.max(), -700.0, 0.0))
             share /= share.sum()
