@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,35 +18,21 @@ from pytest_twin.diagnosis.findings import Explained, finding_json
 from pytest_twin.diagnosis.friction_constraint import (
     CREEPS,
     build_problem_as_friction_acts,
-    refit_as_friction_acts,
-    search_as_friction_acts,
 )
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.integrator_detection import (
     as_simulated_before,
     describe_integrator,
-    detect_integrator,
-    explains_more,
 )
-from pytest_twin.diagnosis.integrator_of_findings import with_detected_timestep
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
-from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded import Settled, settle, with_doubt, with_fewer_effects
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_recordings import search_recordings
 from pytest_twin.diagnosis.search_result import (
     SearchResult,
-    build_problem,
-    confirm,
-    from_start,
-    refit_whole_motions,
-    refit_with_full_drive,
-    residuals_everywhere,
-    search,
 )
 from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
@@ -56,39 +41,10 @@ from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
 from pytest_twin.diagnosis.unnamed_law.tested import TestedLaws, laws_left, on_test
 from pytest_twin.diagnosis.verdict import JointError, Verdict
-from pytest_twin.diagnosis.window_length import (
-    SHORTEST,
-    model_follows_recordings,
-    typical_window_length,
-)
-from pytest_twin.diagnosis.windows import WINDOW, segments_of
-from pytest_twin.effects.contact_geoms import ContactGeoms
-from pytest_twin.errors import RecordingError
+from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
-
-# Share of the squared mismatch that may be left along the motion where a law of the catalogue is
-# worth a search in windows.
-_CLEAR = 0.1
-_OF_WHOLE = 0.5
-"""Share of the simulations for whole recordings of a motion that windows may follow better."""
-_CONTACT = "contact"
-_IN_WINDOWS = (
-    f"all errors are of predictions over windows of {WINDOW:g} s that start from measured states: "
-    "over whole recordings small errors of this motion grow (an oscillating servo, a falling arm, "
-    "an integrated velocity)"
-)
-
-_NAMED_IN_WINDOWS = (
-    f"the effects were selected in windows of {WINDOW:g} s that start from measured states, and "
-    "fitted over whole recordings: over whole recordings stick-slip motion separates effects less"
-)
-
-_AS_A_DRIVE = (
-    "all drive parameters were fitted together, because stick-slip motion does not separate them; "
-    "alternatives to the findings with 50 % confidence were not tested"
-)
 
 
 @dataclass(slots=True)
@@ -311,7 +267,7 @@ def find_structure(
     run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
     given, prepared, trials = as_simulated_before(given, prepared, trials, run)
     with run.budget.searching():
-        sought = _sought(given, prepared, trials, run)
+        sought = search_recordings(given, prepared, trials, run)
     given, notes = sought.given, [*notes, *sought.notes]
     progress(0.82)
     with run.budget.searching():
@@ -332,250 +288,6 @@ def find_structure(
         notes.append(describe_integrator(found.prepared))
     notes += found.explained.notes
     return ChosenModel(given, found, sought.near, tuple(notes), simulations, between)
-
-
-@dataclass(frozen=True, slots=True)
-class _Sought:
-    """What was found, how the model was stepped for it, the windows in which the rest is located,
-    None for none, and what a reader has to know.
-    """
-
-    given: ModelSetup
-    found: SearchResult
-    near: float | None
-    notes: tuple[str, ...]
-
-
-def _sought(given: ModelSetup, prepared: Prepared, trials: TrialSet, run: Run) -> _Sought:
-    """Search whole motions, and windows of them where these tell more.
-
-    Every step after the first search has its result to fall back on, where time runs out.
-
-    Args:
-        given: the model, and how it is stepped.
-        prepared, trials: its problem over whole motions.
-        run: the diagnosis.
-    """
-    notes: list[str] = []
-    problem = prepared.problem
-    run.budget.add(problem)
-    contact = problem.simulator.models.contact
-    clear, start = EMPTY, EMPTY
-    if contact.world.size:
-        away = run.attempt(
-            "the search for effects far from contact",
-            lambda: _found_away(given, trials, contact, run), None,
-        )  # fmt: skip
-        if away is not None:
-            clear = start = away
-            start = run.attempt(
-                "contact effects in addition", lambda: _with_contact(problem, clear, run), clear
-            )
-    run.begin(_stage(problem), problem)
-    with run.budget.reserved():
-        share = _share_of_whole(problem)
-    with run.budget.part(share):
-        given, found = search_as_friction_acts(given, prepared, trials, run, start)
-    if found.diverges_from_recordings and contact.world.size:
-        found = run.attempt("contact effects once more", partial(_once_more, found, run), found)
-    elif found.leaves_recordings and not contact.world.size:
-        found = run.attempt(
-            "a search from shorter windows", partial(_by_shorter, found, given, run), found
-        )
-    given, found = run.attempt(
-        "dry friction that creeps otherwise",
-        partial(refit_as_friction_acts, found, given, run),
-        (given, found),
-    )
-    other = run.attempt(
-        "recordings of a simulation", partial(_stepped_otherwise, found, given, run), None
-    )
-    if other is not None:
-        return other
-    simulated = run.attempt(
-        "the integration error of a simulation",
-        partial(with_detected_timestep, found, given, run),
-        None,
-    )
-    if simulated is not None:
-        given, found = simulated
-    near: float | None = None
-    if found.diverges_from_recordings and (clear.terms or not contact.world.size):
-        near = WINDOW
-        found, said = run.attempt(
-            f"windows of {WINDOW:g} s",
-            partial(_by_windows, found, given, trials, clear, run),
-            (found, list[str]()),
-        )
-        notes += said
-    return _Sought(given, found, near, tuple(notes))
-
-
-def _stepped_otherwise(found: SearchResult, given: ModelSetup, run: Run) -> _Sought | None:
-    """What is found with the integration error of a simulation's step left in, if that explains
-    more; None if not, or if no such error is seen.
-    """
-    stepped = detect_integrator(found, given)
-    if stepped is None:
-        return None
-    prepared, trials = build_problem(stepped, found.trials, [])
-    other = _sought(stepped, prepared, trials, run)
-    return other if explains_more(other.found, found) else None
-
-
-def _by_windows(
-    found: SearchResult, given: ModelSetup, trials: TrialSet, clear: Hypothesis, run: Run
-) -> tuple[SearchResult, list[str]]:
-    """What explains most, of whole motions and windows of them, and what a reader has to know."""
-    cut, kept = build_problem(given, trials, [], window=WINDOW)
-    run.begin(f"windows of {WINDOW:g} s", cut.problem)
-    if cut.problem.simulator.models.contact.world.size:
-        # What acts in the air is known from there.
-        cut.problem.family = _CONTACT
-
-    def longer() -> Prepared:
-        halves, _ = build_problem(given, trials, [], window=_half_of(trials))
-        run.begin("windows of half a recording", halves.problem)
-        return halves
-
-    notes: list[str] = []
-    return _windowed(found, cut, kept, clear, run, notes, longer), notes
-
-
-def _posed_away(
-    given: ModelSetup, trials: TrialSet, contact: ContactGeoms
-) -> tuple[Prepared, TrialSet] | None:
-    """The problem in windows that are far from what the robot meets, None without any."""
-    try:
-        return build_problem(given, trials, [], window=WINDOW, contact=contact)
-    except RecordingError:
-        return None
-
-
-def _share_of_whole(problem: Problem) -> float:
-    """Share of the remaining simulations that a search over whole recordings may use: all of them,
-    or half where the nominal model does not stay near the recordings. Short windows are searched
-    then as well, and need the other half.
-    """
-    near = model_follows_recordings(problem, residuals_everywhere(problem, EMPTY))
-    return 1.0 if near else _OF_WHOLE
-
-
-def _stage(problem: Problem) -> str:
-    """What a search of a problem works on."""
-    if all(s.amid for s in problem.simulator.segments):
-        return f"windows of {typical_window_length(problem):.2g} s"
-    return "whole recordings"
-
-
-def _found_away(
-    given: ModelSetup, trials: TrialSet, contact: ContactGeoms, run: Run
-) -> Hypothesis | None:
-    """What explains the motion far from what the robot meets; None where it never is.
-
-    There deviations are small, and every law can be seen along the measured motion; in contact each
-    has to be simulated.
-    """
-    away = _posed_away(given, trials, contact)
-    if away is None:
-        return None
-    prepared, kept = away
-    run.begin("windows far from contact", prepared.problem)
-    return search(prepared, kept, StepwiseSelection(prepared.problem, run)).explained.hypothesis
-
-
-def _with_contact(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
-    """What was found in the air, and what contact alone adds to that."""
-    run.begin("contact effects over whole recordings", problem)
-    problem.family = _CONTACT
-    try:
-        selected = from_start(StepwiseSelection(problem, run), clear)
-    finally:
-        problem.family = None
-    return selected.best.hypothesis
-
-
-def _once_more(found: SearchResult, run: Run) -> SearchResult:
-    """What contact adds to all that was found, and what is found from there: a surface that was
-    hidden behind what acts in contact as well (a late clock, a drive at its limit) stands out now.
-    """
-    problem, known = found.prepared.problem, found.explained.hypothesis
-    more = _with_contact(problem, known, run)
-    if set(more.terms) <= set(known.terms):
-        return found
-    return _from_there(found, more, run)
-
-
-def _from_there(found: SearchResult, start: Hypothesis, run: Run) -> SearchResult:
-    """What is found from a hypothesis, where that leaves less than what was found."""
-    run.begin(f"{_stage(found.prepared.problem)} once more", found.prepared.problem)
-    selection = StepwiseSelection(found.prepared.problem, run)
-    other = search(found.prepared, found.trials, selection, start)
-    found = found.with_floor_of()
-    return other if other.scores_better_than(found) else found
-
-
-def _by_shorter(found: SearchResult, given: ModelSetup, run: Run) -> SearchResult:
-    """What is found from where windows lead in which the nominal model stays near what was
-    recorded, or nearer.
-    """
-    window = typical_window_length(found.prepared.problem)
-    while True:
-        window *= 0.5
-        cut, kept = build_problem(given, found.trials, [], window=window)
-        near = model_follows_recordings(cut.problem, residuals_everywhere(cut.problem, EMPTY))
-        if near or window <= 2.0 * SHORTEST:
-            break
-    run.begin(f"windows of {window:g} s", cut.problem)
-    start = search(cut, kept, StepwiseSelection(cut.problem, run, _CLEAR)).explained.hypothesis
-    return _from_there(found, start, run) if start.terms else found
-
-
-def _windowed(
-    found: SearchResult,
-    cut: Prepared,
-    kept: TrialSet,
-    clear: Hypothesis,
-    run: Run,
-    notes: list[str],
-    longer: Callable[[], Prepared],
-) -> SearchResult:
-    """What explains most: whole motions, windows of them, or whole motions by what windows found.
-
-    Args:
-        found: by whole motions.
-        cut, kept: the problem in windows, and its trials.
-        clear: what was found far from what the robot meets.
-        run: the diagnosis.
-        notes: gets how it was named.
-        longer: poses the problem in windows that are longer.
-    """
-    other = confirm(cut, kept, found, run)
-    if other is None:
-        # Where nothing is met, no search begins that along the motion leaves too much.
-        share_left = 1.0 if clear.terms else _CLEAR
-        other = search(cut, kept, StepwiseSelection(cut.problem, run, share_left), clear)
-    if other.explains_more_than(found):
-        notes.append(_IN_WINDOWS)
-        return replace(other, whole=found.prepared.problem)
-    if other.may_improve(found):
-        if found.sticks_and_slips:
-            with run.budget.apart():
-                whole = refit_with_full_drive(found, other, longer())
-            if whole.tracks_better_than(found):
-                notes.append(_AS_A_DRIVE)
-                return whole
-        with run.budget.apart():
-            whole = refit_whole_motions(found, other)
-        if whole.tracks_better_than(found):
-            notes.append(_NAMED_IN_WINDOWS)
-            return whole
-    return found
-
-
-def _half_of(trials: TrialSet) -> float:
-    """Half of the longest recording that is fitted, s."""
-    return 0.5 * max(float(t.time[-1] - t.time[0]) for t in trials.fit)
 
 
 def _left_out_joints(

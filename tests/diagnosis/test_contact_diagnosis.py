@@ -14,7 +14,6 @@ from touching_arm import FRICTION, SOLREF, case, mjcf
 
 from pytest_twin import cli
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.diagnose import _once_more
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import motions, place_of
@@ -24,6 +23,7 @@ from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_recordings import add_contact_effects_again
 from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects.contact_geoms import NEAR, contact_geoms
@@ -106,10 +106,10 @@ def test_a_surface_that_was_hidden_behind_something_else_is_asked_for_again(
     friction = {t.effect for t in found.explained.hypothesis.terms}
     assert friction == {"viscous_friction"}
     assert found.diverges_from_recordings
-    more = _once_more(found, Run())
+    more = add_contact_effects_again(found, Run())
     assert {f.effect for f in more.explained.findings} == friction | {"contact_stiffness"}
     assert more.verdict == "explained"
-    assert _once_more(more, Run()) is more
+    assert add_contact_effects_again(more, Run()) is more
 
 
 def test_windows_in_the_air_lie_far_from_the_table(tmp_path: Path) -> None:

@@ -9,10 +9,10 @@ import pytest
 from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference, write
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.diagnose import _by_shorter
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_recordings import search_shorter_windows
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem, search
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.diagnosis.window_length import model_follows_recordings
@@ -71,7 +71,7 @@ def test_a_load_that_turns_the_arm_over_is_found_from_shorter_windows(tmp_path: 
     assert found.verdict == "unexplained"
     assert found.leaves_recordings
     run = Run()
-    better = _by_shorter(found, given, run)
+    better = search_shorter_windows(found, given, run)
     assert better.verdict == "explained"
     assert {t.law.family for t in better.explained.hypothesis.terms} == {"rigid_body"}
     shorter = run.budget.problems[0]
@@ -107,6 +107,6 @@ def test_what_shorter_windows_do_not_better_stays(
         from_where.append(problem[3:])
         return found
 
-    monkeypatch.setattr("pytest_twin.diagnosis.diagnose.search", nothing)
-    assert _by_shorter(found, given, Run()) is found
+    monkeypatch.setattr("pytest_twin.diagnosis.search_recordings.search", nothing)
+    assert search_shorter_windows(found, given, Run()) is found
     assert from_where == [()], "what names nothing is no start"

@@ -1,0 +1,332 @@
+"""The searches of one diagnosis: over whole recordings, over windows, with and without contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+from pytest_twin.diagnosis.friction_constraint import (
+    refit_as_friction_acts,
+    search_as_friction_acts,
+)
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.integrator_detection import (
+    detect_integrator,
+    explains_more,
+)
+from pytest_twin.diagnosis.integrator_of_findings import with_detected_timestep
+from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search_result import (
+    SearchResult,
+    build_problem,
+    confirm,
+    from_start,
+    refit_whole_motions,
+    refit_with_full_drive,
+    residuals_everywhere,
+    search,
+)
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.diagnosis.window_length import (
+    SHORTEST,
+    model_follows_recordings,
+    typical_window_length,
+)
+from pytest_twin.diagnosis.windows import WINDOW
+from pytest_twin.effects.contact_geoms import ContactGeoms
+from pytest_twin.errors import RecordingError
+
+# Greatest share of the squared mismatch that the linearized shortlist may leave for a search in
+# windows.
+_LEFT_BY_CATALOGUE = 0.1
+_OF_WHOLE = 0.5
+"""Share of the simulations for whole recordings if windows are searched too."""
+_CONTACT = "contact"
+_IN_WINDOWS = (
+    f"all errors are of predictions over windows of {WINDOW:g} s that start from measured states: "
+    "over whole recordings small errors of this motion grow (an oscillating servo, a falling arm, "
+    "an integrated velocity)"
+)
+
+_NAMED_IN_WINDOWS = (
+    f"the effects were selected in windows of {WINDOW:g} s that start from measured states, and "
+    "fitted over whole recordings: over whole recordings stick-slip motion separates effects less"
+)
+
+_AS_A_DRIVE = (
+    "all drive parameters were fitted together, because stick-slip motion does not separate them; "
+    "alternatives to the findings with 50 % confidence were not tested"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """Result of all searches of a diagnosis.
+
+    Attributes:
+        given: how the model is simulated with this result.
+        found: the best result.
+        near: s, length of the windows in which the unexplained residual is located; None if whole
+            recordings serve.
+        notes: for the reader.
+    """
+
+    given: ModelSetup
+    found: SearchResult
+    near: float | None
+    notes: tuple[str, ...]
+
+
+def search_recordings(
+    given: ModelSetup, prepared: Prepared, trials: TrialSet, run: Run
+) -> Searched:
+    """Search for effects over whole recordings, and over windows of them if these explain more.
+
+    When time runs out, the result of the last finished search stays.
+
+    Args:
+        given: the model, and how it is simulated.
+        prepared, trials: its problem over whole recordings.
+        run: the diagnosis.
+    """
+    notes: list[str] = []
+    problem = prepared.problem
+    run.budget.add(problem)
+    contact = problem.simulator.models.contact
+    clear, start = EMPTY, EMPTY
+    if contact.world.size:
+        away = run.attempt(
+            "the search for effects far from contact",
+            lambda: _search_away_from_contact(given, trials, contact, run), None,
+        )  # fmt: skip
+        if away is not None:
+            clear = start = away
+            start = run.attempt(
+                "contact effects in addition",
+                lambda: _add_contact_effects(problem, clear, run),
+                clear,
+            )
+    run.begin(_stage_of(problem), problem)
+    with run.budget.reserved():
+        share = _share_for_whole_recordings(problem)
+    with run.budget.part(share):
+        given, found = search_as_friction_acts(given, prepared, trials, run, start)
+    if found.diverges_from_recordings and contact.world.size:
+        found = run.attempt(
+            "contact effects once more", partial(add_contact_effects_again, found, run), found
+        )
+    elif found.leaves_recordings and not contact.world.size:
+        found = run.attempt(
+            "a search from shorter windows",
+            partial(search_shorter_windows, found, given, run),
+            found,
+        )
+    given, found = run.attempt(
+        "dry friction that creeps otherwise",
+        partial(refit_as_friction_acts, found, given, run),
+        (given, found),
+    )
+    other = run.attempt(
+        "recordings of a simulation",
+        partial(_search_with_detected_integrator, found, given, run),
+        None,
+    )
+    if other is not None:
+        return other
+    simulated = run.attempt(
+        "the integration error of a simulation",
+        partial(with_detected_timestep, found, given, run),
+        None,
+    )
+    if simulated is not None:
+        given, found = simulated
+    near: float | None = None
+    if found.diverges_from_recordings and (clear.terms or not contact.world.size):
+        near = WINDOW
+        found, said = run.attempt(
+            f"windows of {WINDOW:g} s",
+            partial(_search_windows, found, given, trials, clear, run),
+            (found, list[str]()),
+        )
+        notes += said
+    return Searched(given, found, near, tuple(notes))
+
+
+def _search_with_detected_integrator(
+    found: SearchResult, given: ModelSetup, run: Run
+) -> Searched | None:
+    """Search again without correcting the integration error, if a simulation made the recordings.
+
+    None if the recordings contain no integration error, or if that search explains no more.
+    """
+    stepped = detect_integrator(found, given)
+    if stepped is None:
+        return None
+    prepared, trials = build_problem(stepped, found.trials, [])
+    other = search_recordings(stepped, prepared, trials, run)
+    return other if explains_more(other.found, found) else None
+
+
+def _search_windows(
+    found: SearchResult, given: ModelSetup, trials: TrialSet, clear: Hypothesis, run: Run
+) -> tuple[SearchResult, list[str]]:
+    """The better result of whole recordings and windows, with notes for the reader."""
+    cut, kept = build_problem(given, trials, [], window=WINDOW)
+    run.begin(f"windows of {WINDOW:g} s", cut.problem)
+    if cut.problem.simulator.models.contact.world.size:
+        # Effects that act without contact are known from the windows away from it.
+        cut.problem.family = _CONTACT
+
+    def longer() -> Prepared:
+        halves, _ = build_problem(given, trials, [], window=_half_of_longest(trials))
+        run.begin("windows of half a recording", halves.problem)
+        return halves
+
+    notes: list[str] = []
+    return _compare_with_windows(found, cut, kept, clear, run, notes, longer), notes
+
+
+def _problem_away_from_contact(
+    given: ModelSetup, trials: TrialSet, contact: ContactGeoms
+) -> tuple[Prepared, TrialSet] | None:
+    """The problem in windows without contact; None if there are none."""
+    try:
+        return build_problem(given, trials, [], window=WINDOW, contact=contact)
+    except RecordingError:
+        return None
+
+
+def _share_for_whole_recordings(problem: Problem) -> float:
+    """Share of the remaining simulations for the search over whole recordings.
+
+    It is one half if the nominal model departs from the recordings, because short windows are then
+    searched as well.
+    """
+    near = model_follows_recordings(problem, residuals_everywhere(problem, EMPTY))
+    return 1.0 if near else _OF_WHOLE
+
+
+def _stage_of(problem: Problem) -> str:
+    """Name of the stage that searches a problem."""
+    if all(s.amid for s in problem.simulator.segments):
+        return f"windows of {typical_window_length(problem):.2g} s"
+    return "whole recordings"
+
+
+def _search_away_from_contact(
+    given: ModelSetup, trials: TrialSet, contact: ContactGeoms, run: Run
+) -> Hypothesis | None:
+    """Effects that explain the motion away from contact; None if the robot is always in contact.
+
+    Away from contact the linearization holds for every law. In contact each must be simulated.
+    """
+    away = _problem_away_from_contact(given, trials, contact)
+    if away is None:
+        return None
+    prepared, kept = away
+    run.begin("windows far from contact", prepared.problem)
+    return search(prepared, kept, StepwiseSelection(prepared.problem, run)).explained.hypothesis
+
+
+def _add_contact_effects(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
+    """The effects that were found without contact, and contact effects in addition."""
+    run.begin("contact effects over whole recordings", problem)
+    problem.family = _CONTACT
+    try:
+        selected = from_start(StepwiseSelection(problem, run), clear)
+    finally:
+        problem.family = None
+    return selected.best.hypothesis
+
+
+def add_contact_effects_again(found: SearchResult, run: Run) -> SearchResult:
+    """Add contact effects to a result, and search on from there.
+
+    The error of a surface may be hidden by other effects that act in contact as well (a late clock,
+    a saturated drive).
+    """
+    problem, known = found.prepared.problem, found.explained.hypothesis
+    more = _add_contact_effects(problem, known, run)
+    if set(more.terms) <= set(known.terms):
+        return found
+    return _continue_from(found, more, run)
+
+
+def _continue_from(found: SearchResult, start: Hypothesis, run: Run) -> SearchResult:
+    """The result of a search from a hypothesis, if it is better than the present one."""
+    run.begin(f"{_stage_of(found.prepared.problem)} once more", found.prepared.problem)
+    selection = StepwiseSelection(found.prepared.problem, run)
+    other = search(found.prepared, found.trials, selection, start)
+    found = found.with_floor_of()
+    return other if other.scores_better_than(found) else found
+
+
+def search_shorter_windows(found: SearchResult, given: ModelSetup, run: Run) -> SearchResult:
+    """Search in windows that the nominal model follows, then search on from that result.
+
+    The better one of this result and the present one is returned.
+    """
+    window = typical_window_length(found.prepared.problem)
+    while True:
+        window *= 0.5
+        cut, kept = build_problem(given, found.trials, [], window=window)
+        near = model_follows_recordings(cut.problem, residuals_everywhere(cut.problem, EMPTY))
+        if near or window <= 2.0 * SHORTEST:
+            break
+    run.begin(f"windows of {window:g} s", cut.problem)
+    start = search(
+        cut, kept, StepwiseSelection(cut.problem, run, _LEFT_BY_CATALOGUE)
+    ).explained.hypothesis
+    return _continue_from(found, start, run) if start.terms else found
+
+
+def _compare_with_windows(
+    found: SearchResult,
+    cut: Prepared,
+    kept: TrialSet,
+    clear: Hypothesis,
+    run: Run,
+    notes: list[str],
+    longer: Callable[[], Prepared],
+) -> SearchResult:
+    """The best result of whole recordings, windows, and whole recordings with effects of windows.
+
+    Args:
+        found: result of whole recordings.
+        cut, kept: the problem in windows, and its trials.
+        clear: effects that were found away from contact.
+        run: the diagnosis.
+        notes: receives how the effects were selected.
+        longer: builds the problem in longer windows.
+    """
+    other = confirm(cut, kept, found, run)
+    if other is None:
+        # Without contact no search begins whose linearized shortlist leaves too large a residual.
+        share_left = 1.0 if clear.terms else _LEFT_BY_CATALOGUE
+        other = search(cut, kept, StepwiseSelection(cut.problem, run, share_left), clear)
+    if other.explains_more_than(found):
+        notes.append(_IN_WINDOWS)
+        return replace(other, whole=found.prepared.problem)
+    if other.may_improve(found):
+        if found.sticks_and_slips:
+            with run.budget.apart():
+                whole = refit_with_full_drive(found, other, longer())
+            if whole.tracks_better_than(found):
+                notes.append(_AS_A_DRIVE)
+                return whole
+        with run.budget.apart():
+            whole = refit_whole_motions(found, other)
+        if whole.tracks_better_than(found):
+            notes.append(_NAMED_IN_WINDOWS)
+            return whole
+    return found
+
+
+def _half_of_longest(trials: TrialSet) -> float:
+    """Half the duration of the longest fitted recording, s."""
+    return 0.5 * max(float(t.time[-1] - t.time[0]) for t in trials.fit)
