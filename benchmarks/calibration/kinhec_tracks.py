@@ -71,14 +71,11 @@ def of_poses(sequence: Any) -> dict[str, Any]:
         ids=tuple(str(i) for i in range(len(flange))), flange=flange, camera_from_target=poses
     )
     document = calibrate(plan_of(mount), observations, None)
-    factor = document["suspected"][0].get("factor") if document["suspected"] else None
-    if factor is None:
+    if not any("scale: estimate" in one["mend"] for one in document["suspected"]):
         return document
-    # As the report says: correct the target's size and run again.
-    poses = poses.copy()
-    poses[:, :3, 3] *= factor
-    document = calibrate(plan_of(mount), replace(observations, camera_from_target=poses), None)
-    return {**document, "factor": factor}
+    # As the report says: declare that the camera has no metric scale, and run again.
+    plan = replace(plan_of(mount), camera={"scale": "estimate"})
+    return {**calibrate(plan, observations, None), "told": True}
 
 
 def of_streams(sequence: Any) -> dict[str, Any]:
@@ -111,17 +108,24 @@ def ours(sequence: Any) -> dict[str, Any]:
         value = document["records"]["time_offset"]["value"]
         # Our value is added to the camera's stamps, KinHEC's is subtracted.
         row["time_offset_err_ms"] = 1e3 * abs(-value - sequence.time_offset)
+    row["told"] = "told" in document
+    if "scale" in document["records"]:
+        stated = document["records"]["scale"]
+        row["scale_err_rel"] = abs(stated["value"] - sequence.scale) / sequence.scale
+        row["scale_inside"] = stated["ci95"][0] <= sequence.scale <= stated["ci95"][1]
     found = transforms(document, "hand" if sequence.eye_in_hand else "world")
     if document["verdict"] == "degenerate" or found is None:
         return row | {"error": "; ".join(document["unobservable"])[:200]}
     return row | {"ok": True} | calibration_errors(found[0], sequence.X, found[1], sequence.Y)
 
 
-def results(root: Path, most: int | None) -> pd.DataFrame:
+def results(root: Path, most: int | None, tracks: list[str] | None) -> pd.DataFrame:
     """A row for each sequence and solver, the reference solvers and ours."""
     manifest = load_manifest(root)
     rows: list[dict[str, Any]] = []
     for track, mine in manifest.groupby("track"):
+        if tracks and track not in tracks:
+            continue
         chosen = mine["sequence_id"].tolist()
         if most is not None and len(chosen) > most:
             even = np.linspace(0, len(chosen) - 1, most).astype(int)
@@ -181,18 +185,34 @@ def table(found: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
+def scales(found: pd.DataFrame) -> str:
+    """How many sequences a missing metric scale was recognised in, and the error of the scale."""
+    lines = []
+    for group, mine in found[found["solver"] == OURS].groupby("group"):
+        told = mine[mine["told"].fillna(False).astype(bool)]
+        if len(told) and "scale_err_rel" in told:
+            lines.append(
+                f"{group}: no metric scale recognised in {len(told)} of {len(mine)} sequences; "
+                f"scale off by {100 * told['scale_err_rel'].median():.2f} % (median), interval "
+                f"holds it in {int(told['scale_inside'].sum())}"
+            )
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("data", type=Path, help="folder that kinhec generate wrote")
     parser.add_argument("--most", type=int, help="sequences of each track, evenly chosen")
+    parser.add_argument("--tracks", nargs="+", help="names of tracks; all of them by default")
     parser.add_argument("--csv", type=Path, help="all results, one row for each solver")
     arguments = parser.parse_args()
     # Reference solvers warn of singular matrices where motions are degenerate.
     warnings.simplefilter("ignore")
-    found = results(arguments.data, arguments.most)
+    found = results(arguments.data, arguments.most, arguments.tracks)
     if arguments.csv:
         found.to_csv(arguments.csv, index=False)
     print(table(found))
+    print(scales(found))
 
 
 if __name__ == "__main__":

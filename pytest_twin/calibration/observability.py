@@ -217,8 +217,8 @@ def _lever(noise: Mapping[str, float]) -> float:
 
 
 def natural_sizes(layout: Layout, length: float = 1.0) -> FloatArray:
-    """(count,) size of each unknown that counts alike: 1 rad, and a length in m."""
-    return np.array([1.0 if p.unit == "rad" else length for p in layout.parameters])
+    """(count,) size of each unknown that counts alike: 1 rad, a factor of 1, and a length in m."""
+    return np.array([length if p.unit == "m" else 1.0 for p in layout.parameters])
 
 
 def _simple(null: FloatArray) -> list[FloatArray]:
@@ -252,6 +252,8 @@ def parts_in_words(problem: Problem, layout: Layout, direction: FloatArray) -> l
                     break
         elif kind == "point":
             found.append((float(np.linalg.norm(values)), f"the position of {_point(name)}"))
+        elif kind == "scale":
+            found.append((abs(float(values[0])), "the scale of the camera's positions"))
         else:
             for value, parameter in zip(values, layout.parameters[place], strict=True):
                 if abs(value) > AFFECTED * size:

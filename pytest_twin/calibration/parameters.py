@@ -28,12 +28,14 @@ class State:
         points: name -> (3,), m.
         zeros: (joints,) added to the readings, rad or m.
         links: (deviations,) m or rad.
+        scale: factor of the positions that a camera without a metric scale sees.
     """
 
     poses: Mapping[str, FloatArray]
     points: Mapping[str, FloatArray]
     zeros: FloatArray
     links: FloatArray
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -41,9 +43,9 @@ class Parameter:
     """One unknown.
 
     Attributes:
-        block: ``pose:NAME``, ``point:NAME``, ``joint_zeros`` or ``geometry``.
+        block: ``pose:NAME``, ``point:NAME``, ``joint_zeros``, ``geometry`` or ``scale``.
         label: coordinate, joint, or deviation of a link.
-        unit: ``rad`` or ``m``.
+        unit: ``rad``, ``m`` or ``1``.
         prior: standard deviation about the nominal value, None for none.
     """
 
@@ -69,6 +71,7 @@ class Layout:
         revolute: whether each turns.
         links: deviations of links that are free.
         zero_prior, offset_prior, tilt_prior: standard deviations, rad or m.
+        scale: whether the scale of the camera's positions is free.
     """
 
     poses: tuple[str, ...]
@@ -80,6 +83,7 @@ class Layout:
     zero_prior: float | None = None
     offset_prior: float = 0.0
     tilt_prior: float = 0.0
+    scale: bool = False
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -108,6 +112,8 @@ class Layout:
             )
             for link in self.links
         ]
+        if self.scale:
+            found.append(Parameter("scale", "camera", "1"))
         return tuple(found)
 
     @property
@@ -140,16 +146,23 @@ class Layout:
             poses[name] = pose
         for name in self.points:
             points[name] = points[name] + step[self.blocks[f"point:{name}"]]
-        zeros, links = state.zeros.copy(), state.links
+        zeros, links, scale = state.zeros.copy(), state.links, state.scale
         if self.zeros:
             zeros[list(self.zeros)] += step[self.blocks["joint_zeros"]]
         if self.links:
             links = links + step[self.blocks["geometry"]]
-        return State(poses, points, zeros, links)
+        if self.scale:
+            scale = scale + float(step[self.blocks["scale"]][0])
+        return State(poses, points, zeros, links, scale)
 
 
 class Poses(Protocol):
-    """Named transforms with derivatives."""
+    """Named transforms, and the scale of what a camera sees, with derivatives."""
+
+    @property
+    def scale(self) -> tuple[float, FloatArray]:
+        """Factor of the camera's positions, and its derivatives, (count,)."""
+        ...
 
     def pose(self, name: str, rows: int) -> Moving:
         """A named transform, once for each row."""
@@ -162,11 +175,18 @@ class HeldPoses:
 
     Attributes:
         poses: name -> (4, 4).
+        factor: of the camera's positions.
         width: how many parameters the derivatives, which are zero, have.
     """
 
     poses: Mapping[str, FloatArray]
+    factor: float
     width: int
+
+    @property
+    def scale(self) -> tuple[float, FloatArray]:
+        """Factor of the camera's positions, and its derivatives."""
+        return self.factor, np.zeros(self.width)
 
     def pose(self, name: str, rows: int) -> Moving:
         """A named transform, once for each row."""
@@ -190,7 +210,15 @@ class Variables:
 
     def held(self, width: int) -> HeldPoses:
         """The transforms as they are now, with ``width`` derivatives that are zero."""
-        return HeldPoses(self.now.poses, width)
+        return HeldPoses(self.now.poses, self.now.scale, width)
+
+    @property
+    def scale(self) -> tuple[float, FloatArray]:
+        """Factor of the camera's positions, and its derivatives, (count,)."""
+        slope = np.zeros(self.layout.count)
+        if self.layout.scale:
+            slope[self.layout.blocks["scale"]] = 1.0
+        return self.now.scale, slope
 
     def pose(self, name: str, rows: int) -> Moving:
         """A named transform, once for each row."""

@@ -111,6 +111,11 @@ class Plan:
     frames: Mapping[str, str] = field(default_factory=dict)
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
+    @property
+    def scale_is_free(self) -> bool:
+        """Whether positions of the target are in a unit that the camera does not know."""
+        return self.camera.get("scale") == "estimate"
+
     def error(self, where: str, problem: str, **details: Any) -> SpecError:
         """An error at a dotted field of the plan, with its line, to be raised."""
         inner = where

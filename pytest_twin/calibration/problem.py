@@ -49,6 +49,7 @@ class Problem:
         layout: the unknowns.
         fixed: values of what is held.
         notes: what was assumed, for people.
+        camera_unit: m of one unit of the camera's positions, where the scale is free: near it.
     """
 
     plan: Plan
@@ -58,6 +59,7 @@ class Problem:
     layout: Layout
     fixed: State
     notes: tuple[str, ...] = ()
+    camera_unit: float = 1.0
 
     def flange(self, variables: Variables) -> Moving:
         """``transform_base_to_flange`` of all rows, with derivatives."""
@@ -88,8 +90,12 @@ class Problem:
 
     def with_observations(self, observations: Observations) -> Problem:
         """The same problem on other observations of the same kinds."""
-        terms = terms_of(self.plan, observations, self.chain is not None)
+        terms = terms_of(self.plan, observations, self.chain is not None, self.camera_unit)
         return replace(self, observations=observations, terms=terms)
+
+    def in_unit(self, camera_unit: float) -> Problem:
+        """The same problem with the camera's positions in another unit, m."""
+        return replace(self, camera_unit=camera_unit).with_observations(self.observations)
 
 
 def reported_flange(chain: SerialChain | None, observations: Observations) -> FloatArray | None:
@@ -116,13 +122,7 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
     if chain is not None and not _has_joints(plan, observations, chain):
         chain = None
     terms = terms_of(plan, observations, chain is not None)
-    if not terms:
-        raise plan.error(
-            "observations",
-            "no observation that could be compared with the robot",
-            expected="camera_from_target.x y z qw qx qy qz, point.NAME.x y z, or estimate: [tcp] "
-            "for a pivoting tool",
-        )
+    _check_terms(plan, terms)
     needs_chain = [name for name in ("joint_zeros", "geometry") if name in plan.estimate]
     if needs_chain and chain is None:
         raise plan.error(
@@ -176,9 +176,26 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
         plan.priors.joint_zeros,
         plan.priors.geometry_translation,
         plan.priors.geometry_rotation,
+        plan.scale_is_free,
     )
     fixed = State(poses, points, np.zeros(len(joints)), np.zeros(len(links)))
     return Problem(plan, observations, chain, terms, layout, fixed, tuple(dict.fromkeys(notes)))
+
+
+def _check_terms(plan: Plan, terms: tuple[Term, ...]) -> None:
+    if not terms:
+        raise plan.error(
+            "observations",
+            "no observation that could be compared with the robot",
+            expected="camera_from_target.x y z qw qx qy qz, point.NAME.x y z, or estimate: [tcp] "
+            "for a pivoting tool",
+        )
+    if plan.scale_is_free and not any(isinstance(term, PoseTerm) for term in terms):
+        raise plan.error(
+            "camera.scale",
+            "a scale to be estimated, and no pose of a camera",
+            expected="camera_from_target.x y z qw qx qy qz in observations",
+        )
 
 
 def _has_joints(plan: Plan, observations: Observations, chain: SerialChain) -> bool:
@@ -219,8 +236,10 @@ def _check_joints(plan: Plan, observations: Observations, chain: SerialChain) ->
             )
 
 
-def terms_of(plan: Plan, observations: Observations, has_chain: bool) -> tuple[Term, ...]:
-    """What the observations measure, one term for each kind.
+def terms_of(
+    plan: Plan, observations: Observations, has_chain: bool, camera_unit: float = 1.0
+) -> tuple[Term, ...]:
+    """What the observations measure, one term for each kind; the camera's positions are in m.
 
     Raises:
         SpecError: neither a robot nor flange poses.
@@ -242,7 +261,9 @@ def terms_of(plan: Plan, observations: Observations, has_chain: bool) -> tuple[T
         measured |= there
         rows = np.flatnonzero(there)
         if len(rows):
-            found.append(PoseTerm(rows, poses[rows], plan.mount))
+            metric = poses[rows].copy()
+            metric[:, :3, 3] *= camera_unit
+            found.append(PoseTerm(rows, metric, plan.mount))
     known = set(plan.points) & set(observations.points)
     for name, values in observations.points.items():
         there = usable & np.isfinite(values).all(axis=1)

@@ -107,6 +107,8 @@ def records(found: Estimate) -> dict[str, Any]:
     for block, scalars in (("joint_zeros", _zeros), ("geometry", _geometry)):
         if block in layout.blocks and (values := scalars(found)):
             made[block] = values
+    if layout.scale and not found.lost[layout.blocks["scale"]].any():
+        made["scale"] = _scale(found)
     order = [name for name in plan.estimate if name in made]
     return {name: made[name] for name in [*order, *(n for n in made if n not in order)]}
 
@@ -255,6 +257,20 @@ def _zeros(found: Estimate) -> dict[str, Any]:
         "meaning": "model position = sign * encoder reading + value",
         "covariance": found.covariance[np.ix_(columns, columns)].tolist(),
         "covariance_of": list(values),
+    }
+
+
+def _scale(found: Estimate) -> dict[str, Any]:
+    problem = found.fit.problem
+    ((_, spread),) = _scalars(found, "scale")
+    value, std = (one / problem.camera_unit for one in (found.fit.state.scale, spread))
+    width = found.quantile * std
+    return {
+        "value": value,
+        "unit": "1",
+        "std": std,
+        "ci95": [value - width, value + width],
+        "meaning": "position in camera_from_target = value * position in m",
     }
 
 

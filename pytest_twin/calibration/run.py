@@ -36,7 +36,8 @@ from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of
 from pytest_twin.calibration.scene import scene
 from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
-from pytest_twin.calibration.starts import is_subset, starts
+from pytest_twin.calibration.starts import camera_unit, is_subset, starts
+from pytest_twin.calibration.suspected_scale import scale_beyond_chance
 from pytest_twin.calibration.suspects import doubtful, suspects
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
@@ -81,6 +82,13 @@ def calibrate_file(
     told = progress or (lambda fraction: None)
     found = load_plan(Path(plan))
     if found.streams:
+        if found.scale_is_free:
+            raise found.error(
+                "camera.scale",
+                "a scale to be estimated from streams on two clocks",
+                value="estimate",
+                expected="observations: poses at rest, or at stamps of one clock",
+            )
         document = calibrate_streams(found)
         document["inputs"] = _inputs(found, [found.path, *found.streams.values()])
         return document
@@ -158,6 +166,13 @@ def calibrate(
     Raises:
         TwinError: observations that cannot be used.
     """
+    if images is not None and plan.scale_is_free:
+        raise plan.error(
+            "camera.scale",
+            "a scale to be estimated, and images of a target whose size is stated",
+            value="estimate",
+            expected="no scale, or camera_from_target in place of images",
+        )
     observations, left_out = without_coincident(observations)
     fit_rows, held_rows = split(plan, observations)
     turned = ""
@@ -169,6 +184,9 @@ def calibrate(
     if seen is not None:
         observations = seen.posed(observations)
     problem = make_problem(plan, observations, chain)
+    if plan.scale_is_free:
+        unit = camera_unit(problem.on_rows(fit_rows))
+        problem = problem.in_unit(unit or 1.0)
     solved = solve_problem(problem.on_rows(fit_rows))
     if seen is not None and seen.refine(solved.estimate):
         solved = replace(solved, estimate=seen.estimate)
@@ -207,7 +225,12 @@ def calibrate(
     lost = [] if seen is None else seen.complete(document, held_rows)
     document["unobservable"] += lost
     degenerate = degenerate or bool(lost)
-    suspected = suspects(fit) if doubtful(document["fitted"], fit.problem) else ()
+    if doubtful(document["fitted"], fit.problem):
+        suspected = suspects(fit)
+    else:
+        # Errors that the plan accepts may still hide a camera without a metric scale.
+        scale = scale_beyond_chance(fit)
+        suspected = () if scale is None else (scale,)
     document["suspected"] = [one.to_json() for one in suspected]
     reasons = [
         *(f"{one.what}; {one.mend}" for one in suspected),

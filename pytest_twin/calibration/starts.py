@@ -17,6 +17,7 @@ from pytest_twin.calibration import closed_form
 from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.problem import Problem, predicted_poses
+from pytest_twin.calibration.solve import LEAST_INLIERS
 from pytest_twin.calibration.solvers.algebraic import HAND_EYE, ROBOT_WORLD, solver_of_poses
 from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
 from pytest_twin.errors import SpecError
@@ -35,6 +36,7 @@ SUBSETS = 60
 
 _POSES_IN_SUBSET = 3
 _POINTS_IN_SUBSET = 6
+_POSES_FOR_UNIT = 6
 
 
 def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
@@ -60,6 +62,35 @@ def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
         if state is not None:
             found[f"{_SUBSET}{number}"] = state
     return found
+
+
+def camera_unit(problem: Problem) -> float | None:
+    """m of one unit of the camera's positions, from the robot's motion; None where none fits.
+
+    All poses and random subsets of them are tried, and the best third of the distances decides.
+    """
+    flange = predicted_poses(problem, problem.fixed)
+    for term in problem.terms:
+        if not isinstance(term, PoseTerm) or len(term.rows) < _POSES_IN_SUBSET + 1:
+            continue
+        mine, seen = flange[term.rows], seen_poses(term)
+        draw = np.random.default_rng(0)
+        size = min(_POSES_FOR_UNIT, len(mine))
+        tried = [np.arange(len(mine))]
+        tried += [draw.choice(len(mine), size, replace=False) for _ in range(SUBSETS)]
+        best, unit = np.inf, None
+        for chosen in tried:
+            factor, mounted, world = closed_form.scale_of_seen(mine[chosen], seen[chosen])
+            if not factor > 0.0:
+                continue
+            places = seen.copy()
+            places[:, :3, 3] *= factor
+            gaps = (mine @ mounted)[:, :3, 3] - (world @ places)[:, :3, 3]
+            error = float(np.quantile(np.linalg.norm(gaps, axis=1), LEAST_INLIERS))
+            if error < best:
+                best, unit = error, factor
+        return unit
+    return None
 
 
 _SUBSET = "subset"

@@ -7,7 +7,7 @@ corrects the file.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,15 +15,16 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration import closed_form
 from pytest_twin.calibration.observations import Observations
-from pytest_twin.calibration.problem import Problem, predicted_poses
+from pytest_twin.calibration.problem import Problem
 from pytest_twin.calibration.solve import Fit
-from pytest_twin.calibration.starts import seen_poses, starts
-from pytest_twin.calibration.terms import PointTerm, PoseTerm
-
-FAR_BETTER = 1.0 / 3.0
-"""An alternative is named where it leaves less than this part of both the median position error
-and the median angle error. The errors of a real arm without its joint zeros fall by 2 at most when
-the sign of a joint is chosen wrongly for the right one."""
+from pytest_twin.calibration.starts import starts
+from pytest_twin.calibration.suspect import FAR_BETTER, Suspect
+from pytest_twin.calibration.suspected_scale import (
+    scale_beyond_chance,
+    scale_of,
+    scale_of_fit,
+)
+from pytest_twin.calibration.terms import PoseTerm
 
 DOUBTFUL_M = 0.003
 """Root mean square of a fit beyond which mistakes are looked for where the plan accepts any error:
@@ -39,39 +40,6 @@ FAR_AWAY_M = 20.0
 
 _TURNS = 4 * np.pi
 """A joint reading beyond two turns, rad: it may be in degrees."""
-
-_SCALES = {0.001: "mm", 1000.0: "mm", 0.01: "cm", 100.0: "cm", 0.0254: "inches"}
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A mistake that would explain the errors.
-
-    Attributes:
-        what: what seems to be wrong, in words.
-        mend: what to do.
-        translation, rotation: median errors with the mistake undone, m and rad (NaN for points).
-        factor: that positions of the target must be multiplied by, where that is the correction.
-    """
-
-    what: str
-    mend: str
-    translation: float
-    rotation: float
-    factor: float | None = None
-
-    def to_json(self) -> dict[str, object]:
-        """As ``calibration.json`` has it."""
-        made: dict[str, object] = {
-            "what": self.what,
-            "mend": self.mend,
-            "translation_median": self.translation,
-        }
-        if np.isfinite(self.rotation):
-            made["rotation_median"] = self.rotation
-        if self.factor is not None:
-            made["factor"] = self.factor
-        return made
 
 
 def doubtful(fitted: Mapping[str, float], problem: Problem) -> bool:
@@ -97,7 +65,9 @@ def suspects(fit: Fit) -> tuple[Suspect, ...]:
         for what, mend, changed in _alternatives(problem)
     ]
     good = [one for one in tried if _far_better(one, now)]
-    scale = None if good else _scale(problem, now) or _scale_of_fit(fit)
+    scale = None
+    if not good and not problem.layout.scale:
+        scale = scale_of(problem, now) or scale_of_fit(fit) or scale_beyond_chance(fit)
     if scale is not None:
         good.append(scale)
     if good:
@@ -205,78 +175,6 @@ def _reordered(poses: FloatArray) -> FloatArray:
     return changed
 
 
-def _scale(problem: Problem, now: tuple[float, float]) -> Suspect | None:
-    """A factor of all measured positions: a unit, or the size of the target."""
-    flange = predicted_poses(problem, problem.fixed)
-    for term in problem.terms:
-        if isinstance(term, PoseTerm) and len(term.rows) >= 4:
-            mine, seen = flange[term.rows], seen_poses(term)
-            factor, mounted, world = closed_form.scale_of_seen(mine, seen)
-            seen = seen.copy()
-            seen[:, :3, 3] *= factor
-            gaps = (mine @ mounted)[:, :3, 3] - (world @ seen)[:, :3, 3]
-            error = float(np.median(np.linalg.norm(gaps, axis=1)))
-            column = "camera_from_target"
-        elif isinstance(term, PointTerm) and len(term.rows) >= 8:
-            factor, error = closed_form.scale_of_marker(flange[term.rows], term.measured)
-            column = term.name
-        else:
-            continue
-        if factor <= 0.0 or error > FAR_BETTER * now[0] or abs(factor - 1.0) < 1e-3:
-            return None
-        for known, unit in _SCALES.items():
-            if abs(factor / known - 1.0) < 0.1:
-                who = column if factor < 1.0 else "the robot's positions"
-                return Suspect(
-                    f"{who} seem to be in {unit} (a factor of {factor:.4g} fits)",
-                    f"convert {who} to m",
-                    error,
-                    now[1],
-                )
-        return _of_target(factor, column, error, now[1])
-    return None
-
-
-def _scale_of_fit(fit: Fit) -> Suspect | None:
-    """A factor of the target's positions beside all unknowns of the fit, to first order."""
-    at = 0
-    column = np.zeros(len(fit.jacobian))
-    residuals = np.zeros(len(fit.jacobian))
-    positions = np.zeros(len(fit.jacobian), dtype=bool)
-    for term, kept, residual in zip(fit.problem.terms, fit.kept, fit.residuals, strict=True):
-        size = np.array([fit.noise[name] for name in term.noise])
-        count = residual.size
-        residuals[at : at + count] = (residual * kept[:, None] / size).reshape(-1)
-        if isinstance(term, PoseTerm):
-            slope = np.zeros_like(residual)
-            slope[:, :3] = -term.measured[:, :3, 3] * kept[:, None] / size[:3]
-            column[at : at + count] = slope.reshape(-1)
-            positions[at : at + count] = np.tile([True] * 3 + [False] * 3, len(residual))
-        at += count
-    if not positions.any():
-        return None
-    matrix = np.column_stack([fit.jacobian, column])
-    change = np.linalg.lstsq(matrix, -residuals, rcond=1e-10)[0]
-    left = residuals + matrix @ change
-    factor = 1.0 + float(change[-1])
-    part = float(np.linalg.norm(left[positions]) / np.linalg.norm(residuals[positions]))
-    if part > FAR_BETTER or factor <= 0.0:
-        return None
-    usual = fit.noise["translation"] * part
-    return _of_target(factor, "camera_from_target", usual, float("nan"))
-
-
-def _of_target(factor: float, column: str, translation: float, rotation: float) -> Suspect:
-    return Suspect(
-        f"positions of {column} are too large or too small by a factor of {1 / factor:.4f}: the "
-        "target is probably not of the stated size",
-        f"multiply the target's dimensions by {factor:.4f} after measuring them",
-        translation,
-        rotation,
-        factor,
-    )
-
-
 def _far_away(problem: Problem) -> Iterator[tuple[str, str]]:
     observations = problem.observations
     given = {
@@ -284,7 +182,7 @@ def _far_away(problem: Problem) -> Iterator[tuple[str, str]]:
         "camera_from_target": observations.camera_from_target,
     }
     for name, poses in given.items():
-        if poses is None:
+        if poses is None or (name == "camera_from_target" and problem.layout.scale):
             continue
         distance = float(np.nanmedian(np.linalg.norm(poses[:, :3, 3], axis=1)))
         if distance > FAR_AWAY_M:

@@ -55,6 +55,7 @@ class PoseTerm:
 
     Where the camera rides on the flange, ``camera_from_target = inv(flange @ mounted) @ world``.
     Where it stands still, ``camera_from_target = inv(world) @ flange @ mounted``.
+    Positions are multiplied by the camera's scale, which is 1 unless it is unknown.
 
     Attributes:
         rows: (m,).
@@ -114,9 +115,10 @@ class PoseTerm:
         count = len(self.rows)
         carried = at_rows(flange, self.rows) @ variables.pose(self.mounted, count)
         world = variables.pose(self.world, count)
-        if self.mount == "hand":
-            return carried.inverse() @ world
-        return world.inverse() @ carried
+        seen = carried.inverse() @ world if self.mount == "hand" else world.inverse() @ carried
+        scale, slope = variables.scale
+        shift = scale * seen.shift + seen.position[:, :, None] * slope
+        return Moving(seen.rotation, scale * seen.position, seen.turn, shift)
 
 
 @dataclass(frozen=True)

@@ -111,6 +111,8 @@ class CalibrationCheck(Check):
         # Zeros and geometry are the realization's own.
         kept = tuple(name for name in plan.estimate if name not in ("joint_zeros", "geometry"))
         problem = make_problem(replace(plan, estimate=kept), held, chain)
+        if record.scale is not None:
+            problem = problem.in_unit(1.0 / record.scale)
         errors, _ = without_gross(errors_of(problem, recorded_state(problem, record)))
         progress(1.0)
         return Observation(

@@ -64,6 +64,7 @@ class CalibrationRecord:
         covariance_names, covariance: of all unknowns together, as the fit had them.
         deviations: label -> deviation of a link.
         time_offset: of one clock against the other and its standard deviation, s, or None.
+        scale: of the camera's positions against m, or None where they are in m.
     """
 
     id: str
@@ -84,6 +85,7 @@ class CalibrationRecord:
     covariance: Matrix = ()
     deviations: Mapping[str, Deviation] = field(default_factory=dict)
     time_offset: tuple[float, float] | None = None
+    scale: float | None = None
 
 
 def read_calibration_record(path: Path) -> CalibrationRecord:
@@ -162,6 +164,7 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
             time_offset=None
             if offset is None
             else (number(offset["value"]), standard_deviation(offset["ci95"])),
+            scale=number(records["scale"]["value"]) if "scale" in records else None,
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise FormatError(

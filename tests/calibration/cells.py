@@ -127,6 +127,7 @@ def joint_cell(
 def plan(*estimate: str, mount: str = "hand", **options: Any) -> Plan:
     """A plan for observations in memory."""
     stated: dict[str, Any] = {
+        "camera": {},
         "points": {},
         "given": {},
         "priors": Priors(),
@@ -142,7 +143,6 @@ def plan(*estimate: str, mount: str = "hand", **options: Any) -> Plan:
         streams={},
         estimate=estimate,
         mount=mount,
-        camera={},
         target={},
         **(stated | options),
     )

@@ -1,0 +1,143 @@
+"""A camera without a metric scale is recognised, and its scale estimated where that is declared."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import cells
+import numpy as np
+import pytest
+
+from pytest_twin.calibration.closed_form import scale_of_seen
+from pytest_twin.calibration.problem import make_problem
+from pytest_twin.calibration.recorded import held_out_observations, recorded_state
+from pytest_twin.calibration.residual_errors import errors_of
+from pytest_twin.calibration.run import calibrate
+from pytest_twin.errors import SpecError
+from pytest_twin.formats.calibration_record import read_calibration_record
+
+
+def unscaled(
+    rng: np.random.Generator, scale: float, mount: str = "hand", translation: float = 2e-3
+) -> cells.Cell:
+    """A cell whose camera gives positions in units of 1/scale m."""
+    flange = np.array([cells.pose(rng, 0.3) for _ in range(30)])
+    cell = cells.flange_cell(rng, flange, mount=mount, translation=translation, rotation=2e-3)
+    poses = cell.observations.camera_from_target.copy()
+    poses[:, :3, 3] *= scale
+    return replace(cell, observations=replace(cell.observations, camera_from_target=poses))
+
+
+@pytest.mark.parametrize(("scale", "mount"), [(0.37, "hand"), (2.5, "world"), (1e-4, "hand")])
+def test_an_estimated_scale_agrees_with_the_truth_and_the_record_predicts(
+    scale: float, mount: str
+) -> None:
+    cell = unscaled(np.random.default_rng(3), scale, mount)
+    plan = cells.plan("hand_eye", "robot_world", mount=mount, camera={"scale": "estimate"})
+    found = calibrate(plan, cell.observations, None)
+    stated = found["records"]["scale"]
+    assert found["verdict"] == "accepted"
+    assert stated["value"] == pytest.approx(scale, rel=0.01)
+    assert stated["ci95"][0] < stated["value"] < stated["ci95"][1]
+    # Errors are in m whatever the camera's unit is.
+    assert found["held_out"]["translation_rms"] == pytest.approx(2e-3, rel=0.5)
+    name = "hand_eye" if mount == "hand" else "target"
+    assert np.allclose(found["records"][name]["transform"]["xyz"], cell.mounted[:3, 3], atol=5e-3)
+
+
+def test_intervals_of_the_scale_hold_the_truth() -> None:
+    inside, together = [], []
+    for seed in range(12):
+        cell = unscaled(np.random.default_rng(seed), 0.6)
+        plan = cells.plan("hand_eye", camera={"scale": "estimate"})
+        found = calibrate(plan, cell.observations, None)
+        low, high = found["records"]["scale"]["ci95"]
+        inside.append(low <= 0.6 <= high)
+        together += cells.truth_inside(found, "hand_eye", cell.mounted)
+    # Of 12 intervals at 95 % fewer than 9 hold the truth once in 400 times.
+    assert sum(inside) >= 9
+    assert 0.85 <= np.mean(together)
+
+
+@pytest.mark.parametrize("translation", [2e-3, 0.02])
+def test_a_camera_without_a_metric_scale_is_named(translation: float) -> None:
+    cell = unscaled(np.random.default_rng(4), 0.7, translation=translation)
+    found = calibrate(cells.plan("hand_eye"), cell.observations, None)
+    assert found["verdict"] == "rejected"
+    (suspect,) = found["suspected"]
+    told = re.search(r"the camera's motion is (\S+) times the robot's", suspect["what"])
+    assert told is not None
+    assert float(told[1]) == pytest.approx(0.7, rel=0.05)
+    assert "camera: {scale: estimate}" in suspect["mend"]
+
+
+def test_a_scale_is_named_where_the_plan_accepts_the_errors_that_it_makes() -> None:
+    cell = unscaled(np.random.default_rng(5), 0.8)
+    accept = cells.Accept(translation=0.5, rotation=1.0)
+    found = calibrate(cells.plan("hand_eye", accept=accept), cell.observations, None)
+    assert found["verdict"] == "rejected"
+    assert "times the robot's" in found["suspected"][0]["what"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_scale_is_suspected_of_noisy_metric_poses(seed: int) -> None:
+    cell = unscaled(np.random.default_rng(seed), 1.0, translation=0.02)
+    found = calibrate(cells.plan("hand_eye"), cell.observations, None)
+    assert found["suspected"] == []
+
+
+def test_no_scale_is_suspected_of_an_arm_with_wrong_zeros() -> None:
+    rng = np.random.default_rng(6)
+    cell = cells.joint_cell(rng, cells.arm(6, rng), 60, zeros=rng.normal(0.0, 0.03, 6))
+    found = calibrate(cells.plan("hand_eye"), cell.observations, cell.chain)
+    assert found["suspected"] == []
+
+
+def test_turns_alone_do_not_determine_a_scale() -> None:
+    rng = np.random.default_rng(7)
+    flange = np.array([cells.pose(rng, 0.0) for _ in range(30)])
+    cell = cells.flange_cell(rng, flange)
+    plan = cells.plan("hand_eye", camera={"scale": "estimate"})
+    found = calibrate(plan, cell.observations, None)
+    assert found["verdict"] == "degenerate"
+    assert "scale" not in found["records"]
+    assert any("scale" in words for words in found["unobservable"])
+
+
+def test_a_scale_needs_poses_of_a_camera() -> None:
+    rng = np.random.default_rng(8)
+    cell = unscaled(rng, 1.0)
+    points = replace(
+        cell.observations,
+        camera_from_target=None,
+        points={"tip": cell.observations.flange[:, :3, 3]},
+    )
+    with pytest.raises(SpecError, match="no pose of a camera"):
+        calibrate(cells.plan("tcp", camera={"scale": "estimate"}), points, None)
+
+
+def test_the_closed_form_agrees_on_exact_poses() -> None:
+    cell = unscaled(np.random.default_rng(9), 3.0, translation=0.0)
+    exact = cells.seen(cell.observations.flange, cell.mounted, cell.world, "world")
+    exact[:, :3, 3] *= 3.0
+    factor, mounted, _ = scale_of_seen(cell.observations.flange, exact)
+    assert factor == pytest.approx(1 / 3, rel=1e-9)
+    assert np.allclose(mounted, cell.mounted, atol=1e-9)
+
+
+def test_a_record_with_a_scale_predicts_its_held_out_poses_again(tmp_path: Path) -> None:
+    cell = unscaled(np.random.default_rng(10), 0.37)
+    plan = cells.plan("hand_eye", "robot_world", camera={"scale": "estimate"})
+    found = calibrate(plan, cell.observations, None)
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(found))
+    record = read_calibration_record(path)
+    assert record.scale == found["records"]["scale"]["value"]
+    held = held_out_observations(cell.observations, record)
+    problem = make_problem(plan, held, None).in_unit(1.0 / record.scale)
+    again = errors_of(problem, recorded_state(problem, record)).summary()
+    stated = found["held_out"]["translation_rms"]
+    assert again["translation_rms"] == pytest.approx(stated, rel=0.01)
