@@ -16,6 +16,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.detection import Detection
+from pytest_twin.calibration.cameras.arm import Arm
 from pytest_twin.calibration.cameras.intrinsics import NAMES
 from pytest_twin.calibration.cameras.normal_equations import (
     Equations,
@@ -48,8 +49,8 @@ class Bundle:
         camera_from_target: (n, 4, 4) pose of the target in each image, m.
         board: (corners, 3) places of the corners in the target's frame, m.
         covariance: of the 12 coordinates of hand-eye and robot-world (each x, y, z, then the
-            rotation vector, in the axes of the parent; left out without a robot), then of the
-            free intrinsics.
+            rotation vector, in the axes of the parent; left out without a robot), of the arm's
+            own parameters, then of the free intrinsics.
         degrees: degrees of freedom of the estimate of the noise.
         noise: of corners, robot and board.
         residuals: (m, 2) px.
@@ -57,6 +58,7 @@ class Bundle:
         robot: (n, 6) how far the robot's pose is off, in the flange's axes: m, then rad.
         weights: (n,) weight of each robot pose, 1 for one that fits.
         board_free: whether the board's corners were estimated.
+        arm: (k,) steps of the arm's own parameters, rad and m.
     """
 
     solved: HandEye
@@ -72,6 +74,7 @@ class Bundle:
     robot: FloatArray
     weights: FloatArray
     board_free: bool
+    arm: FloatArray
 
     @property
     def reprojection_rms(self) -> float:
@@ -93,6 +96,7 @@ def bundle(
     noise: Noise | None = None,
     first_noise: Noise | None = None,
     exact_board: bool = False,
+    arm: Arm | None = None,
 ) -> Bundle:
     """The least-squares estimate from images and, where there is one, the robot's poses.
 
@@ -105,6 +109,7 @@ def bundle(
         noise: where the standard deviations are known; estimated where it is left out.
         first_noise: where the estimation of the noise starts.
         exact_board: whether the board is held to its drawing; it is with few images.
+        arm: whose zeros or links are estimated with the rest.
 
     Raises:
         numpy.linalg.LinAlgError: the images and poses do not determine the unknowns.
@@ -116,7 +121,10 @@ def bundle(
         mount,
         np.array([NAMES.index(name) for name in free], dtype=int),
         None if exact_board else start.board,
+        arm,
     )
+    if arm is not None:
+        start = replace(start, arm=np.zeros(arm.count))
     unknowns, sizes = start, noise or first_noise or Noise()
     for _ in range(_ROUNDS):
         unknowns = _minimized(model, unknowns, sizes)
@@ -128,7 +136,7 @@ def bundle(
         if change < _ROUND_SETTLED:
             break
     equations = linearized(model, unknowns, sizes)
-    kept = np.r_[model.transforms, model.intrinsics]
+    kept = np.r_[model.transforms, model.own, model.intrinsics]
     covariance = np.linalg.inv(equations.schur)[np.ix_(kept, kept)]
     return Bundle(
         HandEye(unknowns.hand_eye, unknowns.robot_world),
@@ -144,13 +152,14 @@ def bundle(
         equations.robot,
         equations.robot_weights,
         not exact_board,
+        unknowns.arm,
     )
 
 
 def _degrees(model: Model) -> float:
     """Degrees of freedom of the kind of residual that decides: of the robot where there is one."""
     if model.base_from_flange is not None:
-        return float(max(6 * len(model.base_from_flange) - 12, 1))
+        return float(max(6 * len(model.base_from_flange) - 12 - len(model.own), 1))
     corners = 2 * len(model.corners.pixels) - 6 * model.corners.images - len(model.free)
     return float(max(corners, 1))
 

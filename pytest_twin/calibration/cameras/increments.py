@@ -73,6 +73,14 @@ def difference(measured: FloatArray, predicted: FloatArray) -> tuple[FloatArray,
     return np.concatenate([shift, turn], axis=-1), slope
 
 
+def by_measured(measured: FloatArray, predicted: FloatArray, slope: FloatArray) -> FloatArray:
+    """(..., 6, 6) slope of ``difference`` by ``measured``, from that by ``predicted``."""
+    lever = np.zeros_like(slope)
+    lever[...] = np.eye(6)
+    lever[..., :3, 3:] = -skew(predicted[..., :3, 3] - measured[..., :3, 3])
+    return -slope @ lever
+
+
 def _inverse_left_jacobian(turn: FloatArray) -> FloatArray:
     """(..., 3, 3) ``J`` with ``log(exp(d) exp(turn)) = turn + J d`` to first order."""
     angle = np.linalg.norm(turn, axis=-1)[..., None, None]

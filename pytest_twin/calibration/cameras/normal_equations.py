@@ -7,14 +7,16 @@ components).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.cameras.arm import Arm
 from pytest_twin.calibration.cameras.increments import (
     by_first,
     by_inverse,
+    by_measured,
     by_second,
     changed,
     difference,
@@ -63,6 +65,7 @@ class Unknowns:
         intrinsics: (16,) in the order of ``NAMES``.
         camera_from_target: (n, 4, 4), m.
         board: (corners, 3) places of the target's corners, m.
+        arm: (k,) steps of joint zeros and links from where the arm has them, rad and m.
     """
 
     hand_eye: FloatArray
@@ -70,6 +73,7 @@ class Unknowns:
     intrinsics: FloatArray
     camera_from_target: FloatArray
     board: FloatArray
+    arm: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,8 @@ class Model:
     """What was measured, and what is free.
 
     The globals, which all images share, are in this order: free intrinsics, hand-eye and
-    robot-world where there is a robot, the board's coordinates where it is free.
+    robot-world where there is a robot, the arm's own parameters, the board's coordinates where
+    it is free.
 
     Attributes:
         base_from_flange: (n, 4, 4) m, or None.
@@ -85,6 +90,7 @@ class Model:
         mount: what the flange carries.
         free: indices of the free intrinsics.
         drawing: (corners, 3) the board as it was drawn, m; None where it is exact.
+        arm: the robot whose zeros or links are free; None where ``base_from_flange`` is given.
     """
 
     base_from_flange: FloatArray | None
@@ -92,6 +98,7 @@ class Model:
     mount: Mount
     free: np.ndarray
     drawing: FloatArray | None
+    arm: Arm | None = None
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -104,18 +111,24 @@ class Model:
         return len(self.free) + np.arange(0 if self.base_from_flange is None else 12)
 
     @property
+    def own(self) -> np.ndarray:
+        """Places of the arm's own parameters among the globals."""
+        before = len(self.free) + len(self.transforms)
+        return before + np.arange(0 if self.arm is None else self.arm.count)
+
+    @property
     def board(self) -> np.ndarray:
         """Places of the board's coordinates among the globals."""
-        before = len(self.free) + len(self.transforms)
+        before = len(self.free) + len(self.transforms) + len(self.own)
         return before + np.arange(0 if self.drawing is None else self.drawing.size)
 
     @property
     def count(self) -> int:
         """How many globals there are."""
-        return len(self.free) + len(self.transforms) + len(self.board)
+        return len(self.free) + len(self.transforms) + len(self.own) + len(self.board)
 
     def robot(self, unknowns: Unknowns) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(k, 6) residuals of the robot's poses; slopes by the transforms, and by target poses."""
+        """(k, 6) residuals of the robot's poses; slopes by transforms and arm, by target poses."""
         if self.base_from_flange is None:
             return np.zeros((0, 6)), np.zeros((0, 6, 0)), np.zeros((0, 6, 6))
         seen, by_pose = unknowns.camera_from_target, np.eye(6)
@@ -123,11 +136,16 @@ class Model:
             seen, by_pose = inverse(seen), by_inverse(seen)
         world = unknowns.robot_world
         at, back = world @ seen, inverse(unknowns.hand_eye)
-        residual, slope = difference(self.base_from_flange, at @ back)
+        reported, by_own = self.base_from_flange, np.zeros((len(at), 6, 0))
+        if self.arm is not None:
+            reported, by_own = self.arm.flange(unknowns.arm)
+        predicted = at @ back
+        residual, slope = difference(reported, predicted)
+        by_own = by_measured(reported, predicted, slope) @ by_own
         through = slope @ by_first(at, np.broadcast_to(back, at.shape))
         by_world = through @ by_first(np.broadcast_to(world, seen.shape), seen)
         by_hand_eye = slope @ by_second(at) @ by_inverse(unknowns.hand_eye)
-        by_transforms = np.concatenate([by_hand_eye, by_world], axis=2)
+        by_transforms = np.concatenate([by_hand_eye, by_world, by_own], axis=2)
         return residual, by_transforms, through @ by_second(world) @ by_pose
 
 
@@ -188,14 +206,16 @@ def linearized(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
         rows = np.arange(len(pixels))
         by_globals[rows[:, None], :, columns] = np.swapaxes(by_pose[:, :, :3] @ turns, 1, 2)
     robot_by_globals = np.zeros((len(robot), 6, model.count))
-    robot_by_globals[:, :, model.transforms] = by_transforms
+    robot_by_globals[:, :, np.r_[model.transforms, model.own]] = by_transforms
+    prior = np.zeros(0) if model.arm is None else model.arm.precision
+    values = np.zeros(0) if model.arm is None else model.arm.values(unknowns.arm)
 
     # Two coordinates of a corner, or six of a pose, are an outlier together.
     scale = np.repeat([1.0 / noise.position, 1.0 / noise.orientation], 3)
     pixel_cost, pixel_weight = _huber(np.mean((pixels / noise.pixel) ** 2, axis=1))
     robot_cost, robot_weight = _huber(np.mean((robot * scale) ** 2, axis=1))
     cost = 2.0 * pixel_cost.sum() + 6.0 * robot_cost.sum()
-    cost += np.sum((deviation / noise.board) ** 2)
+    cost += np.sum((deviation / noise.board) ** 2) + np.sum(prior * values**2)
 
     white = (np.sqrt(pixel_weight) / noise.pixel)[:, None, None]
     robot_white = np.sqrt(robot_weight)[:, None, None] * scale[None, :, None]
@@ -214,6 +234,8 @@ def linearized(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
         block += np.swapaxes(rp, 1, 2) @ rp
         pose_right += (np.swapaxes(rp, 1, 2) @ er[..., None])[..., 0]
         coupling += np.swapaxes(rg, 1, 2) @ rp
+    full[model.own, model.own] += prior
+    right[model.own] += prior * values
     if model.drawing is not None:
         full[model.board, model.board] += 1.0 / noise.board**2
         right[model.board] += deviation.ravel() / noise.board**2
@@ -241,6 +263,8 @@ def moved(model: Model, at: Unknowns, move: FloatArray, poses: FloatArray) -> Un
             hand_eye=changed(at.hand_eye, turns[:6]),
             robot_world=changed(at.robot_world, turns[6:]),
         )
+    if len(model.own):
+        found = replace(found, arm=at.arm + move[model.own])
     if len(model.board):
         found = replace(found, board=at.board + move[model.board].reshape(-1, 3))
     return found

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.cameras.arm import arm_of
 from pytest_twin.calibration.cameras.bundle import Bundle, bundle
 from pytest_twin.calibration.cameras.camera_calibration import Camera
 from pytest_twin.calibration.cameras.intrinsics import NAMES, Intrinsics
@@ -24,8 +25,8 @@ def refined(
 ) -> tuple[Estimate, Camera, Bundle] | None:
     """The estimate, the camera and the bundle with the images' corners in place of poses.
 
-    None where the images are not all that is measured, where the robot's own parameters are free
-    too, or where the images do not determine the unknowns: the fit on poses then stands.
+    Joint zeros and links are unknowns too where the plan asks for them. None where the images are
+    not all that is measured, or do not determine the unknowns: the fit on poses then stands.
     """
     problem = found.fit.problem
     terms = problem.terms
@@ -33,7 +34,7 @@ def refined(
         return None
     term = terms[0]
     names = (term.mounted, term.world)
-    if set(problem.layout.poses) != set(names) or problem.layout.count != 12:
+    if set(problem.layout.poses) != set(names) or problem.layout.points:
         return None
     rows = term.rows[found.fit.kept[0]]
     ids = [problem.observations.ids[row] for row in rows]
@@ -48,23 +49,27 @@ def refined(
         images.target.board_points(),
     )
     flange = predicted_poses(problem, found.fit.state)[rows]
+    arm = arm_of(problem, rows, found.fit.state)
+    own = 0 if arm is None else arm.count
     detections = [images.detections[one] for one in ids]
     try:
-        solved = bundle(flange, detections, start, term.mount, camera.free)
+        solved = bundle(flange, detections, start, term.mount, camera.free, arm=arm)
     except np.linalg.LinAlgError:
         return None
     fit = found.fit
     places = {name: problem.layout.blocks[f"pose:{name}"] for name in names}
     state = replace(
-        fit.state,
+        fit.state if arm is None else arm.moved(solved.arm),
         poses={**poses, names[0]: solved.solved.hand_eye, names[1]: solved.solved.robot_world},
     )
     covariance = found.covariance.copy()
-    turn = np.zeros((12, 12))
-    order = np.r_[places[names[0]], places[names[1]]]
+    turn = np.eye(12 + own)
+    # Zeros and links come after the poses in both orders.
+    order = np.r_[places[names[0]], places[names[1]], 12 : 12 + own]
     for at, name in enumerate(names):
         turn[6 * at : 6 * at + 6, 6 * at : 6 * at + 6] = _own_axes(state.poses[name])
-    covariance[np.ix_(order, order)] = turn @ solved.covariance[:12, :12] @ turn.T
+    both = solved.covariance[: 12 + own, : 12 + own]
+    covariance[np.ix_(order, order)] = turn @ both @ turn.T
     noise = {**fit.noise, "reprojection": solved.noise.pixel}
     better = replace(
         found,
@@ -76,7 +81,7 @@ def refined(
         Intrinsics(solved.intrinsics),
         solved.board,
         solved.free,
-        solved.covariance[12:, 12:],
+        solved.covariance[12 + own :, 12 + own :],
         solved.noise.pixel,
         solved.noise.board if solved.board_free else 0.0,
     )

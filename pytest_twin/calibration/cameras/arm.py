@@ -1,0 +1,60 @@
+"""The robot's own parameters beside a camera's: joint zeros and links under their priors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.parameters import State, Variables
+from pytest_twin.calibration.problem import Problem
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The flange's poses as functions of joint zeros and deviations of links.
+
+    Attributes:
+        problem: with the rows that have images, and a layout of the arm's unknowns only.
+        state: where the unknowns are 0: zeros and links.
+    """
+
+    problem: Problem
+    state: State
+
+    @property
+    def count(self) -> int:
+        """How many unknowns there are."""
+        return self.problem.layout.count
+
+    @property
+    def precision(self) -> FloatArray:
+        """(count,) inverse variances of the priors, 1/rad^2 or 1/m^2; 0 without a prior."""
+        priors = [parameter.prior for parameter in self.problem.layout.parameters]
+        return np.array([0.0 if prior is None else prior**-2 for prior in priors])
+
+    def values(self, step: FloatArray) -> FloatArray:
+        """(count,) deviations from the design, which the priors are about, rad and m."""
+        layout, moved = self.problem.layout, self.moved(step)
+        return np.concatenate([moved.zeros[list(layout.zeros)], moved.links])
+
+    def moved(self, step: FloatArray) -> State:
+        """The state after a step."""
+        return self.problem.layout.moved(self.state, step)
+
+    def flange(self, step: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, 4, 4) ``base_from_flange``, m, and its (n, 6, count) change in the base's axes."""
+        moving = self.problem.flange(Variables(self.problem.layout, self.state, step))
+        poses = np.tile(np.eye(4), (len(moving.position), 1, 1))
+        poses[:, :3, :3], poses[:, :3, 3] = moving.rotation, moving.position
+        return poses, np.concatenate([moving.shift, moving.turn], axis=1)
+
+
+def arm_of(problem: Problem, rows: np.ndarray, state: State) -> Arm | None:
+    """The arm's unknowns in a problem; None where it has none."""
+    layout = problem.layout
+    if not layout.zeros and not layout.links:
+        return None
+    bare = replace(problem.on_rows(rows), layout=replace(layout, poses=(), points=()))
+    return Arm(bare, state)
