@@ -48,7 +48,7 @@ def test_page_and_json_are_written(tmp_path: Path, capsys: pytest.CaptureFixture
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
     said = capsys.readouterr().out
     assert re.search(r"total: 0\.\d+ mm, 1\.\d+ mrad \(\d", said)
-    assert "contact and material: not measured; pytest-twin diagnose" in said
+    assert "contact and material: not measured; pytest-twin identify" in said
 
 
 def test_a_folder_is_a_twin_and_json_goes_to_standard_output(

@@ -30,7 +30,7 @@ OTHER_WORDS = {
     ("native.py", "payload"),
     ("native.py", "armature"),
     # What a note calls the total of a joint's rotor inertia.
-    ("totals.py", "armature"),
+    ("physical_totals.py", "armature"),
 }
 
 
