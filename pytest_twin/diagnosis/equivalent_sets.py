@@ -41,6 +41,7 @@ from pytest_twin.diagnosis.search.linearized_view import linearize_around
 from pytest_twin.diagnosis.search.model_comparison import QUICK, ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.settings import SELECTION
 from pytest_twin.diagnosis.search.term_exchange import residuals_without
 from pytest_twin.diagnosis.set_evidence import (
     evidence_on,
@@ -422,9 +423,10 @@ def _compared(
     values, tempering = set_evidence(comparison, everyone, idle)
     values -= values[0]
     if possible:
-        # More effects may follow more; the search has decided that they are not needed.
-        more = [len(r.hypothesis.terms) > len(best.hypothesis.terms) for r in everyone]
-        values = np.where(more, np.minimum(values, 0.0), values)
+        comparison.judge(rivals, best)
+        values[1:] = [
+            _decided(v, r, best, comparison) for v, r in zip(values[1:], rivals, strict=True)
+        ]
     elif rivals:
         values[0] = -np.inf
     top = int(np.argmax(values))
@@ -449,6 +451,23 @@ def _compared(
     ]
     sets.sort(key=lambda s: -s.evidence)
     return ComparedSets(chosen, tuple(sets), tempering, count.spent)
+
+
+def _decided(
+    value: float, rival: ScoredModel, best: ScoredModel, comparison: ModelComparison
+) -> float:
+    """Evidence of a set after what the search has decided about the number of effects.
+
+    More effects are not needed: such a set is as likely as the final one at most. Fewer do not
+    suffice if they have clearly less evidence before model error: the price of one effect of many
+    is paid for then, and model error leaves open only how well each set predicts.
+    """
+    more = len(rival.hypothesis.terms) - len(best.hypothesis.terms)
+    if more > 0:
+        return min(value, 0.0)
+    if more < 0 and rival.evidence < -SELECTION.earns:
+        return min(value + comparison.name_price * more, 0.0)
+    return value
 
 
 def _as_likely_in_mjcf(rivals: Sequence[ScoredModel], values: FloatArray, top: int) -> int:
