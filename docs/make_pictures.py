@@ -146,7 +146,7 @@ def emps(work: Path) -> Path:
         (folder / "why.txt").write_text(
             run(
                 folder, "pytest-twin", "diagnose", "twin.yaml", str(fit),
-                "--held-out", str(held_out), "--out", "why",
+                "--held-out", str(held_out), "--out", "why", "--seconds", "0",
             )
         )  # fmt: skip
     return folder
@@ -162,7 +162,7 @@ def diagnosis(work: Path) -> None:
     folder = emps(work)
     terminal(
         "diagnosis",
-        "pytest-twin diagnose twin.yaml data_emps.mcap --held-out data_emps_pulses.mcap --out why",
+        "pytest-twin diagnose twin.yaml data_emps.mcap --held-out data_emps_pulses.mcap --out why --seconds 0",
         (folder / "why.txt").read_text(),
     )
     page("diagnosis_report", folder / "why" / "report.html", 1100)
