@@ -162,7 +162,8 @@ def diagnosis(work: Path) -> None:
     folder = emps(work)
     terminal(
         "diagnosis",
-        "pytest-twin diagnose twin.yaml data_emps.mcap --held-out data_emps_pulses.mcap --out why --seconds 0",
+        "pytest-twin diagnose twin.yaml data_emps.mcap --held-out data_emps_pulses.mcap --out why "
+        "--seconds 0",
         (folder / "why.txt").read_text(),
     )
     page("diagnosis_report", folder / "why" / "report.html", 1100)
