@@ -10,6 +10,7 @@ correlated over 20 ms, as that of a current loop is. Efforts come from MuJoCo's 
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -24,40 +25,12 @@ from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization, load
 from pytest_twin.signals import NO_SIGNALS
 
-JOINTS = ("shoulder", "elbow", "wrist")
-MODEL = """<mujoco model="arm">
-  <worldbody>
-    <body name="upper">
-      <inertial pos="{c0} 0.01 0.02" mass="{m0}" diaginertia="0.03 0.1 0.1"/>
-      <joint name="shoulder" axis="0 1 0" armature="{a0}" damping="{d0}" frictionloss="{f0}"/>
-      <body name="lower" pos="0.5 0 0">
-        <inertial pos="{c1} 0 0.02" mass="{m1}" diaginertia="0.02 0.05 0.05"/>
-        <joint name="elbow" axis="0 0 1" armature="{a1}" damping="{d1}" frictionloss="{f1}"/>
-        <body name="hand" pos="0.4 0 0">
-          <inertial pos="{c2} 0.02 0.01" mass="{m2}" diaginertia="0.005 0.01 0.01"/>
-          <joint name="wrist" axis="0 1 0" armature="{a2}" damping="{d2}" frictionloss="{f2}"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>"""
+sys.path.append(str(Path(__file__).parents[1]))
+from drawn_arms import JOINTS, LINKS, nominal_parameters, true_parameters
+
+MODEL = f"""<mujoco model="arm"><worldbody>{LINKS}
+</worldbody></mujoco>"""
 RATE, SECONDS = 200.0, 16.0
-
-
-def arm(folder: Path, name: str, random: np.random.Generator, nominal: dict | None) -> dict:
-    """Write an arm; with ``nominal``, its true parameters are up to a third off these."""
-    if nominal is None:
-        values = {}
-        for k, (mass, com) in enumerate(((4.0, 0.25), (2.5, 0.2), (1.0, 0.1))):
-            values |= {f"m{k}": mass, f"c{k}": com, f"a{k}": 0.1 / (k + 1), f"d{k}": 0.0,
-                       f"f{k}": 0.0}  # fmt: skip
-    else:
-        values = {key: value * random.uniform(0.7, 1.4) for key, value in nominal.items()}
-        for k in range(3):
-            values[f"d{k}"] = random.uniform(0.3, 2.0) / (k + 1)
-            values[f"f{k}"] = random.uniform(0.2, 1.5) / (k + 1)
-    (folder / name).write_text(MODEL.format(**values))
-    return values
 
 
 def record(robot: Realization, path: Path, random: np.random.Generator) -> Measured:
@@ -89,8 +62,8 @@ def record(robot: Realization, path: Path, random: np.random.Generator) -> Measu
 def identified(seed: int, folder: Path) -> tuple[EffortResult, np.ndarray]:
     """The identification of one arm, and its true base parameters."""
     random = np.random.default_rng(seed)
-    nominal = arm(folder, "nominal.xml", random, None)
-    arm(folder, "real.xml", random, nominal)
+    (folder / "nominal.xml").write_text(MODEL.format(**nominal_parameters()))
+    (folder / "real.xml").write_text(MODEL.format(**true_parameters(random)))
     real = load(folder / "real.xml")
     runs = [record(real, folder / f"{name}.csv", random) for name in ("one", "two", "check")]
     result = identify_effort(

@@ -15,6 +15,7 @@ import argparse
 import contextlib
 import io
 import json
+import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -27,22 +28,12 @@ from pytest_twin import cli
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import JointSeries
 
-JOINTS = ("shoulder", "elbow", "wrist")
-MODEL = """<mujoco model="arm">
+sys.path.append(str(Path(__file__).parents[1]))
+from drawn_arms import JOINTS, LINKS, nominal_parameters, true_parameters
+
+MODEL = f"""<mujoco model="arm">
   <option timestep="0.001" integrator="implicitfast"/>
-  <worldbody>
-    <body name="upper">
-      <inertial pos="{c0} 0.01 0.02" mass="{m0}" diaginertia="0.03 0.1 0.1"/>
-      <joint name="shoulder" axis="0 1 0" armature="{a0}" damping="{d0}" frictionloss="{f0}"/>
-      <body name="lower" pos="0.5 0 0">
-        <inertial pos="{c1} 0 0.02" mass="{m1}" diaginertia="0.02 0.05 0.05"/>
-        <joint name="elbow" axis="0 0 1" armature="{a1}" damping="{d1}" frictionloss="{f1}"/>
-        <body name="hand" pos="0.4 0 0">
-          <inertial pos="{c2} 0.02 0.01" mass="{m2}" diaginertia="0.005 0.01 0.01"/>
-          <joint name="wrist" axis="0 1 0" armature="{a2}" damping="{d2}" frictionloss="{f2}"/>
-        </body>
-      </body>
-    </body>
+  <worldbody>{LINKS}
   </worldbody>
   <actuator>
     <position name="m0" joint="shoulder" kp="300" kv="25"/>
@@ -58,15 +49,8 @@ ROLES = ("fit", "fit", "held_out", "held_out", "final", "final")
 
 def arm(folder: Path, random: np.random.Generator) -> mujoco.MjModel:
     """Write the nominal model; the true one, whose parameters are up to 40 % off."""
-    nominal = {}
-    for k, (mass, com) in enumerate(((4.0, 0.25), (2.5, 0.2), (1.0, 0.1))):
-        nominal |= {f"m{k}": mass, f"c{k}": com, f"a{k}": 0.1 / (k + 1), f"d{k}": 0.0, f"f{k}": 0.0}
-    (folder / "arm.xml").write_text(MODEL.format(**nominal))
-    true = {key: value * random.uniform(0.7, 1.4) for key, value in nominal.items()}
-    for k in range(3):
-        true[f"d{k}"] = random.uniform(0.3, 2.0) / (k + 1)
-        true[f"f{k}"] = random.uniform(0.2, 1.5) / (k + 1)
-    return mujoco.MjModel.from_xml_string(MODEL.format(**true))
+    (folder / "arm.xml").write_text(MODEL.format(**nominal_parameters()))
+    return mujoco.MjModel.from_xml_string(MODEL.format(**true_parameters(random)))
 
 
 def record(path: Path, model: mujoco.MjModel, random: np.random.Generator, role: str) -> None:
