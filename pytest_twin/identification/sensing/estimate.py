@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 
@@ -189,12 +190,7 @@ def _flat(
                 names.append(f"sensor_{kind}_{axes[channel]}{source}")
                 values.append(float(one.matrix[row, column]))
                 units.append(_ratio(_unit(axes[channel]), _unit(axes[group[column]])))
-    size = sum(len(part) for part in parts)
-    covariance = np.zeros((size, size))
-    start = 0
-    for part in parts:
-        covariance[start : start + len(part), start : start + len(part)] = part
-        start += len(part)
+    covariance: FloatArray = block_diag(*parts)
     return names, np.array(values), units, covariance
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.linalg import block_diag
 
 from pytest_twin import __version__
 from pytest_twin.errors import RecordingError
@@ -119,7 +120,10 @@ def identify_sensors(
         "tested_on": "held-out recordings" if names["held_out"] else "the fitted recordings",
         "stages": [stage.to_json() for stage in stages],
         "parameters": parameters,
-        "covariance": {"names": named, "matrix": _diagonal(blocks).tolist()},
+        "covariance": {
+            "names": named,
+            "matrix": (block_diag(*blocks) if blocks else np.zeros((0, 0))).tolist(),
+        },
         "base_parameters": [],
         "held_out": held,
         "physical": {"consistent": True, "violations": []},
@@ -197,13 +201,3 @@ def _noise(fit: Sequence[SensorTrial]) -> list[dict[str, float | None]] | None:
     if longest is None:
         return None
     return [asdict(one) for one in noise_of(longest.reading, 1.0 / longest.period)]
-
-
-def _diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    size = sum(len(block) for block in blocks)
-    matrix = np.zeros((size, size))
-    start = 0
-    for block in blocks:
-        matrix[start : start + len(block), start : start + len(block)] = block
-        start += len(block)
-    return matrix
