@@ -5,7 +5,7 @@
 
 Cuts ``--seconds`` out of each recording (into DIR/excerpts: they are not ours to pass on),
 diagnoses (into DIR/why, unless it is there) or identifies (into DIR/identified), and replays the
-held-out excerpts, and the same stretch of every other motion that no fit has seen, on the vendor's
+held-out excerpts, and the same stretch of every motion that was not fitted, on the vendor's
 model and on the patched one.
 
 What is known of these recordings: an unknown offset of each joint's zero against the model's, an
@@ -120,7 +120,7 @@ def main() -> None:
     motions = [excerpt(n, "held_out", args.seconds, cuts) for n in rest]
     trials = [make_trial(read_recording(path)) for path in motions]
     joints = load_model(folder / "model.xml").realization.joints
-    print(f"\n{args.seconds:g} s of each motion that no fit has seen, rms in mrad before -> after:")
+    print(f"\n{args.seconds:g} s of each motion that was not fitted, rms in mrad before -> after:")
     print("| motion | " + " | ".join(joints) + " |")
     print("|---" * (len(joints) + 1) + "|")
     befores, afters = errors(folder / "model.xml", trials), errors(why, trials)

@@ -198,7 +198,7 @@ def prepare(
     elif simulator.models.contact.world.size:
         problem.step_left = _LEFT_OF_IMPACTS
     for _ in range(_PASSES if segments[0].mode == "effort" else 1):
-        # How far a segment is trusted is told in noise floors, and the floor by what is trusted.
+        # Weights of segments are in noise floors, and the floor depends on the weights: alternate.
         steps = changed if substeps else discretization(problem)
         problem.floor = _floor(noise, problem, steps)
         if segments[0].mode == "effort":

@@ -13,7 +13,7 @@ from pytest_twin.report.text import number, quantity
 
 _MOST_LINES = 40
 _AGREES = 1e-3
-"""Share of the tolerance below which a difference is said to be none: rounding reaches 1e-11."""
+"""Share of the tolerance below which realizations agree; rounding alone reaches 1e-11."""
 
 
 def recorded_elsewhere(goldens: Iterable[Golden]) -> Iterator[str]:

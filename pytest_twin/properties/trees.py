@@ -21,7 +21,7 @@ MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 GROUND = "the world"
-"""What MuJoCo calls ``world``, a name that only a root may have: here it may have a parent."""
+"""Name of MuJoCo's body ``world`` here, where it may be the child of another body."""
 
 
 def tree_of(model: Any) -> RigidTree:

@@ -40,7 +40,7 @@ def compared(
         share: of a range of a normal distribution that represents it.
 
     Raises:
-        FormatError: a pattern of names that is none.
+        FormatError: a pattern of names is no regular expression, or one that could take for ever.
     """
     entries: list[dict[str, Any]] = []
     unmatched = list(skipped)
@@ -76,8 +76,12 @@ def _fits(pattern: str, name: str, path: Path) -> bool:
     # Nested repetition can take for ever: only what names of joints need is tried.
     often = len(re.findall(r"[*+{]", pattern))
     if len(pattern) > _LONGEST_PATTERN or often > _MOST_REPEATED or ")" in pattern:
-        raise FormatError("a pattern of names that is not tried", path=path, value=pattern,
-                          expected="names, or .* between parts of names")  # fmt: skip
+        raise FormatError(
+            "a pattern of names that is too complex to evaluate safely",
+            path=path,
+            value=pattern,
+            expected="names, or .* between parts of names",
+        )
     try:
         return re.fullmatch(pattern, name) is not None
     except re.error:

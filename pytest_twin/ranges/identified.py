@@ -59,8 +59,8 @@ def gathered(
 
     Friction and armature vary as they are. Inertial base parameters are combinations of several
     bodies' parameters: the bodies vary by the smallest change of their coordinates (see
-    :mod:`pytest_twin.ranges.bodies`) that gives the same efforts in every motion, so that what no
-    motion shows stays as it is.
+    :mod:`pytest_twin.ranges.bodies`) with the same efforts in every motion. Parameters that no
+    motion determines keep their values.
 
     Raises:
         FormatError: the covariance is missing, zero, or none.

@@ -1,7 +1,7 @@
 """Where rivals meet: fitted side by side by simulation, and judged by evidence.
 
 Log-likelihood on the fit recordings less half a log of the effective samples for each parameter
-(Schwarz 1978), plus log-likelihood on recordings that no fit has seen.
+(Schwarz 1978), plus log-likelihood on the validation recordings.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class ModelComparison:
         return rivals
 
     def unseen(self, rival: ScoredModel) -> FloatArray:
-        """(signals,) mean square on what no fit has seen, where there is such a thing."""
+        """(signals,) mean square on the validation recordings; without any, on the fitted ones."""
         if not self.has_held:
             return rival.fitted.mean_square
         mean_square: FloatArray = np.mean(rival.held_residual**2, axis=0)

@@ -38,7 +38,7 @@ class ScoredModel:
 
     @property
     def left(self) -> FloatArray:
-        """(signals,) mean square of what is fitted or of what no fit has seen, the greater."""
+        """(signals,) mean square on the fitted or on the validation recordings, the greater."""
         seen = self.fitted.mean_square
         if not len(self.held_residual):
             return seen
@@ -72,8 +72,8 @@ class SelectedModel:
         nominal: the nominal model.
         confidence: term -> share of the evidence against the rivals in its place.
         alternatives: term -> rivals in its place with their share, best first.
-        evidence: term -> log-likelihood ratio of each rival in its place over the best; None for
-            nothing in its place. The share of a rival far behind is lost in rounding.
+        evidence: term -> log-likelihood ratio over the best of the model with each alternative
+            instead of the term; key None: without the term. It is exact where a share underflows.
         sets: term -> alternatives to it, sets of effects among them, most likely first; empty
             until the final set was compared with such sets. They then replace ``alternatives``.
         near: structures that explain nearly as much: their odds against the best, and how far the

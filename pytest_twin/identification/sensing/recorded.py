@@ -21,7 +21,7 @@ from pytest_twin.sensors.encoder import encoder_of
 _WINDOW_S = 0.1
 _DEGREE = 5
 """Window and degree of the polynomial that smooths positions and readings alike. Motion below 5 Hz
-passes. A cubic takes 1 % off an acceleration at 2 Hz, which biases the coupling of the torques."""
+passes. A cubic would reduce an acceleration at 2 Hz by 1 %, which biases the torque couplings."""
 _FEWEST = 100
 _MOST = 20_000
 """Samples of one recording that are used: the model is evaluated at each."""
