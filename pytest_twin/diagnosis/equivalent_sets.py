@@ -207,7 +207,7 @@ def _near(
             found += [(float(evidence[i]), c) for c in same]
             alike += [c for c in same if len(c.terms) <= len(own.terms)]
         found.append((np.inf if len(gone) == 1 else -np.inf, rest))
-    starts = _without_additions(found, _STARTED)[:_POLISHED]
+    starts = _without_additions(found, own.terms, _STARTED)[:_POLISHED]
     fitted = fit_linearized(linear, view, starts, NEARBY)
     values = _along(comparison, view, own, fitted).tolist()
     ranked = [
@@ -215,7 +215,7 @@ def _near(
     ]
     # What is linearized is exact for small effects only. Sets that are alike by structure may seem
     # far apart along the motion: they are simulated with the parameters of what they replace.
-    likeliest = _without_additions(ranked, 1)
+    likeliest = _without_additions(ranked, own.terms, 1)
     fewer = [h for h in likeliest if len(h.terms) < len(own.terms)]
     out = [*(h for h in alike[:_ALIKE] if allowed(h)), *fewer[:_FEWER], *likeliest]
     return list({(h.terms, h.theta.tobytes()): h for h in out}.values())[:_SIMULATED]
@@ -280,9 +280,12 @@ def _carried(
     return [other.with_theta(theta)] if same else []
 
 
-def _without_additions(found: Sequence[tuple[float, Hypothesis]], most: int) -> list[Hypothesis]:
-    """Sets by evidence, at most so many with the same terms, none that only adds effects to a set
-    that explains nearly as much: whether more effects are needed is the search's question.
+def _without_additions(
+    found: Sequence[tuple[float, Hypothesis]], final: Sequence[Term], most: int
+) -> list[Hypothesis]:
+    """Sets by evidence, at most so many with the same terms, none that only adds new effects to a
+    set that explains nearly as much: whether more effects are needed is the search's question.
+    What the final set has is not new: an exchange of one effect keeps the others.
     """
     known: dict[tuple[Term, ...], float] = {}
     for e, h in found:
@@ -292,7 +295,9 @@ def _without_additions(found: Sequence[tuple[float, Hypothesis]], most: int) -> 
 
     def adds(evidence: float, h: Hypothesis) -> bool:
         return np.isfinite(evidence) and any(
-            set(h.terms) > set(terms) and e - lost >= _MOST_OF_IT * (evidence - lost)
+            set(terms) < set(h.terms)
+            and not set(h.terms) - set(terms) <= set(final)
+            and e - lost >= _MOST_OF_IT * (evidence - lost)
             for terms, e in known.items()
             if e > lost
         )
