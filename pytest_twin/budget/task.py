@@ -15,6 +15,7 @@ from pytest_twin.realization.patch import suggest
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 from pytest_twin.trial import Trial, make_trials
 from pytest_twin.trial.read import recordings_at
+from pytest_twin.trial.roles import refuse_final
 from pytest_twin.twin import Twin
 
 POSES = 64
@@ -112,6 +113,7 @@ def _trials(twin: Twin, realization: Realization, notes: list[str]) -> list[Tria
     found: list[Trial] = []
     for path in twin.budget.recordings:
         for recording in recordings_at(path, twin.topics, twin.recordings):
+            refuse_final(recording.metadata, path, "an error budget")
             commands = recording.series.get("command")
             if commands is None or not len(commands.stamp):
                 notes.append(f"{path.name} holds no commands: its poses count, and no motion does")

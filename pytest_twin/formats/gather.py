@@ -116,7 +116,12 @@ class Gatherer:
             for role, reader in self.readers.items()
             if (found := reader.finish()) is not None
         }
-        metadata = self.metadata | self._trial_metadata()
+        metadata = self.trial_metadata()
+        if not self._guarded():
+            self.remarks.add(
+                "metadata 'trial'",
+                "no checksum covers it (the file has no data CRC): a changed value would go unseen",
+            )
         if any(reader.schema in TRAJECTORIES for reader in self.readers.values()):
             metadata.setdefault("command_between", "interpolated")
         return Recording(
@@ -136,27 +141,33 @@ class Gatherer:
             for note in contents.notes.all()
         ]
 
-    def _trial_metadata(self) -> dict[str, str]:
-        found = [
-            (fields, contents.guarded)
-            for _, contents in self.files
-            for name, fields in contents.metadata
-            if name == "trial"
-        ]
-        if any(fields != found[0][0] for fields, _ in found[1:]):
+    def trial_metadata(self) -> dict[str, str]:
+        """What the recording says of itself: the record ``trial`` over what its folder says.
+
+        Raises:
+            RecordingError: metadata records ``trial`` that differ.
+        """
+        found = [fields for fields, _ in self._trial_records()]
+        if any(fields != found[0] for fields in found[1:]):
             raise RecordingError(
                 "metadata records 'trial' differ",
                 path=self.path,
                 expected="the same record in each file; give the files of two trials one by one",
             )
-        if not found:
-            return {}
-        if not any(guarded for _, guarded in found):
-            self.remarks.add(
-                "metadata 'trial'",
-                "no checksum covers it (the file has no data CRC): a changed value would go unseen",
-            )
-        return dict(found[0][0])
+        return self.metadata | dict(found[0] if found else {})
+
+    def _guarded(self) -> bool:
+        """Whether a checksum covers the metadata, or there is none."""
+        found = self._trial_records()
+        return not found or any(guarded for _, guarded in found)
+
+    def _trial_records(self) -> list[tuple[dict[str, str], bool]]:
+        return [
+            (dict(fields), contents.guarded)
+            for _, contents in self.files
+            for name, fields in contents.metadata
+            if name == "trial"
+        ]
 
 
 def _first(

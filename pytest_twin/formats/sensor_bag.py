@@ -141,4 +141,5 @@ def gather_sensors(gatherer: SensorGatherer) -> SensorGatherer:
             expected="an MCAP file, a rosbag2 folder, a .db3 file, or observations.csv",
         )
     reader.gather(gatherer.path, gatherer)
+    gatherer.metadata = gatherer.trial_metadata()
     return gatherer

@@ -128,7 +128,7 @@ def identified(folder: Path, kind: str, readings: Any, first_motion: int = 0) ->
         write(folder / f"{seed}.mcap", q, readings(true_signals(q, v, a), seed), kind,
               {"role": role})  # fmt: skip
     return identify_files(
-        str(folder / "arm.xml"), [str(folder / f"{n}.mcap") for n in (1, 2, 3)], [],
+        str(folder / "arm.xml"), [str(folder / f"{n}.mcap") for n in (3, 1, 2)], [],
         str(folder / "out"), "wrist", {}, {},
         sensors=[{"name": "wrist", "topic": "/sensor", "frame": "wrist"}],
     )  # fmt: skip

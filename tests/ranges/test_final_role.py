@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).parent))
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "formats")]
 
+import sensor_bags
 from ranges_files import MEANS, make_twin, record_motion, true_arm
 
 from pytest_twin import cli
@@ -17,6 +18,7 @@ from pytest_twin.checks.episode import recording_of
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.errors import RecordingError
 from pytest_twin.golden import Golden
+from pytest_twin.identification.contact.roles import read_by_role as tosses_by_role
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS
@@ -79,3 +81,32 @@ def test_show_and_replay_still_read_them(recordings: list[Path]) -> None:
     folder = recordings[0].parent
     out = str(folder / "predicted.mcap")
     assert cli.main(["replay", str(folder / "twin.yaml"), str(recordings[2]), "--out", out]) == 0
+
+
+def test_an_error_budget_refuses_them(
+    recordings: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = recordings[0].parent
+    with (folder / "twin.yaml").open("a") as twin:
+        twin.write("budget:\n  recordings: [c.mcap]\n")
+    assert cli.main(["budget", str(folder), "--out", str(folder / "budget")]) == 2
+    assert WORDS.format("an error budget") in capsys.readouterr().err
+
+
+def test_a_converted_recording_stays_final(recordings: list[Path]) -> None:
+    out = recordings[0].parent / "converted.mcap"
+    assert cli.main(["convert", str(recordings[2]), "--out", str(out)]) == 0
+    structure = load(out.parent / "arm.xml").structure
+    with pytest.raises(RecordingError, match="it is not used for a diagnosis"):
+        read_trials([out], [], DEFAULT_TOPICS, structure)
+
+
+def test_a_contact_identification_refuses_them(tmp_path: Path) -> None:
+    poses = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], (5, 1))
+    stamps = 10_000_000 * np.arange(5) + 10**18
+    toss = sensor_bags.write(
+        tmp_path / "toss.mcap", {"/object": (sensor_bags.POSE, stamps, poses)},
+        metadata={"role": "final"},
+    )  # fmt: skip
+    with pytest.raises(RecordingError, match="it is not used for an identification"):
+        tosses_by_role([toss], [], np.array([0.0, 0.0, -9.81]))

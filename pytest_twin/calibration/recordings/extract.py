@@ -28,6 +28,7 @@ from pytest_twin.formats import atomic, limits
 from pytest_twin.formats.recording import TOPICS, JointSeries
 from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
 from pytest_twin.formats.sensor_messages import Picture
+from pytest_twin.trial.roles import refuse_final
 
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
@@ -87,10 +88,11 @@ def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
 
     Raises:
         TwinError: a recording that cannot be read, lacks what the plan needs, or leaves open which
-            topic is meant.
+            topic is meant; or its role is ``final``.
     """
     state = {"state": plan.topics.get("state", TOPICS["state"])}
     bag = gather_sensors(SensorGatherer(path, state))
+    refuse_final(bag.metadata, path, "a calibration")
     recording = bag.recording()
     zero = first_stamp(bag, recording.series.get("state"))
     wants_images = plan.target.get("kind") in KINDS

@@ -10,6 +10,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.pose_tracks import read_pose_tracks
 from pytest_twin.identification.contact.tosses import Toss, Units, in_model_units
+from pytest_twin.trial.roles import refuse_final
 
 _ONE_HELD_OUT_OF = 4
 
@@ -63,6 +64,8 @@ def read_by_role(
             expected="at least one RECORDING that is not under --held-out",
         )
     testing = [one for path in dict.fromkeys(held_out) for one in read_pose_tracks(path, topic)]
+    for one in (*fitting, *testing):
+        refuse_final(dict(one.metadata), one.path, "an identification")
     notes: list[str] = []
     if not testing:
         said = [one for one in fitting if dict(one.metadata).get("role") == "held_out"]

@@ -203,3 +203,13 @@ def test_pixels_of_an_image_are_read(encoding: str, tmp_path: Path) -> None:
     data += np.array([len(message["data"])], "<u4").tobytes() + message["data"]
     found = picture_of(data, "sensor_msgs/msg/Image", "cdr")
     np.testing.assert_array_equal(found.grey, grey)
+
+
+def test_a_final_recording_is_no_observation(tmp_path, capsys):
+    _, messages = cell(tmp_path)
+    bags.write(tmp_path / "bag.mcap", messages[:2], {"role": "final"})
+    status = cli.main(["calibrate", str(tmp_path / "plan.yaml"), "--out", str(tmp_path / "out")])
+    assert status == 2
+    said = capsys.readouterr().err
+    assert "a final recording guides nothing: it is not used for a calibration" in said
+    assert "bag.mcap" in said

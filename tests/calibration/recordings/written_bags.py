@@ -131,7 +131,9 @@ def compressed(seconds: float, grey: np.ndarray) -> dict:
     return {"header": header(seconds), "format": "png", "data": data}
 
 
-def write(path: Path, messages: list[tuple[str, str, float, dict]]) -> None:
+def write(
+    path: Path, messages: list[tuple[str, str, float, dict]], metadata: dict | None = None
+) -> None:
     """Write (topic, type, s, message) in the order of time."""
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -139,4 +141,6 @@ def write(path: Path, messages: list[tuple[str, str, float, dict]]) -> None:
         for topic, kind, seconds, message in sorted(messages, key=lambda one: one[2]):
             nanoseconds = round(1e9 * (1.7e9 + seconds))
             writer.write_message(topic, schemas[kind], message, nanoseconds, nanoseconds)
+        if metadata:
+            writer._writer.add_metadata("trial", metadata)
         writer.finish()
