@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.metrics.frequency import Response
@@ -71,6 +70,9 @@ def recorded_response(command: FloatArray, response: FloatArray, rate: float) ->
     length = 2 * len(command) // (_SEGMENTS + 1)
     if length < _FEWEST_SAMPLES:
         return None
+    # Imported where it is used: it takes 0.6 s, and every check imports this module.
+    from scipy import signal
+
     # The mean is taken off: the lowest line has none of the signal.
     frequency, cross = (x[1:] for x in signal.csd(command, response, fs=rate, nperseg=length))
     power_u = np.abs(signal.csd(command, command, fs=rate, nperseg=length)[1])[1:]
