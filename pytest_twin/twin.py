@@ -362,6 +362,12 @@ class Twin:
         return Roots(self.root, tuple(self.roots.values()))
 
     @property
+    def holding_fits(self) -> tuple[IdentificationRecord, ...]:
+        """Records under ``fit:`` that no later one supersedes, the newest last."""
+        gone = {name for entry in self.fits for name in entry.supersedes}
+        return tuple(entry.record for entry in self.fits if entry.record.id not in gone)
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """Every file that this object was made of or points at; models' own includes and meshes
         are the realization's to list."""

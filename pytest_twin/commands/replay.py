@@ -141,6 +141,13 @@ def replay_file(
     """
     import mujoco
 
+    from pytest_twin.identification.sensing.predicted import (
+        as_encoders_read,
+        compared,
+        encoders_of,
+        sensors_of,
+    )
+
     loaded = load_model(Path(model), SearchFolders.of(roots, packages))
     realization = loaded.realization
     chosen = RecordingOptions.from_json(options).over(loaded.options)
@@ -148,8 +155,14 @@ def replay_file(
     trials = make_trials(read, realization.structure, chosen)
     # One state says where the robot starts: the motion is predicted at the commands.
     replayed = [t if len(t.time) > 1 else at_command_stamps(t) for t in trials]
-    parts, notes = predict(realization, loaded.patched, replayed, progress)
+    ideal, notes = predict(realization, loaded.patched, replayed, progress)
+    encoders = encoders_of(realization.twin)
+    parts = [as_encoders_read(part, encoders) for part in ideal]
     predicted = joined(parts, replayed)
+    sensors, unread = compared(
+        sensors_of(realization.twin), read.path, realization, joined(ideal, replayed),
+        {**loaded.topics, **topics}["state"],
+    )  # fmt: skip
     write_recording(Path(out), [predicted], trials[0].metadata)
     first = trials[0]
     return {
@@ -166,6 +179,8 @@ def replay_file(
         "command_between": {"value": first.command_between, "source": first.between_source},
         "trial": dict(first.metadata),
         "joints": distances(trials, parts, realization.structure.joint_type),
+        "encoder_steps": {joint: one.step for joint, one in encoders.items()},
+        "sensors": sensors,
         "parts": [{"start": t.offset, "end": t.offset + t.duration} for t in replayed],
         "marks": [
             {
@@ -179,7 +194,7 @@ def replay_file(
             for t in trials
             for mark in t.marks
         ],
-        "notes": [*(note for t in trials for note in t.notes), *notes, *realization.notes],
+        "notes": [*(note for t in trials for note in t.notes), *notes, *unread, *realization.notes],
     }
 
 
@@ -253,6 +268,13 @@ def _words(summary: Mapping[str, Any]) -> str:
             f"  {joint:<{width}}  rms {_short(left['rms'])} {unit}, "
             f"largest {_short(left['max'])} {unit} at {left['at']:.4g} s"
         )
+    for name, one in summary["sensors"].items():
+        channels = (
+            f"{axis} {_short(one['rms'][axis])} {unit} (an ideal sensor "
+            f"{_short(one['rms_ideal'][axis])})"
+            for axis, unit in one["unit"].items()
+        )
+        lines.append(f"  {name}: rms {', '.join(channels)}")
     kinds: dict[str, int] = {}
     for mark in summary["marks"]:
         kinds[mark["kind"]] = kinds.get(mark["kind"], 0) + 1

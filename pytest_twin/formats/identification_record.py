@@ -19,6 +19,7 @@ from pytest_twin.formats.record_fields import (
     standard_deviation,
     text,
 )
+from pytest_twin.formats.sensor_record import SensorFields, sensor_fields
 
 _EXPECTED = "identification.json of pytest-twin identify"
 _FAMILIES = ("joint", "actuator", "body", "geom")
@@ -47,6 +48,8 @@ class IdentificationRecord:
         deviations: parameter -> standard deviation in its unit.
         position_rms: joint -> error of its simulated position on held-out recordings, rad or m.
         without_effort: joints whose motion was measured, and whose effort was not.
+        sensors: sensors that it estimated.
+        encoder_steps: joint -> quantization of its encoder, rad or m.
     """
 
     id: str
@@ -66,6 +69,8 @@ class IdentificationRecord:
     deviations: Mapping[str, float] = field(default_factory=dict)
     position_rms: Mapping[str, float] = field(default_factory=dict)
     without_effort: tuple[str, ...] = ()
+    sensors: tuple[SensorFields, ...] = ()
+    encoder_steps: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_identification_record(path: Path) -> IdentificationRecord:
@@ -121,11 +126,24 @@ def read_identification_record(path: Path) -> IdentificationRecord:
                 for joint, one in content["held_out"].items()
                 if "position_rms" in one
             },
+            sensors=tuple(
+                sensor_fields(text(name), one) for name, one in content.get("sensors", {}).items()
+            ),
+            encoder_steps={
+                text(joint): number(step)
+                for joint, step in content.get("encoder_steps", {}).items()
+            },
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise FormatError(
             f"a field is missing or unusable: {error}", path=path, expected=f"{_EXPECTED}, schema 1"
         ) from None
+
+
+def _positive(value: Any) -> float:
+    if not number(value) > 0.0:
+        raise ValueError(f"{value!r} is no step of an encoder")
+    return number(value)
 
 
 def _fit(value: Any) -> Laid:

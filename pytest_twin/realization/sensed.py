@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import mujoco
@@ -79,3 +80,69 @@ def sensed_at(
         for at, place in enumerate(places):
             found[row, 3 * at : 3 * at + 3] = data.sensordata[place : place + 3]
     return Sensed(-found[:, :6], found[:, 6:])
+
+
+def load_at(
+    realization: Realization,
+    joint: str,
+    joints: tuple[str, ...],
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+) -> FloatArray:
+    """(n, 1) load of a hinge (N*m) or slide (N) by the links beyond it, without contact.
+
+    Armature, friction, damping and springs of the joints act between motor and link and are left
+    out: a sensor on the link's side of the gear does not see them.
+
+    Args:
+        joint: whose load.
+        joints: j names; others stay at the model's reference.
+        position, velocity, acceleration: (n, j).
+
+    Raises:
+        SpecError: no such joint.
+    """
+    model = copy(realization.model)
+    for field in (
+        model.dof_armature, model.dof_damping, model.dof_dampingpoly, model.dof_frictionloss,
+        model.jnt_stiffness, model.jnt_stiffnesspoly,
+    ):  # fmt: skip
+        field[:] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    data = mujoco.MjData(model)
+    qpos = [realization.joint_qpos_index(name) for name in joints]
+    dof = [realization.joint_dof_index(name) for name in joints]
+    own = realization.joint_dof_index(joint)
+    found = np.empty((len(position), 1))
+    for row in range(len(position)):
+        data.qpos[qpos] = position[row]
+        data.qvel[dof] = velocity[row]
+        data.qacc[dof] = acceleration[row]
+        mujoco.mj_inverse(model, data)
+        found[row] = data.qfrc_inverse[own]
+    return found
+
+
+def turns_at(
+    realization: Realization, frame: str, joints: tuple[str, ...], position: FloatArray
+) -> FloatArray:
+    """(n, 3, 3) orientations of a site or body in the world.
+
+    Args:
+        frame: site or body.
+        joints: j names; others stay at the model's reference.
+        position: (n, j).
+
+    Raises:
+        SpecError: no such frame or joint.
+    """
+    data = mujoco.MjData(realization.model)
+    qpos = [realization.joint_qpos_index(name) for name in joints]
+    found = np.empty((len(position), 3, 3))
+    for row in range(len(position)):
+        data.qpos[qpos] = position[row]
+        mujoco.mj_kinematics(realization.model, data)
+        found[row] = realization.frame_pose(data, frame)[:3, :3]
+    return found

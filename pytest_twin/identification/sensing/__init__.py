@@ -1,1 +1,1 @@
-"""Force-torque sensors and inertial measurement units from recordings of a moving robot."""
+"""Sensors from recordings of a moving robot."""

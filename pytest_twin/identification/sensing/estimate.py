@@ -1,9 +1,10 @@
-"""A force-torque sensor or an IMU, estimated from recordings, with covariance."""
+"""A sensor that is linear in the true signal, or a camera, estimated with covariance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -11,15 +12,15 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.formats.sensor_record import CAMERA, GROUPS, IMU, sensor_fields
+from pytest_twin.identification.sensing.camera_frames import CameraTrial, delay_of, turn_errors
 from pytest_twin.identification.sensing.recorded import SensorTrial
-from pytest_twin.sensors import force_torque, imu
-from pytest_twin.sensors.force_torque import ForceTorqueSensor, limits_of, low_passed
-from pytest_twin.sensors.imu import ImuSensor
+from pytest_twin.sensors.force_torque import limits_of, low_passed
 from pytest_twin.sensors.linear import Linear, fit_linear, in_blocks
+from pytest_twin.sensors.stated import axes_of, readings_of, unit_of
 
 _MOST_FILTER_S = 0.1
 """Longest time constant of a sensor's filter that is searched: 1.6 Hz."""
-_GROUPS = ((0, 1, 2), (3, 4, 5))
 
 
 @dataclass(frozen=True)
@@ -27,29 +28,30 @@ class SensorEstimate:
     """What was found of one sensor.
 
     Attributes:
+        kind: of the sensor.
+        axes: of its readings.
+        axis_units: their units.
         names: parameters, each with an interval.
         values: (p,) in SI units.
         units: (p,).
         covariance: (p, p).
         quantile: half width of a 95 % interval in standard deviations.
         untold: directions of the true signal that the motion did not excite, in words.
-        linear: by group of channels: all six of a force-torque sensor, gyroscope and accelerometer
-            of an IMU.
-        time_constant: of the filter, s; 0 for an IMU.
-        limit: (6,) of the readings, infinite for none.
-        nominal, error: (6,) root mean square on the held-out recordings, of an ideal sensor and of
+        fields: what a simulation needs to make readings, as ``sensors:`` of a record has it.
+        nominal, error: (k,) root mean square on the held-out recordings, of an ideal sensor and of
             this one; on the fitted ones where nothing is held out.
     """
 
+    kind: str
+    axes: tuple[str, ...]
+    axis_units: tuple[str, ...]
     names: tuple[str, ...]
     values: FloatArray
     units: tuple[str, ...]
     covariance: FloatArray
     quantile: float
     untold: tuple[str, ...]
-    linear: tuple[Linear, ...]
-    time_constant: float
-    limit: FloatArray
+    fields: Mapping[str, Any]
     nominal: FloatArray
     error: FloatArray
 
@@ -64,9 +66,9 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
     Args:
         fit, held_out: recordings of one sensor.
     """
-    inertial = fit[0].inertial
-    axes = imu.AXES if inertial else force_torque.AXES
-    groups = _GROUPS if inertial else ((0, 1, 2, 3, 4, 5),)
+    kind = fit[0].kind
+    axes = axes_of(kind, fit[0].slide)
+    groups = _groups(kind)
     limit = limits_of(np.vstack([one.reading for one in fit]))
     keep = [np.all(np.abs(one.reading) < limit * (1.0 - 1e-9), axis=1) for one in fit]
     blocks = np.concatenate([np.array(in_blocks([len(one.reading) for one in fit]))])[
@@ -86,7 +88,7 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
             for group in groups
         ]
 
-    slow = 0.0 if inertial else _filter(solved)
+    slow = 0.0 if kind == IMU else _filter(solved)
     found = solved(slow)
     names, values, units, covariance = _flat(found, groups, axes)
     if slow > 0.0:
@@ -98,28 +100,59 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
             [[covariance, np.zeros((len(covariance), 1))],
              [np.zeros((1, len(covariance))), np.array([[deviation**2]])]]
         )  # fmt: skip
+    fields = {
+        "kind": kind,
+        "matrix": [one.matrix.tolist() for one in found],
+        "bias": [one.bias.tolist() for one in found],
+        "time_constant": slow,
+        "limit": [float(v) if np.isfinite(v) else None for v in limit],
+    }
+    unlimited = sensor_fields(
+        "", {**fields, "topic": "-", "frame": "-", "limit": [None] * len(axes)}
+    )
     tested = held_out or fit
     nominal = _rms([one.smoothed - one.true for one in tested])
-    error = _rms([one.smoothed - _predicted(one, found, slow) for one in tested])
+    error = _rms([one.smoothed - readings_of(unlimited, one.true, one.period) for one in tested])
     return SensorEstimate(
+        kind, axes, tuple(unit_of(axis) for axis in axes),
         tuple(names), values, tuple(units), covariance,
         float(student.ppf(0.975, max(1, found[0].blocks - 1))),
-        tuple(_untold(found, groups, axes)), tuple(found), slow, limit, nominal, error,
+        tuple(_untold(found, groups, axes)), fields, nominal, error,
     )  # fmt: skip
 
 
-def _predicted(trial: SensorTrial, found: Sequence[Linear], slow: float) -> FloatArray:
-    """What the estimated sensor reads, within its limits."""
-    if trial.inertial:
-        turning, pushing = found
-        return ImuSensor(turning.matrix, turning.bias, pushing.matrix, pushing.bias).measured(
-            trial.true
-        )
-    (one,) = found
-    unlimited = np.full(6, np.inf)
-    return ForceTorqueSensor(one.bias, one.matrix, slow, unlimited).measured(
-        trial.true, trial.period
-    )
+def estimate_camera(fit: Sequence[CameraTrial], held_out: Sequence[CameraTrial]) -> SensorEstimate:
+    """Estimate how late a camera's frames are.
+
+    Args:
+        fit, held_out: recordings of one camera.
+
+    Raises:
+        RecordingError: its target does not turn as the frame does.
+    """
+    found = delay_of(fit)
+    timing = found.timing
+    tested = held_out or fit
+    fields = {
+        "kind": CAMERA, "delay": timing.delay, "period": timing.period, "jitter": timing.jitter,
+        "lost": timing.lost, "mount": found.mount,
+    }  # fmt: skip
+    return SensorEstimate(
+        CAMERA, ("turn",), ("rad",), ("sensor_delay",), np.array([timing.delay]), ("s",),
+        np.array([[found.deviation**2]]), float(student.ppf(0.975, max(1, found.blocks - 1))), (),
+        fields,
+        np.array([turn_errors(tested, 0.0, found.mount)]),
+        np.array([turn_errors(tested, timing.delay, found.mount)]),
+    )  # fmt: skip
+
+
+def _groups(kind: str) -> list[tuple[int, ...]]:
+    """Channels of each block that is linear in its part of the true signal."""
+    found, first = [], 0
+    for size in GROUPS[kind]:
+        found.append(tuple(range(first, first + size)))
+        first += size
+    return found
 
 
 def _rms(errors: Sequence[FloatArray]) -> FloatArray:
@@ -183,13 +216,13 @@ def _flat(
                 if column == len(group):
                     names.append(f"sensor_bias_{axes[channel]}")
                     values.append(float(one.bias[row]))
-                    units.append(_unit(axes[channel]))
+                    units.append(unit_of(axes[channel]))
                     continue
                 kind = "scale" if column == row else "coupling"
                 source = "" if column == row else f"_{axes[group[column]]}"
                 names.append(f"sensor_{kind}_{axes[channel]}{source}")
                 values.append(float(one.matrix[row, column]))
-                units.append(_ratio(_unit(axes[channel]), _unit(axes[group[column]])))
+                units.append(_ratio(unit_of(axes[channel]), unit_of(axes[group[column]])))
     covariance: FloatArray = block_diag(*parts)
     return names, np.array(values), units, covariance
 
@@ -216,10 +249,6 @@ def _untold(
             ]
             words.append(" ".join(terms))
     return words
-
-
-def _unit(axis: str) -> str:
-    return {"f": "N", "t": "N*m", "g": "rad/s", "a": "m/s^2"}[axis[0]]
 
 
 def _ratio(over: str, under: str) -> str:

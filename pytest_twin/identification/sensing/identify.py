@@ -13,24 +13,34 @@ from scipy.linalg import block_diag
 
 from pytest_twin import __version__
 from pytest_twin.errors import RecordingError
+from pytest_twin.formats.sensor_record import CAMERA, IMU, JOINT_TORQUE
 from pytest_twin.identification.records import verdict_of
-from pytest_twin.identification.sensing.estimate import SensorEstimate, estimate
+from pytest_twin.identification.sensing.camera_frames import CameraTrial
+from pytest_twin.identification.sensing.estimate import (
+    SensorEstimate,
+    estimate,
+    estimate_camera,
+)
 from pytest_twin.identification.sensing.recorded import Mounted, SensorTrial, read_sensor
 from pytest_twin.identification.stages import HeldOut, Stage, judged
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization
-from pytest_twin.sensors import force_torque, imu
 from pytest_twin.sensors.imu import noise_of
 from pytest_twin.trial.roles import FINAL, HELD_OUT, refuse_final
 
+_Trial = SensorTrial | CameraTrial
 _ONE_HELD_OUT_OF = 4
 _STILL = 0.005
 """Speed of the model at the sensor below which a whole recording is one at rest, rad/s."""
-_UNITS = {"f": "N", "t": "N*m", "g": "rad/s", "a": "m/s^2"}
 _MOTION = (
     "turn the sensor through many orientations, with payloads whose centres of mass differ, and "
     "move fast enough that inertia adds to the weight"
 )
+
+_GIVEN = {
+    JOINT_TORQUE: "mass and inertia of the links beyond the joint are given",
+    CAMERA: "no mounting of the camera or its target is needed",
+}
 
 
 def identify_sensors(
@@ -74,12 +84,12 @@ def identify_sensors(
         names = {
             "fit": [one.path.name for one in fit], "held_out": [one.path.name for one in tested],
         }  # fmt: skip
-        found = estimate(fit, tested)
+        found = _estimated(fit, tested, sensor)
         own = [f"{sensor.name}.{name}" for name in found.names]
         before, after = _total(found.nominal, found), _total(found.error, found)
         stage = Stage(
             "sensor", "accepted", f"{sensor.name}: {sensor.topic} at {sensor.frame}", tuple(own),
-            excludes="payload and frame of the model are given",
+            excludes=_GIVEN.get(found.kind, "payload and frame of the model are given"),
         )  # fmt: skip
         if tested:
             stage = judged(stage, HeldOut(before, after, "of an ideal sensor's error"))
@@ -94,21 +104,21 @@ def identify_sensors(
             }  # fmt: skip
         named += own
         blocks.append(found.covariance)
-        axes = imu.AXES if fit[0].inertial else force_torque.AXES
+        axes = found.axes
         held[sensor.name] = {
             "sensor_rms": {axis: float(v) for axis, v in zip(axes, found.error, strict=True)},
             "sensor_rms_nominal": {
                 axis: float(v) for axis, v in zip(axes, found.nominal, strict=True)
             },
-            "sensor_units": {axis: _UNITS[axis[0]] for axis in axes},
+            "sensor_units": dict(zip(axes, found.axis_units, strict=True)),
         }
         unobservable += [
             {"expression": f"{sensor.name}: {words}", "motion": _MOTION} for words in found.untold
         ]
-        models[sensor.name] = _model(found, sensor, fit[0].inertial)
+        models[sensor.name] = {"topic": sensor.topic, "frame": sensor.frame, **found.fields}
         for one in fit:
             steps.update(one.steps)
-        noise = _noise(fit) if fit[0].inertial else None
+        noise = _noise(fit) if found.kind == IMU else None
         if noise is not None:
             models[sensor.name]["noise"] = dict(zip(axes, noise, strict=True))
         progress(done / len(sensors))
@@ -147,7 +157,7 @@ def _by_role(
     realization: Realization,
     state: str,
     notes: list[str],
-) -> tuple[list[SensorTrial], list[SensorTrial]]:
+) -> tuple[list[_Trial], list[_Trial]]:
     """Whole recordings by role, as every identification splits them."""
     aside = {path.resolve() for path in held_out}
     fit = [
@@ -181,22 +191,22 @@ def _total(errors: np.ndarray, found: SensorEstimate) -> float:
     return float(np.sqrt(np.mean((errors / np.maximum(found.nominal, 1e-300)) ** 2)))
 
 
-def _model(found: SensorEstimate, sensor: Mounted, inertial: bool) -> dict[str, Any]:
-    """What a simulation needs to make readings: matrices, biases, filter, limits."""
-    return {
-        "kind": "imu" if inertial else "force_torque",
-        "topic": sensor.topic,
-        "frame": sensor.frame,
-        "matrix": [one.matrix.tolist() for one in found.linear],
-        "bias": [one.bias.tolist() for one in found.linear],
-        "time_constant": found.time_constant,
-        "limit": [float(v) if np.isfinite(v) else None for v in found.limit],
-    }
+def _estimated(fit: Sequence[_Trial], tested: Sequence[_Trial], sensor: Mounted) -> SensorEstimate:
+    linear = [[one for one in part if isinstance(one, SensorTrial)] for part in (fit, tested)]
+    frames = [[one for one in part if isinstance(one, CameraTrial)] for part in (fit, tested)]
+    kinds = {getattr(one, "kind", "camera") for one in (*fit, *tested)}
+    if len(kinds) > 1:
+        raise RecordingError(
+            "a topic of several types", path=fit[0].path, value=", ".join(sorted(kinds)),
+            where=sensor.topic, expected="the same type of message in every recording",
+        )  # fmt: skip
+    return estimate(*linear) if linear[0] else estimate_camera(*frames)
 
 
-def _noise(fit: Sequence[SensorTrial]) -> list[dict[str, float | None]] | None:
+def _noise(fit: Sequence[_Trial]) -> list[dict[str, float | None]] | None:
     """Noise of each channel over the longest recording in which nothing moves, or None."""
-    still = [one for one in fit if np.abs(one.true[:, :3]).max() < _STILL]
+    inertial = [one for one in fit if isinstance(one, SensorTrial)]
+    still = [one for one in inertial if np.abs(one.true[:, :3]).max() < _STILL]
     longest = max(still, key=lambda one: len(one.reading) * one.period, default=None)
     if longest is None:
         return None

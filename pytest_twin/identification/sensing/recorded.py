@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +13,12 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
-from pytest_twin.formats.stamped_readings import IMU
+from pytest_twin.formats.sensor_record import FORCE_TORQUE, IMU, JOINT_TORQUE
+from pytest_twin.formats.serialized import Integers
+from pytest_twin.formats.stamped_readings import IMU as IMU_TYPE
+from pytest_twin.identification.sensing.camera_frames import CameraTrial, frames_seen
 from pytest_twin.realization import Realization
-from pytest_twin.realization.sensed import sensed_at
+from pytest_twin.realization.sensed import load_at, sensed_at
 from pytest_twin.sensors.encoder import encoder_of
 
 _WINDOW_S = 0.1
@@ -34,7 +37,7 @@ class Mounted:
     Attributes:
         name: of the sensor.
         topic: of its readings.
-        frame: site or body of the model in whose axes it reads.
+        frame: site or body of the model in whose axes it reads; a joint for a joint torque sensor.
     """
 
     name: str
@@ -49,10 +52,11 @@ class SensorTrial:
     Attributes:
         path: the recording.
         period: s between samples.
-        reading: (n, 6) as recorded.
-        smoothed: (n, 6) low-passed as the motion was.
-        true: (n, 6) of an ideal sensor along the smoothed motion.
-        inertial: whether the sensor is an IMU; else a force-torque sensor.
+        reading: (n, k) as recorded.
+        smoothed: (n, k) low-passed as the motion was.
+        true: (n, k) of an ideal sensor along the smoothed motion.
+        kind: ``force_torque``, ``imu`` or ``joint_torque``.
+        slide: whether a joint torque sensor is on a slide.
         role: what the recording says of itself.
         steps: joint -> quantization of its encoder, rad or m; joints that show none are left out.
     """
@@ -62,12 +66,19 @@ class SensorTrial:
     reading: FloatArray
     smoothed: FloatArray
     true: FloatArray
-    inertial: bool
+    kind: str
+    slide: bool
     role: str | None
     steps: Mapping[str, float]
 
 
-def read_sensor(path: Path, sensor: Mounted, realization: Realization, state: str) -> SensorTrial:
+def read_sensor(
+    path: Path,
+    sensor: Mounted,
+    realization: Realization,
+    state: str,
+    motion: JointSeries | None = None,
+) -> SensorTrial | CameraTrial:
     """Readings of a sensor and the true signal beside them.
 
     Args:
@@ -75,27 +86,34 @@ def read_sensor(path: Path, sensor: Mounted, realization: Realization, state: st
         sensor: its topic and frame.
         realization: the model, with the payload that the recording names.
         state: topic of the joint states.
+        motion: joint states to take in place of the measured ones, such as predicted ones.
 
     Raises:
         RecordingError: no readings, no positions, or too little of both at once.
     """
-    bag = gather_sensors(SensorGatherer(path, {"state": state}))
-    joints = bag.readers["state"].finish()
-    readings = bag.readings.get(sensor.topic)
-    if not readings or joints is None or joints.position is None:
+    at_joint = sensor.frame in realization.joints
+    topics = {"state": state, **({"load": sensor.topic} if at_joint else {})}
+    bag = gather_sensors(SensorGatherer(path, topics))
+    joints = motion or bag.readers["state"].finish()
+    if joints is None or joints.position is None:
         raise RecordingError(
-            "no readings of the sensor" if not readings else "no joint positions",
-            path=path,
-            value=sensor.topic if not readings else state,
-            expected="a topic of sensor_msgs/Imu or geometry_msgs/WrenchStamped"
-            if not readings
-            else "joint states beside the sensor; --topics state=/x names their topic",
-        )
-    if "payload" in bag.metadata:
+            "no joint positions", path=path, value=state,
+            expected="joint states beside the sensor; --topics state=/x names their topic",
+        )  # fmt: skip
+    if "payload" in bag.metadata and realization.twin is not None and realization.twin.payloads:
         realization = realization.variant(payload=bag.metadata["payload"])
-    stamps = np.array([one.stamp for one in readings], dtype=np.int64)
+    role = bag.metadata.get("role")
+    if bag.poses.get(sensor.topic):
+        poses = bag.poses[sensor.topic]
+        stamps = np.array([one.stamp for one in poses], dtype=np.int64)
+        values = np.array([one.values for one in poses])
+        names = _known(joints, realization)
+        found = frames_seen(path, sensor.frame, stamps, values, joints, names, realization)
+        return replace(found, role=role, steps=_steps(joints))
+    loads = bag.readers["load"].finish() if at_joint else None
+    stamps, values = _readings(path, sensor, bag, loads)
     _, rows = np.unique(stamps, return_index=True)
-    values = np.array([readings[row].values for row in rows])
+    values = values[rows]
     zero = int(min(stamps.min(), joints.stamp.min()))
     sensed = np.asarray((stamps[rows] - zero) * 1e-9, dtype=np.float64)
     moved = np.asarray((joints.stamp - zero) * 1e-9, dtype=np.float64)
@@ -116,20 +134,44 @@ def read_sensor(path: Path, sensor: Mounted, realization: Realization, state: st
     )
     reading = np.column_stack([np.interp(grid, sensed, column) for column in values.T])
     inner = slice(window // 2, count - window // 2)
-    ideal = sensed_at(
-        realization, sensor.frame, names, smooth[inner], velocity[inner], acceleration[inner]
-    )
-    inertial = bag.reading_type[sensor.topic] == IMU
+    along = smooth[inner], velocity[inner], acceleration[inner]
+    if at_joint:
+        kind, true = JOINT_TORQUE, load_at(realization, sensor.frame, names, *along)
+    elif bag.reading_type[sensor.topic] == IMU_TYPE:
+        kind, true = IMU, sensed_at(realization, sensor.frame, names, *along).inertial
+    else:
+        kind, true = FORCE_TORQUE, sensed_at(realization, sensor.frame, names, *along).wrench
     return SensorTrial(
         path,
         period,
         reading[inner],
         savgol_filter(reading, window, _DEGREE, axis=0)[inner],
-        ideal.inertial if inertial else ideal.wrench,
-        inertial,
-        bag.metadata.get("role"),
+        true,
+        kind,
+        at_joint and realization.structure.joint_type[sensor.frame] == "slide",
+        role,
         _steps(joints),
     )
+
+
+def _readings(
+    path: Path, sensor: Mounted, bag: SensorGatherer, loads: JointSeries | None
+) -> tuple[Integers, FloatArray]:
+    """Stamps (ns) and (n, k) values of a wrench, an IMU, or the effort of one joint."""
+    if loads is not None and loads.effort is not None and sensor.frame in loads.names:
+        values = loads.effort[:, loads.names.index(sensor.frame)]
+        known = np.isfinite(values)
+        if known.any():
+            return loads.stamp[known], values[known, None]
+    readings = bag.readings.get(sensor.topic)
+    if not readings or loads is not None:
+        raise RecordingError(
+            "no readings of the sensor", path=path, value=f"{sensor.topic} at {sensor.frame}",
+            expected="a topic of sensor_msgs/Imu, geometry_msgs/WrenchStamped or, for a camera, "
+            "geometry_msgs/PoseStamped at a site or body; or joint states with effort at a joint",
+        )  # fmt: skip
+    stamps = np.array([one.stamp for one in readings], dtype=np.int64)
+    return stamps, np.array([one.values for one in readings])
 
 
 def _steps(series: JointSeries) -> dict[str, float]:
@@ -147,12 +189,7 @@ def _positions(
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Joints of the model that were recorded, and (n, j) positions on a grid."""
     assert series.position is not None
-    names = tuple(name for name in series.names if name in realization.joints)
-    if not names:
-        raise RecordingError(
-            "no joint of the model was recorded", path=realization.path,
-            value=", ".join(series.names), expected=", ".join(realization.joints),
-        )  # fmt: skip
+    names = _known(series, realization)
     _, rows = np.unique(moved, return_index=True)
     columns = []
     for name in names:
@@ -160,3 +197,14 @@ def _positions(
         known = np.isfinite(values)
         columns.append(np.interp(grid, moved[rows][known], values[known]))
     return names, np.column_stack(columns)
+
+
+def _known(series: JointSeries, realization: Realization) -> tuple[str, ...]:
+    """Joints of the model that were recorded."""
+    names = tuple(name for name in series.names if name in realization.joints)
+    if not names:
+        raise RecordingError(
+            "no joint of the model was recorded", path=realization.path,
+            value=", ".join(series.names), expected=", ".join(realization.joints),
+        )  # fmt: skip
+    return names

@@ -1,0 +1,195 @@
+"""A camera's delay behind the joints, from how the poses that it sees turn.
+
+Between two frames a camera that stands still sees its target turn as the hand does, about axes
+that a constant rotation (the target's mounting) takes to the hand's: the turns ``a_k`` of the
+target and ``b_k(d)`` of the hand, ``d`` earlier, fulfil ``a_k = X b_k(d)``. A camera on the hand
+sees a target that stands still turn the other way. No calibration of the camera is needed
+(Tsai, Lenz, 1989, with the clock's offset as one more unknown).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation, Slerp
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.errors import RecordingError
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.formats.serialized import Integers
+from pytest_twin.realization import Realization
+from pytest_twin.realization.sensed import turns_at
+from pytest_twin.sensors.camera import CameraTiming, frames_of
+from pytest_twin.sensors.linear import in_blocks
+
+MOST_DELAY_S = 0.3
+"""Largest delay that is searched, either way."""
+_TURN_S = 0.15
+"""Time over which a turn is taken: at 1 rad/s 9 degrees, far above the noise of a pose."""
+_FEWEST = 50
+
+
+@dataclass(frozen=True)
+class CameraTrial:
+    """One recording of what a camera saw while the joints moved.
+
+    Attributes:
+        path: the recording.
+        stamps: (n,) of the frames, s.
+        seen: n orientations of the target in the camera.
+        turns: orientations of the frame in the world over the time of the joints, s.
+        role: what the recording says of itself.
+        steps: joint -> quantization of its encoder, rad or m.
+    """
+
+    path: Path
+    stamps: FloatArray
+    seen: Rotation
+    turns: Slerp
+    role: str | None = None
+    steps: Mapping[str, float] = field(default_factory=dict)
+
+
+def frames_seen(
+    path: Path,
+    frame: str,
+    stamps: Integers,
+    poses: FloatArray,
+    joints: JointSeries,
+    names: Sequence[str],
+    realization: Realization,
+) -> CameraTrial:
+    """The frames that joint states surround.
+
+    Args:
+        path: the recording.
+        frame: site or body that carries the camera or its target.
+        stamps: (n,) ns.
+        poses: (n, 7) target in the camera: x y z (m), quaternion x y z w.
+        joints: their states.
+        names: of the joints that the model has.
+        realization: the model.
+
+    Raises:
+        RecordingError: too few frames while the joints were recorded.
+    """
+    assert joints.position is not None
+    zero = int(min(stamps.min(), joints.stamp.min()))
+    columns = [joints.names.index(name) for name in names]
+    known = np.isfinite(joints.position[:, columns]).all(axis=1)
+    _, rows = np.unique(joints.stamp[known], return_index=True)
+    position = joints.position[known][rows][:, columns]
+    time = np.asarray((joints.stamp[known][rows] - zero) * 1e-9, dtype=np.float64)
+    _, order = np.unique(stamps, return_index=True)
+    at = np.asarray((stamps[order] - zero) * 1e-9, dtype=np.float64)
+    if len(time):
+        inside = (at > time[0] + MOST_DELAY_S) & (at < time[-1] - MOST_DELAY_S)
+        at, order = at[inside], order[inside]
+    if len(at) < _FEWEST or len(time) < _FEWEST:
+        raise RecordingError(
+            "too few frames while the joints were recorded", path=path, value=len(at),
+            expected=f"at least {_FEWEST}",
+        )  # fmt: skip
+    turns = Rotation.from_matrix(turns_at(realization, frame, tuple(names), position))
+    return CameraTrial(path, at, Rotation.from_quat(poses[order, 3:]), Slerp(time, turns))
+
+
+@dataclass(frozen=True)
+class Delay:
+    """What was found of a camera's clock.
+
+    Attributes:
+        timing: its delay and frames.
+        deviation: standard deviation of the delay, s.
+        mount: ``world`` where it stands still, ``hand`` where it moves with the frame.
+        blocks: of time, that the deviation depends on.
+    """
+
+    timing: CameraTiming
+    deviation: float
+    mount: str
+    blocks: int
+
+
+def delay_of(trials: Sequence[CameraTrial]) -> Delay:
+    """The delay at which the turns of hand and target are most alike, least squares.
+
+    Raises:
+        RecordingError: the hand hardly turns, or the target does not turn with it.
+    """
+    found = {mount: _least(trials, mount) for mount in ("world", "hand")}
+    mount = min(found, key=lambda one: found[one][1])
+    delay, cost = found[mount]
+    turned = float(sum(np.sum(_turns(one, 0.0, mount)[0] ** 2) for one in trials))
+    if not cost < 0.5 * turned or abs(delay) > 0.99 * MOST_DELAY_S:
+        raise RecordingError(
+            "the target does not turn as the frame does", path=trials[0].path,
+            value=f"{100.0 * np.sqrt(cost / max(turned, 1e-300)):.0f} % of the turns are left at "
+            f"the best delay, {1e3 * delay:.0f} ms",
+            expected=f"a camera whose delay is below {1e3 * MOST_DELAY_S:.0f} ms, and joints that "
+            "turn the frame about two axes",
+        )  # fmt: skip
+    step = 2e-3
+    errors, numbers = _errors(trials, delay, mount)
+    slope = (_errors(trials, delay + step, mount)[0] - _errors(trials, delay - step, mount)[0]) / (
+        2.0 * step
+    )
+    # The constant rotation is estimated beside it; its share of the slope is gone already, as it
+    # is solved anew for each delay.
+    blocks = np.array(in_blocks(numbers))
+    scores = np.sum(slope * errors, axis=1)
+    count = int(blocks.max()) + 1
+    sums = np.array([scores[blocks == one].sum() for one in range(count)])
+    deviation = float(np.sqrt(count / (count - 1) * np.sum(sums**2)) / np.sum(slope**2))
+    frames = np.array([frames_of(one.stamps) for one in trials])
+    weight = np.array([len(one.stamps) for one in trials], dtype=float)
+    period, jitter, lost = (frames.T @ weight / weight.sum()).tolist()
+    return Delay(CameraTiming(delay, period, jitter, lost), deviation, mount, count)
+
+
+def turn_errors(trials: Sequence[CameraTrial], delay: float, mount: str) -> float:
+    """Root mean square of the turns that a delay leaves unexplained, rad."""
+    errors, _ = _errors(trials, delay, mount)
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+def _least(trials: Sequence[CameraTrial], mount: str) -> tuple[float, float]:
+    def cost(delay: float) -> float:
+        return float(np.sum(_errors(trials, delay, mount)[0] ** 2))
+
+    grid = np.linspace(-MOST_DELAY_S, MOST_DELAY_S, 61)
+    costs = [cost(float(one)) for one in grid]
+    at = int(np.argmin(costs))
+    low, high = grid[max(0, at - 1)], grid[min(len(grid) - 1, at + 1)]
+    best = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
+    return float(best.x), float(best.fun)
+
+
+def _errors(
+    trials: Sequence[CameraTrial], delay: float, mount: str
+) -> tuple[FloatArray, list[int]]:
+    """(n, 3) turns of the target less those of the hand, rad, and how many of each trial.
+
+    Each recording has a mounting of its own: a board is put back in another way.
+    """
+    errors = []
+    for trial in trials:
+        seen, made = _turns(trial, delay, mount)
+        fitted, _ = Rotation.align_vectors(seen, made)
+        errors.append(seen - fitted.apply(made))
+    return np.vstack(errors), [len(one) for one in errors]
+
+
+def _turns(trial: CameraTrial, delay: float, mount: str) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) turns of the target and of the hand over the same time, rad."""
+    apart = max(1, round(_TURN_S / float(np.median(np.diff(trial.stamps)))))
+    hand = CameraTiming(delay, 0.0, 0.0, 0.0).seen(trial.stamps, trial.turns)
+    target = trial.seen.inv() if mount == "hand" else trial.seen
+    return (
+        (target[:-apart].inv() * target[apart:]).as_rotvec(),
+        (hand[:-apart].inv() * hand[apart:]).as_rotvec(),
+    )

@@ -1,0 +1,112 @@
+"""What the sensors of a twin would have read along a predicted motion, beside what they read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.errors import TwinError
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.formats.sensor_record import CAMERA, SensorFields
+from pytest_twin.identification.sensing.camera_frames import CameraTrial, turn_errors
+from pytest_twin.identification.sensing.recorded import Mounted, SensorTrial, read_sensor
+from pytest_twin.realization import Realization
+from pytest_twin.sensors.encoder import Encoder
+from pytest_twin.sensors.stated import axes_of, readings_of, unit_of
+from pytest_twin.twin import Twin
+
+
+def encoders_of(twin: Twin | None) -> dict[str, Encoder]:
+    """Joint -> quantization of its encoder, from the records that hold."""
+    records = () if twin is None else twin.holding_fits
+    steps = {joint: step for one in records for joint, step in one.encoder_steps.items()}
+    return {joint: Encoder(step) for joint, step in steps.items()}
+
+
+def sensors_of(twin: Twin | None) -> dict[str, SensorFields]:
+    """Name -> sensor, from the records that hold; a later record goes before."""
+    records = () if twin is None else twin.holding_fits
+    return {one.name: one for record in records for one in record.sensors}
+
+
+def as_encoders_read(series: JointSeries, encoders: Mapping[str, Encoder]) -> JointSeries:
+    """Predicted positions as the encoders would have read them."""
+    if series.position is None or not set(encoders) & set(series.names):
+        return series
+    position = series.position.copy()
+    for column, joint in enumerate(series.names):
+        if joint in encoders:
+            position[:, column] = encoders[joint].measured(position[:, column])
+    return replace(series, position=position)
+
+
+def compared(
+    sensors: Mapping[str, SensorFields],
+    path: Path,
+    realization: Realization,
+    motion: JointSeries,
+    state: str,
+) -> tuple[dict[str, Any], list[str]]:
+    """Distance of predicted from recorded readings.
+
+    The true signal along the predicted motion goes through the sensor's own model first; beside it
+    stands the distance of an ideal sensor.
+
+    Args:
+        sensors: of the twin.
+        path: the recording.
+        realization: the model.
+        motion: predicted joint states, before they are rounded by the encoders.
+        state: topic of the joint states.
+
+    Returns:
+        Sensor -> ``rms`` and ``rms_ideal`` by axis, with ``unit`` of each; and notes about sensors
+        that the recording has no readings of.
+    """
+    found: dict[str, Any] = {}
+    notes = []
+    for name, stated in sensors.items():
+        mounted = Mounted(name, stated.topic, stated.frame)
+        try:
+            trial = read_sensor(path, mounted, realization, state, motion)
+        except TwinError as error:
+            notes.append(f"sensor {name} is not compared: {error}")
+            continue
+        if isinstance(trial, CameraTrial) != (stated.kind == CAMERA):
+            notes.append(
+                f"sensor {name} is not compared: {stated.topic} holds other messages than those "
+                f"of its kind, {stated.kind}"
+            )
+            continue
+        found[name] = {
+            "kind": stated.kind, "topic": stated.topic, "frame": stated.frame,
+            **(_camera(trial, stated) if isinstance(trial, CameraTrial) else _read(trial, stated)),
+        }  # fmt: skip
+    return found, notes
+
+
+def _read(trial: SensorTrial, stated: SensorFields) -> dict[str, Any]:
+    axes = axes_of(stated.kind, trial.slide)
+    predicted = readings_of(stated, trial.true, trial.period)
+    return {
+        "rms": _by_axis(axes, trial.smoothed - predicted),
+        "rms_ideal": _by_axis(axes, trial.smoothed - trial.true),
+        "unit": {axis: unit_of(axis) for axis in axes},
+    }
+
+
+def _camera(trial: CameraTrial, stated: SensorFields) -> dict[str, Any]:
+    return {
+        "rms": {"turn": turn_errors([trial], stated.delay, stated.mount)},
+        "rms_ideal": {"turn": turn_errors([trial], 0.0, stated.mount)},
+        "unit": {"turn": "rad"},
+    }
+
+
+def _by_axis(axes: tuple[str, ...], errors: Any) -> dict[str, float]:
+    rms = np.sqrt(np.mean(errors**2, axis=0))
+    return {axis: float(value) for axis, value in zip(axes, rms, strict=True)}

@@ -1,0 +1,35 @@
+"""A joint torque sensor: between gear and link, so that friction of the gear is not in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.sensors.force_torque import low_passed
+
+
+@dataclass(frozen=True)
+class JointTorqueSensor:
+    """``reading = clip(scale lowpass(load) + bias)``.
+
+    The load is what the links beyond the joint ask of it. Inertia and friction of motor and gear
+    are on the other side of the sensor (Albu-Schäffer, Ott, Hirzinger, 2007).
+
+    Attributes:
+        bias: N*m, of a slide N.
+        scale: 1.
+        time_constant: of the first-order low-pass, s; 0 for none.
+        limit: greatest amount that is read, N*m or N; infinite for none.
+    """
+
+    bias: float
+    scale: float
+    time_constant: float
+    limit: float
+
+    def measured(self, load: FloatArray, period: float) -> FloatArray:
+        """(n, 1) readings of (n, 1) true loads, ``period`` s apart."""
+        passed = self.scale * low_passed(load, self.time_constant, period)
+        return np.asarray(np.clip(passed + self.bias, -self.limit, self.limit))

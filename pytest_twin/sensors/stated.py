@@ -1,0 +1,60 @@
+"""Sensors as a record of an identification states them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.formats.sensor_record import CAMERA, FORCE_TORQUE, IMU, JOINT_TORQUE, SensorFields
+from pytest_twin.sensors import force_torque, imu
+from pytest_twin.sensors.camera import CameraTiming
+from pytest_twin.sensors.force_torque import ForceTorqueSensor
+from pytest_twin.sensors.imu import ImuSensor
+from pytest_twin.sensors.joint_torque import JointTorqueSensor
+
+AXES = {FORCE_TORQUE: force_torque.AXES, IMU: imu.AXES, JOINT_TORQUE: ("torque",)}
+"""Kind -> its channels; the load of a slide's sensor is a force and so has the axis ``force``."""
+
+
+def axes_of(kind: str, slide: bool = False) -> tuple[str, ...]:
+    """Channels of a kind of sensor.
+
+    Args:
+        kind: one of ``AXES``.
+        slide: whether a joint torque sensor is on a slide.
+    """
+    return ("force",) if kind == JOINT_TORQUE and slide else AXES[kind]
+
+
+def unit_of(axis: str) -> str:
+    """Unit of a channel."""
+    return {"f": "N", "t": "N*m", "g": "rad/s", "a": "m/s^2"}[axis[0]]
+
+
+def readings_of(stated: SensorFields, true: FloatArray, period: float) -> FloatArray:
+    """(n, k) readings of a stated sensor.
+
+    Args:
+        stated: no camera.
+        true: (n, k) true signals at the sensor's frame.
+        period: s between samples.
+    """
+    matrix = [np.array(one) for one in stated.matrix]
+    bias = [np.array(one) for one in stated.bias]
+    limit = np.array([np.inf if one is None else one for one in stated.limit])
+    if stated.kind == IMU:
+        read = ImuSensor(matrix[0], bias[0], matrix[1], bias[1]).measured(true)
+        return np.asarray(np.clip(read, -limit, limit))
+    if stated.kind == JOINT_TORQUE:
+        joint = JointTorqueSensor(
+            float(bias[0][0]), float(matrix[0][0, 0]), stated.time_constant, float(limit[0])
+        )
+        return joint.measured(true, period)
+    wrist = ForceTorqueSensor(bias[0], matrix[0], stated.time_constant, limit)
+    return wrist.measured(true, period)
+
+
+def timing_of(stated: SensorFields) -> CameraTiming:
+    """The timing of a stated camera."""
+    assert stated.kind == CAMERA
+    return CameraTiming(stated.delay, stated.period, stated.jitter, stated.lost)
