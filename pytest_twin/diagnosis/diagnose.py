@@ -41,7 +41,7 @@ from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
 from pytest_twin.diagnosis.unnamed_law.tested import TestedLaws, laws_left, on_test
 from pytest_twin.diagnosis.verdict import JointError, Verdict
-from pytest_twin.diagnosis.windows import segments_of
+from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
@@ -190,7 +190,8 @@ def diagnose(
     open_ = settled.doubted(roles.of_search.fit)
     for i, trial in enumerate(roles.test):
         # What a recording asks of the model is missing now, not after a search of minutes.
-        segments_of(realization, trial, i, shared_joints(realization, [trial]), commanded=True)
+        joints = shared_joints(realization, [trial])
+        segments_of(realization, trial, i, joints, Cutting(commanded=True))
     # Diverging candidates overflow; values that are not finite are ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
         structure = find_structure(

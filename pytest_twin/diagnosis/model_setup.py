@@ -9,7 +9,7 @@ from pytest_twin.diagnosis.hypothesis import Scales
 from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.patched.replay import fixed_values
-from pytest_twin.diagnosis.prepare import Prepared, prepare, shared_joints
+from pytest_twin.diagnosis.prepare import Prepared, Simulated, prepare, shared_joints
 from pytest_twin.diagnosis.temperature import Coldness
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.realization import Realization
@@ -65,7 +65,9 @@ class ModelSetup:
         joints = shared_joints(self.realization, (*fit, *held_out))
         return prepare(
             self.realization, fit, held_out,
-            threads=self.threads, window=window, coldness=self.coldness,
-            fixed=fixed_values(self.beside, joints, 1), contact=contact, creeps=self.creeps,
-            substeps=self.substeps, scales=scales,
+            threads=self.threads, window=window, contact=contact,
+            simulated=Simulated(
+                self.coldness, fixed_values(self.beside, joints, 1), self.creeps, self.substeps,
+                scales,
+            ),
         )  # fmt: skip

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -30,7 +29,7 @@ from pytest_twin.diagnosis.problem import (
 )
 from pytest_twin.diagnosis.stiction_weights import stiction_weights
 from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
-from pytest_twin.diagnosis.windows import WINDOW, segments_of
+from pytest_twin.diagnosis.windows import WINDOW, Cutting, segments_of
 from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.contact_geoms import NEAR, ContactGeoms
@@ -105,6 +104,30 @@ class Prepared:
         return bool(lower.any())
 
 
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """How recordings are simulated beside what the model says.
+
+    Attributes:
+        coldness: of trials by their temperature, as an earlier diagnosis had it; empty where the
+            trials tell.
+        fixed: effects beside the model, (1, joints) of :func:`shared_joints`.
+        creeps: whether dry friction does, as MuJoCo's default constraint has it.
+        substeps: steps for each of the model's that a simulation took which made the recordings:
+            they have its error in them; 0 where a robot did.
+        scales: of the joints' parameters; None for those of these recordings.
+    """
+
+    coldness: Coldness = field(default_factory=dict)
+    fixed: EffectValues | None = None
+    creeps: bool = False
+    substeps: int = 0
+    scales: Scales | None = None
+
+
+_AS_MODELLED = Simulated()
+
+
 def prepare(
     realization: Realization,
     fit: Sequence[Trial],
@@ -112,12 +135,8 @@ def prepare(
     *,
     threads: int = 0,
     window: float | None = None,
-    coldness: Coldness = MappingProxyType({}),
-    fixed: EffectValues | None = None,
     contact: ContactGeoms | None = None,
-    creeps: bool = False,
-    substeps: int = 0,
-    scales: Scales | None = None,
+    simulated: Simulated = _AS_MODELLED,
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
@@ -125,15 +144,10 @@ def prepare(
         realization: the nominal model.
         fit, held_out: recordings.
         threads: of the simulation; 0 for all.
-        window: s, that motions are cut into, halved where they are too wild for it; by default
-            those under effort commands alone.
-        coldness: by temperature, as an earlier diagnosis had it; by default the trials tell.
-        fixed: effects beside the model, (1, joints) of :func:`shared_joints`.
+        window: length in s of the windows that motions are cut into; half of it where they depart
+            from the model too far for it. None: only motions under effort commands are cut.
         contact: what the robot meets, if windows are to lie where it is far from that.
-        creeps: whether dry friction does, as MuJoCo's default constraint has it.
-        substeps: steps for each of the model's that a simulation took which made the recordings:
-            they have its error in them; 0 where a robot did.
-        scales: of the joints' parameters; by default those of these recordings.
+        simulated: how the recordings are simulated.
 
     Raises:
         RecordingError: no joint that the model and every recording share; or nothing to fit that is
@@ -142,8 +156,10 @@ def prepare(
     """
     trials = [*fit, *held_out]
     joints = shared_joints(realization, trials)
-    coldness = coldness or coldness_of(trials)
-    cut = _cut(realization, trials, joints, window, coldness, contact, creeps)
+    fixed, substeps = simulated.fixed, simulated.substeps
+    coldness = simulated.coldness or coldness_of(trials)
+    cutting = Cutting(window, commanded=True, contact=contact)
+    cut = _cut(realization, trials, joints, cutting, coldness, simulated.creeps)
     owner = cut.owner
     is_fit = np.array(owner) < len(fit)
     if not is_fit.any():
@@ -164,15 +180,15 @@ def prepare(
     effort_floor: FloatArray | None = None
     if _signed_efforts(segments, nominal):
         effort_floor = effort_noise(segments, nominal, owner)
-    scales = joint_scales(simulator, nominal) if scales is None else scales
+    scales = simulated.scales or joint_scales(simulator, nominal)
     defect = step_errors(nominal, nominal_replay(refined))
     allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
     changed = _rms([add.position for add in defect.values()], len(joints))
     if window in (None, WINDOW) and _too_wild(segments, changed, allowed):
         return prepare(
             realization, fit, held_out,
-            threads=threads, window=0.5 * WINDOW, coldness=coldness, fixed=fixed,
-            contact=contact, creeps=creeps, substeps=substeps, scales=scales,
+            threads=threads, window=0.5 * WINDOW, contact=contact,
+            simulated=replace(simulated, coldness=coldness, scales=scales),
         )  # fmt: skip
     problem = Problem(
         simulator,
@@ -233,25 +249,22 @@ def _cut(
     realization: Realization,
     trials: Sequence[Trial],
     joints: Sequence[str],
-    window: float | None,
+    cutting: Cutting,
     coldness: Coldness,
-    contact: ContactGeoms | None,
     creeps: bool,
 ) -> _Cut:
     cut = _Cut([], [], {})
     for i, trial in enumerate(trials):
         cold = coldness_in(coldness, trial)
-        made = segments_of(
-            realization, trial, i, joints, window, cold, commanded=True, contact=contact,
-            creeps=creeps,
-        )  # fmt: skip
+        made = segments_of(realization, trial, i, joints, cutting, coldness=cold, creeps=creeps)
         if not made:
             continue
         if made[0].velocity is None and made[0].mode == "position" and not made[0].amid:
+            # Where it has contact it has windows, which are amid a motion.
+            moving = replace(cutting, moving=True, contact=None)
             (cut.moving[len(cut.segments)],) = segments_of(
-                realization, trial, i, joints, window, cold, moving=True, commanded=True,
-                creeps=creeps,
-            )  # fmt: skip
+                realization, trial, i, joints, moving, coldness=cold, creeps=creeps
+            )
         cut.segments.extend(made)
         cut.owner.extend([i] * len(made))
     return cut

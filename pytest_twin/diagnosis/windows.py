@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import weakref
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -37,17 +37,38 @@ _LATE = 0.05
 _ROUGH, _MEDIAN_SQUARE = 4.0, 0.455
 
 
+@dataclass(frozen=True, slots=True)
+class Cutting:
+    """Which parts of a trial become segments.
+
+    Attributes:
+        window: length of a window in s; None: effort commands have :data:`WINDOW`, others are not
+            cut.
+        moving: whether a whole trial without velocities begins with what its first samples say, and
+            not at rest.
+        commanded: whether what lies well before the first command is left out: what the robot was
+            told until then is in no recording. A part after a hole begins amid a motion.
+        contact: what the robot meets, if its windows are to lie where it is far from that; a trial
+            may have none.
+    """
+
+    window: float | None = None
+    moving: bool = False
+    commanded: bool = False
+    contact: ContactGeoms | None = None
+
+
+_WHOLE_TRIAL = Cutting()
+
+
 def segments_of(
     realization: Realization,
     trial: Trial,
     index: int,
     joints: Sequence[str],
-    window: float | None = None,
-    coldness: float = 1.0,
+    cutting: Cutting = _WHOLE_TRIAL,
     *,
-    moving: bool = False,
-    commanded: bool = False,
-    contact: ContactGeoms | None = None,
+    coldness: float = 1.0,
     creeps: bool = False,
 ) -> list[Segment]:
     """A trial in the model's terms: one segment, or short windows.
@@ -57,34 +78,29 @@ def segments_of(
         trial: what was recorded.
         index: of the trial, kept in its segments.
         joints: columns; all are in the trial.
-        window: s; by default effort commands have :data:`WINDOW`, others none.
+        cutting: which parts become segments; all of it by default.
         coldness: of the trial, as its segments have it.
-        moving: whether a whole trial without velocities begins with what its first samples say, and
-            not at rest.
-        commanded: whether what lies well before the first command is left out: what the robot was
-            told until then is in no recording. A part after a hole begins amid a motion.
-        contact: what the robot meets, if its windows are to lie where it is far from that; a trial
-            may have none.
         creeps: whether dry friction does, as MuJoCo's default constraint has it.
 
     Raises:
         SpecError: a controller or payload that the model lacks.
     """
     recorded = replace(_recorded(realization, trial, index, joints, coldness), creeps=creeps)
-    first = _first_commanded(recorded) if commanded else 0
-    after_hole = commanded and trial.offset > 0.0
+    first = _first_commanded(recorded) if cutting.commanded else 0
+    after_hole = cutting.commanded and trial.offset > 0.0
     clear = np.arange(len(recorded.time)) >= first
     if after_hole:
         # What the robot was told in the hole acts on for a while.
         clear &= recorded.time >= LEAD
-    if window is None and recorded.mode != "effort":
+    if cutting.window is None and recorded.mode != "effort":
         if after_hole:
             return _windows(recorded, joints, clear, trial.duration, whole=True)
-        return [_whole(recorded, joints, first, moving)]
-    if contact is not None:
+        return [_whole(recorded, joints, first, cutting.moving)]
+    if cutting.contact is not None:
         ids = np.array([recorded.model.joint(j).id for j in joints])
-        clear &= in_the_air(recorded.model, ids, contact, recorded.position)
-    return _windows(recorded, joints, clear, window or WINDOW, whole=contact is None)
+        clear &= in_the_air(recorded.model, ids, cutting.contact, recorded.position)
+    length = cutting.window or WINDOW
+    return _windows(recorded, joints, clear, length, whole=cutting.contact is None)
 
 
 def _recorded(

@@ -38,6 +38,8 @@ STYLE: dict[Any, Any] = {
     "axes.formatter.useoffset": False,
     "axes.titlesize": 8.5,
     "axes.titlelocation": "left",
+    # Fixed, as no axis has ticks at its top: to look for them takes a fifth of the time to draw.
+    "axes.titley": 1.0,
     "grid.color": GRID,
     "grid.linewidth": 0.6,
     "xtick.color": DIM,

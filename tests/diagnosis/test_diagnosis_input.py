@@ -30,7 +30,7 @@ from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.prepare import NOISE, prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
-from pytest_twin.diagnosis.windows import segments_of
+from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.errors import RecordingError, SimulationError
 from pytest_twin.formats.mcap import JointSeries, write_recording
 
@@ -254,18 +254,19 @@ def test_windows_begin_with_the_first_command(bench: Bench) -> None:
     (trial,) = trials.fit
     joints = bench.loaded.realization.structure.joint_type
     arguments = bench.loaded.realization, trial, 0, list(joints)
-    assert segments_of(*arguments, 0.5)[0].start < 0.05
-    windows = segments_of(*arguments, 0.5, commanded=True)
+    assert segments_of(*arguments, Cutting(0.5))[0].start < 0.05
+    windows = segments_of(*arguments, Cutting(0.5, commanded=True))
     assert windows[0].start >= 0.3
     assert all((w.time >= 0.3).all() for w in windows)
-    (whole,) = segments_of(*arguments, commanded=True)
+    (whole,) = segments_of(*arguments, Cutting(commanded=True))
     assert whole.start == whole.time[0] == pytest.approx(0.3)
     # Also where what is left is no whole window.
-    (rest,) = segments_of(*arguments, 2.0, commanded=True)
+    (rest,) = segments_of(*arguments, Cutting(2.0, commanded=True))
     assert rest.start == rest.time[0] == pytest.approx(0.3)
     # A first command that is hardly late is held from the start.
     trials = bench.read(bench.put("b.mcap", sent_at=bench.sent_at + 0.03))
-    (whole,) = segments_of(bench.loaded.realization, trials.fit[0], 0, list(joints), commanded=True)
+    late = bench.loaded.realization, trials.fit[0], 0, list(joints)
+    (whole,) = segments_of(*late, Cutting(commanded=True))
     assert whole.start == 0.0
 
 
@@ -275,7 +276,7 @@ def test_windows_hold_samples_enough_at_any_rate(bench: Bench, every: int) -> No
     assert np.median(np.diff(trial.time)) == pytest.approx(0.005)
     slow = replace(trial, time=trial.time[::every], position=trial.position[::every])
     joints = bench.loaded.realization.structure.joint_type
-    windows = segments_of(bench.loaded.realization, slow, 0, list(joints), 0.25)
+    windows = segments_of(bench.loaded.realization, slow, 0, list(joints), Cutting(0.25))
     assert all(len(w.time) >= 8 for w in windows)
     # Every sample is in one, or at an edge in two, but for the first few: they tell little of how
     # fast they were.
@@ -292,7 +293,7 @@ def test_a_window_knows_how_fast_a_joint_was_that_rested(bench: Bench) -> None:
     for _ in range(20):
         noise = 4e-4 * random.standard_normal(trial.position.shape)
         resting = replace(trial, position=np.zeros_like(trial.position) + noise)
-        windows = segments_of(bench.loaded.realization, resting, 0, list(joints), 0.5)
+        windows = segments_of(bench.loaded.realization, resting, 0, list(joints), Cutting(0.5))
         off.append([w.initial_velocity for w in windows])
     first, *others = np.sqrt(np.mean(np.square(off), axis=(0, 2)))
     assert first == pytest.approx(np.mean(others), rel=0.5)
@@ -303,7 +304,7 @@ def test_a_trial_with_gaps_has_a_window_in_any_case(bench: Bench) -> None:
     kept = np.flatnonzero(np.arange(len(trial.time)) % 80 < 3)
     torn = replace(trial, time=trial.time[kept], position=trial.position[kept])
     joints = bench.loaded.realization.structure.joint_type
-    (window,) = segments_of(bench.loaded.realization, torn, 0, list(joints), 0.25)
+    (window,) = segments_of(bench.loaded.realization, torn, 0, list(joints), Cutting(0.25))
     np.testing.assert_array_equal(window.time, torn.time)
 
 

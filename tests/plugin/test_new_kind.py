@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import pytest
 from wheels import ENTRY_POINTS, KIND, PHYSICS, SPEC, pip_install, wheel
 
 
+@pytest.fixture(scope="module")
+def installed_kind(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder into which pip installed a foreign kind and its library."""
+    folder = tmp_path_factory.mktemp("kind")
+    packages = [
+        wheel(folder, "box_rest", "0.3", KIND, ENTRY_POINTS),
+        wheel(folder, "boxphysics", "1.0", PHYSICS["1.0"]),
+    ]
+    pip_install(packages, folder / "site")
+    return folder / "site"
+
+
 @pytest.fixture
-def with_kind(recorded, monkeypatch):
+def with_kind(installed_kind, recorded, monkeypatch):
     """A recorded twin in an environment where a foreign kind is installed."""
-    folder = recorded.pytester.path
-    site = folder / "site"
-    pip_install(
-        [
-            wheel(folder, "box_rest", "0.3", KIND, ENTRY_POINTS),
-            wheel(folder, "boxphysics", "1.0", PHYSICS["1.0"]),
-        ],
-        site,
-    )
+    site = shutil.copytree(installed_kind, recorded.pytester.path / "site")
     monkeypatch.setenv("PYTHONPATH", str(site))
     recorded.write("golden/box.yaml", SPEC)
     return recorded
