@@ -15,7 +15,6 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from scipy import signal
 
@@ -27,6 +26,7 @@ from pytest_twin.signals import NO_SIGNALS
 
 sys.path.append(str(Path(__file__).parents[1]))
 from drawn_arms import JOINTS, LINKS, nominal_parameters, true_parameters
+from fourier_motion import fourier, needed_effort
 
 MODEL = f"""<mujoco model="arm"><worldbody>{LINKS}
 </worldbody></mujoco>"""
@@ -36,21 +36,8 @@ RATE, SECONDS = 200.0, 16.0
 def record(robot: Realization, path: Path, random: np.random.Generator) -> Measured:
     """One random Fourier series with noise."""
     time = np.arange(round(SECONDS * RATE)) / RATE
-    q, v, a = (np.zeros((len(time), 3)) for _ in range(3))
-    for joint in range(3):
-        for harmonic in range(1, 7):
-            omega = 2 * np.pi * 0.125 * harmonic
-            size, phase = random.uniform(0.1, 0.5) / harmonic**0.5, random.uniform(0, 2 * np.pi)
-            q[:, joint] += size * np.sin(omega * time + phase)
-            v[:, joint] += size * omega * np.cos(omega * time + phase)
-            a[:, joint] -= size * omega**2 * np.sin(omega * time + phase)
-    model, data = robot.model, mujoco.MjData(robot.model)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    effort = np.empty_like(q)
-    for at in range(len(time)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q[at], v[at], a[at]
-        mujoco.mj_inverse(model, data)
-        effort[at] = data.qfrc_inverse + model.dof_frictionloss * np.sign(v[at])
+    q, v, a = fourier(random, time, 3, 6, 0.125, (0.1, 0.5))
+    effort = needed_effort(robot.model, q, v, a)
     low = signal.butter(1, 8.0, fs=RATE, output="sos")
     noise = signal.sosfilt(low, random.standard_normal(effort.shape), axis=0)
     effort += 0.03 * effort.std(axis=0) * noise / noise.std(axis=0)

@@ -30,6 +30,7 @@ from pytest_twin.formats.recording import JointSeries
 
 sys.path.append(str(Path(__file__).parents[1]))
 from drawn_arms import JOINTS, LINKS, nominal_parameters, true_parameters
+from fourier_motion import fourier
 
 MODEL = f"""<mujoco model="arm">
   <option timestep="0.001" integrator="implicitfast"/>
@@ -58,12 +59,8 @@ def record(path: Path, model: mujoco.MjModel, random: np.random.Generator, role:
     steps = round(SECONDS / model.opt.timestep)
     every = round(1.0 / RATE / model.opt.timestep)
     time = model.opt.timestep * np.arange(steps)
-    command = np.zeros((steps, 3))
-    for joint in range(3):
-        for harmonic in range(1, 6):
-            omega = 2.0 * np.pi * 0.15 * harmonic
-            size, phase = random.uniform(0.1, 0.5) / harmonic**0.5, random.uniform(0, 2 * np.pi)
-            command[:, joint] += size * (np.sin(omega * time + phase) - np.sin(phase))
+    command, _, _ = fourier(random, time, 3, 5, 0.15, (0.1, 0.5))
+    command -= command[0]
     command *= np.minimum(1.0, time / 0.5)[:, None]
     data = mujoco.MjData(model)
     position, effort = [], []

@@ -181,6 +181,10 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
         lines.append(f"  {stage['stage']}: {stage['state'].replace('_', ' ')}: {stage['why']}")
     lines += [f"error on {document['tested_on']}:"]
     lines += [f"  {line}" for line in identification.error_lines(document)]
+    if "estimator" in document:
+        lines.append(f"{document['estimator']['name']}: {document['estimator']['why']}")
+    if wider := document.get("bootstrap", {}).get("wider"):
+        lines.append(f"intervals that a bootstrap over blocks has wider: {', '.join(wider)}")
     lines += [
         f"suspected: {one['what']}; to correct it: {one['mend']}"
         for one in document.get("suspected", ())

@@ -48,6 +48,8 @@ class Measured:
         limit: (joints,) greatest recorded effort that the drive gives, else infinity.
         metadata: what the recording says of itself.
         notes: what was done, one line each.
+        command: (n, joints) position commands that hold at the states, in the recorded unit; NaN
+            where there is none; None without any.
     """
 
     path: Path
@@ -61,6 +63,7 @@ class Measured:
     limit: FloatArray
     metadata: Mapping[str, str]
     notes: tuple[str, ...] = ()
+    command: FloatArray | None = None
 
     @property
     def rate(self) -> float:
@@ -100,8 +103,9 @@ def read_measured(
     for recording in recordings_at(path, topics, options):
         refuse_final(recording.metadata, path, "an identification")
         series = _named(recording, "state", realization, topics, options)
-        commanded = _commanded_effort(recording, series, realization, topics, options)
-        found += _stretches(_at_joints(series, commanded, recording, signals))
+        commanded, notes = _commanded(recording, series, realization, topics, options)
+        whole = _at_joints(series, commanded, recording, signals)
+        found += _stretches(replace(whole, notes=(*whole.notes, *notes)))
     return found
 
 
@@ -132,37 +136,50 @@ def _named(
     return named
 
 
-def _commanded_effort(
+def _commanded(
     recording: Recording,
     states: JointSeries,
     realization: Realization,
     topics: Mapping[str, str],
     options: RecordingOptions,
-) -> FloatArray | None:
-    """(n, joints) effort commands that hold at the states, where no state has an effort."""
-    if states.effort is not None and np.isfinite(states.effort).any():
-        return None
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """Command mode -> (n, joints) commands that hold at the states, NaN where there is none.
+
+    Beside measured efforts, commands that cannot be read are left out, and a note says so.
+    """
     if "command" not in recording.series:
-        return None
-    commands = _named(recording, "command", realization, topics, options)
+        return {}, []
     inputs = realization.structure.joint_inputs
-    commanded = commanded_fields(commands, inputs, options, recording.path)
-    if "effort" not in commanded.modes:
-        return None
+    try:
+        commands = _named(recording, "command", realization, topics, options)
+        commanded = commanded_fields(commands, inputs, options, recording.path)
+    except RecordingError as error:
+        if not _measures(states):
+            raise
+        return {}, [f"commands are not used: {error.problem}"]
     order = sorted_rows(commands.stamp)
     table = kept_commands(np.asarray(commanded.table, dtype=np.float64)[order])
     at = np.searchsorted(commands.stamp[order], states.stamp, side="right") - 1
-    found = np.full((len(states.stamp), len(states.names)), np.nan)
+    found: dict[str, FloatArray] = {}
     for column, name in enumerate(states.names):
         if name in commanded.joints:
             own = commanded.joints.index(name)
-            if commanded.modes[own] == "effort":
-                found[:, column] = table[np.maximum(at, 0), own]
-    return found
+            mode = found.setdefault(
+                commanded.modes[own], np.full((len(states.stamp), len(states.names)), np.nan)
+            )
+            mode[:, column] = table[np.maximum(at, 0), own]
+    return found, []
+
+
+def _measures(states: JointSeries) -> bool:
+    return states.effort is not None and bool(np.isfinite(states.effort).any())
 
 
 def _at_joints(
-    series: JointSeries, commanded: FloatArray | None, recording: Recording, signals: Signals
+    series: JointSeries,
+    commanded: Mapping[str, FloatArray],
+    recording: Recording,
+    signals: Signals,
 ) -> Measured:
     assert series.position is not None
     order = sorted_rows(series.stamp)
@@ -175,7 +192,8 @@ def _at_joints(
     names = tuple(n for n, use in zip(series.names, seen, strict=True) if use)
     raw = raw[:, seen]
     speed = None if series.velocity is None else np.array(series.velocity[order])[:, seen]
-    efforts = series.effort if commanded is None else commanded
+    measures = _measures(series)
+    efforts = series.effort if measures else commanded.get("effort")
     effort = (
         np.full_like(raw, np.nan)
         if efforts is None
@@ -183,7 +201,7 @@ def _at_joints(
     )
     position, velocity, notes = _positions(names, raw, speed, signals)
     effort, unscaled, limit, said = _efforts(names, effort, signals)
-    if commanded is not None:
+    if efforts is not None and not measures:
         said.insert(
             0, "no effort is measured: the commanded effort is taken as the drive's (inferred)"
         )
@@ -191,6 +209,9 @@ def _at_joints(
     lost = int((~whole).sum())
     if lost:
         notes.append(f"{lost} states without the position of every joint left out")
+    command = commanded.get("position")
+    if command is not None:
+        command = command[order][:, seen][whole]
     return Measured(
         path=recording.path,
         start=0.0,
@@ -203,6 +224,7 @@ def _at_joints(
         limit=limit,
         metadata=dict(recording.metadata),
         notes=(*notes, *said),
+        command=command,
     )
 
 
@@ -337,6 +359,7 @@ def _stretches(whole: Measured) -> list[Measured]:
                 position=whole.position[some],
                 velocity=None if whole.velocity is None else whole.velocity[some],
                 effort=whole.effort[some],
+                command=None if whole.command is None else whole.command[some],
             )
         )
     return found

@@ -9,8 +9,10 @@ import numpy as np
 
 from pytest_twin import __version__
 from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.effort.estimate import SQUARES
 from pytest_twin.identification.effort.groups import FRICTION
-from pytest_twin.identification.effort.identify import EffortResult, parameter_name
+from pytest_twin.identification.effort.identify import EffortResult
+from pytest_twin.identification.effort.judging import parameter_name
 from pytest_twin.identification.stages import Stage, in_order
 
 Verdict = Literal["accepted", "improved", "rejected"]
@@ -41,7 +43,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         result: what was found.
         stages: those of the result, and any other.
     """
-    base, fitted = result.base, result.fitted
+    base, fitted, estimate = result.base, result.fitted, result.estimate
     kept = fitted.kept
     names = [parameter_name(base, int(i)) for i in kept]
     values, half = fitted.solution.values, fitted.solution.half_width
@@ -59,7 +61,11 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "prior": None if drive and not prior[i] else float(prior[i]),
             "stage": result.stage_of[i],
             "used": result.stage_of[i] not in rejected,
+            "estimator": estimate.estimator,
+            "bootstrap_ci95": estimate.bootstrap.interval[k].tolist(),
         }
+        if estimate.estimator != SQUARES:
+            parameters[names[k]]["least_squares"] = float(estimate.squares.values[k])
     # Wider where leaving out recordings moves the values more than their noise does.
     widths = half / Z95
     noise = np.sqrt(np.diag(fitted.solution.covariance).clip(1e-300))
@@ -86,6 +92,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "prior": 1.0,
             "stage": "drive",
             "used": scale.significant and "drive" not in rejected,
+            "estimator": "least squares of known payloads",
         }
     if result.delay is not None:
         late = result.delay
@@ -96,6 +103,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "prior": 0.0,
             "stage": "delay",
             "used": True,
+            "estimator": SQUARES,
         }
     return {
         "schema": 1,
@@ -103,6 +111,12 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         "way": "measured effort",
         "stages": [stage.to_json() for stage in ordered],
         "parameters": parameters,
+        "estimator": estimate.to_json(),
+        "bootstrap": {
+            "blocks": estimate.bootstrap.blocks,
+            "block": "recording" if estimate.bootstrap.recordings else "part of a recording",
+            "wider": [names[k] for k in np.flatnonzero(estimate.bootstrap.wider)],
+        },
         "covariance": {"names": names, "matrix": covariance.tolist()},
         "correlated": correlated(names, covariance),
         "base_parameters": [_base_json(result, i, values, widths) for i in range(len(base))],

@@ -108,6 +108,7 @@ def _only(one: Measured, joints: list[str]) -> Measured:
         position=one.position[:, at],
         velocity=None if one.velocity is None else one.velocity[:, at],
         effort=one.effort[:, at],
+        command=None if one.command is None else one.command[:, at],
         unscaled=one.unscaled[at],
         limit=one.limit[at],
     )

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy import signal
 
 from pytest_twin.realization import Realization, load
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+from fourier_motion import fourier, needed_effort
 
 TRUE = """<mujoco model="two_links">
   <worldbody>
@@ -51,22 +56,9 @@ def record(
     """
     random = np.random.default_rng(seed)
     time = np.arange(round(seconds * rate)) / rate
-    q, v, a = (np.zeros((len(time), 2)) for _ in range(3))
-    for joint in range(2):
-        for harmonic in range(1, 6):
-            omega = 2 * np.pi * 0.1 * harmonic
-            size, phase = random.uniform(0.1, 0.6) / harmonic**0.5, random.uniform(0, 2 * np.pi)
-            q[:, joint] += size * np.sin(omega * time + phase)
-            v[:, joint] += size * omega * np.cos(omega * time + phase)
-            a[:, joint] -= size * omega**2 * np.sin(omega * time + phase)
+    q, v, a = fourier(random, time, 2, 5, 0.1, (0.1, 0.6))
     q[:, 0] += about
-    model, data = realization.model, mujoco.MjData(realization.model)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    effort = np.empty_like(q)
-    for at in range(len(time)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q[at], v[at], a[at]
-        mujoco.mj_inverse(model, data)
-        effort[at] = data.qfrc_inverse + model.dof_frictionloss * np.sign(v[at])
+    effort = needed_effort(realization.model, q, v, a)
     effort += noise * random.standard_normal(effort.shape)
     return time, q + 1e-5 * random.standard_normal(q.shape), effort
 
@@ -76,3 +68,30 @@ def write_recording(path: Path, time: np.ndarray, position: np.ndarray, effort: 
     table = np.column_stack([time, position, effort])
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=head, comments="")
     return path
+
+
+def closed_loop(
+    realization: Realization, seed: int, noise: float, seconds: float = 20.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time (n,), measured positions, efforts and position commands (n, 2) of a servo at 200 Hz.
+
+    The encoder's noise (rad) is in the band of the motion, below 3 Hz, and the servo follows it.
+    """
+    random = np.random.default_rng(seed)
+    tick, inner, stiff, damped = 0.005, 5, np.array([200.0, 67.0]), np.array([20.0, 6.7])
+    time = np.arange(round(seconds / tick)) * tick
+    command, speed, _ = fourier(random, time, 2, 5, 0.1, (0.1, 0.6))
+    low = signal.butter(2, 3.0, fs=1.0 / tick, output="sos")
+    added = signal.sosfilt(low, random.standard_normal(command.shape), axis=0)
+    added *= noise / added.std(axis=0)
+    model, data = realization.model, mujoco.MjData(realization.model)
+    model.opt.timestep = tick / inner
+    data.qpos[:], data.qvel[:] = command[0], speed[0]
+    seen, effort = np.empty_like(command), np.empty_like(command)
+    for at in range(len(time)):
+        seen[at] = data.qpos + added[at]
+        velocity = (seen[at] - seen[at - 1]) / tick if at else speed[0]
+        effort[at] = stiff * (command[at] - seen[at]) + damped * (speed[at] - velocity)
+        data.qfrc_applied[:] = effort[at]
+        mujoco.mj_step(model, data, inner)
+    return time, seen, effort, command

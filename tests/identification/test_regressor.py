@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
+from arms import needed_effort
 from hypothesis import given, settings
 
 from pytest_twin.errors import SpecError
@@ -41,24 +41,13 @@ def motion(joints: int, samples: int = 40, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-2.0, 2.0, (3, samples, joints))
 
 
-def mujoco_effort(realization: Realization, q: np.ndarray, v: np.ndarray, a: np.ndarray):
-    """Rigid bodies, armature and damping by MuJoCo; dry friction is a constraint there."""
-    model, data = realization.model, mujoco.MjData(realization.model)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    found = []
-    for at in range(len(q)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q[at], v[at], a[at]
-        mujoco.mj_inverse(model, data)
-        found.append(data.qfrc_inverse.copy())
-    return np.array(found)
-
-
 def check_effort(realization: Realization) -> None:
     regressor = Regressor(realization, realization.joints)
     q, v, a = motion(len(realization.joints))
     dry = np.array([c.kind == "coulomb_friction" for c in regressor.columns])
     ours = regressor.matrix(q, v, a) @ np.where(dry, 0.0, regressor.prior)
-    theirs = mujoco_effort(realization, q, v, a)
+    # Dry friction is a constraint of MuJoCo's.
+    theirs = needed_effort(realization.model, q, v, a, dry=False)
     np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-7 * np.abs(theirs).max())
 
 

@@ -45,7 +45,7 @@ def delay_of(problem: Linear, rate: float) -> Delay:
     slope = _slopes(problem, rate)
     columns = np.concatenate([problem.matrix, -slope[..., None]], axis=2)
     dry = np.concatenate([problem.dry, np.zeros((len(problem.dry), 1), dtype=bool)], axis=1)
-    found = solve(replace(problem, matrix=columns, dry=dry))
+    found = solve(replace(problem, matrix=columns, dry=dry, instrument=None))
     return Delay(float(found.values[-1]), float(found.half_width[-1]))
 
 

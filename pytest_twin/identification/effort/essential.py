@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.least_squares import Linear, Solution, information, solve
 
 SIGNIFICANT = 4.0
@@ -50,7 +51,8 @@ def essential(problem: Linear) -> Essential:
         gone = _eliminated(rest, found)
         if not gone:
             held = np.setdiff1d(np.arange(problem.matrix.shape[2]), kept)
-            return Essential(kept, held, found)
+            half = np.hypot(found.half_width, Z95 * omission(problem, kept, held, found))
+            return Essential(kept, held, replace(found, half_width=half))
         kept = np.delete(kept, gone)
 
 
@@ -73,3 +75,38 @@ def _eliminated(problem: Linear, found: Solution) -> list[int]:
         block = said.matrix[np.ix_(kept, kept)]
         values[kept] += np.linalg.lstsq(block, said.matrix[kept, one] * values[one], rcond=None)[0]
     return gone
+
+
+def omission(
+    problem: Linear, kept: NDArray[np.intp], held: NDArray[np.intp], found: Solution
+) -> FloatArray:
+    """(k,) root mean square error of the kept parameters because others are held at zero.
+
+    Their bias is A beta, with A = (W_k^T W_k)^-1 W_k^T W_h (omitted variables). What beta is comes
+    from the fit of all parameters together, shrunk by how much larger than their own errors those
+    held are: under a prior of that width (Zellner's, with George and Foster's empirical estimate of
+    it, Biometrika 87, 2000) beta has mean s b and covariance s C. Where they are all noise, s is 0.
+
+    Args:
+        problem: with all columns.
+        kept, held: indices of its columns.
+        found: the fit of those that are kept.
+    """
+    if not len(held) or not len(kept):
+        return np.zeros(len(kept))
+    said = information(problem, found.residual, found.weight)
+    sizes = np.sqrt(np.maximum(np.diag(said.matrix), 1e-300))
+    unit = np.outer(sizes, sizes)
+    weighed = (found.residual * found.weight**2)[..., None] * problem.matrix
+    step = np.linalg.pinv(said.matrix / unit, hermitian=True) @ (weighed.sum(axis=(0, 1)) / sizes)
+    every = said.covariance(np.arange(len(sizes)))[np.ix_(held, held)]
+    estimate = (step / sizes)[held]
+    deviation = np.sqrt(np.maximum(np.diag(every), 1e-300))
+    t = estimate / deviation
+    share = max(0.0, 1.0 - 1.0 / max(float(np.mean(t**2)), 1e-300))
+    among = (said.matrix / unit)[np.ix_(kept, kept)]
+    pull = np.linalg.pinv(among, hermitian=True) @ (said.matrix / unit)[np.ix_(kept, held)]
+    pull = pull * sizes[held] / sizes[kept][:, None]
+    bias = share * (pull @ estimate)
+    spread = share * np.einsum("ij,jk,ik->i", pull, every, pull)
+    return np.asarray(np.sqrt(bias**2 + np.maximum(spread, 0.0)))

@@ -8,7 +8,7 @@ differentiate by central differences, filter regressor and effort alike, decimat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import signal
@@ -19,6 +19,8 @@ from pytest_twin.identification.measured import Measured
 _ORDER = 4
 _MOTION_SHARE = 0.99
 """Share of a velocity's power that counts as motion; the rest is noise of the encoder."""
+_ABOVE_NOISE = 10.0
+"""Times the mean power of the encoder's noise, which noise itself reaches once in 22,000 lines."""
 _ACCELERATION = 3.0
 """Accelerations of the same motion reach this many times higher in frequency."""
 _POSITION_CUTOFF = 10.0
@@ -89,16 +91,16 @@ def choose_filter(recordings: Sequence[Measured]) -> Filter:
 
 def differentiate(recording: Measured, chosen: Filter) -> Motion:
     """Velocities and accelerations of a recording, at the rate where regressors are computed."""
-    uniform, position, effort = _uniform(recording)
+    even = uniform(recording)
     rate = recording.rate
-    smooth = _low_passed(position, chosen.cutoff, rate)
+    smooth = low_passed(even.position, chosen.cutoff, rate)
     velocity = np.gradient(smooth, 1.0 / rate, axis=0)
     acceleration = np.gradient(velocity, 1.0 / rate, axis=0)
     step = max(1, int(rate / (_OVERSAMPLED * chosen.rate)))
     # The effort is not low-passed with the positions: its own filter follows with the regressor's.
-    effort = _low_passed(effort, min(_HIGHEST * rate / step, _HIGHEST * rate), rate)
+    effort = low_passed(even.effort, min(_HIGHEST * rate / step, _HIGHEST * rate), rate)
     return Motion(
-        time=uniform[::step],
+        time=even.time[::step],
         position=smooth[::step],
         velocity=velocity[::step],
         acceleration=acceleration[::step],
@@ -113,14 +115,14 @@ def decimated(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:
     Columns with NaN stay NaN.
     """
     flat = values.reshape(len(values), -1)
-    smooth = _low_passed(flat, chosen.parallel, rate)
+    smooth = low_passed(flat, chosen.parallel, rate)
     step = max(1, round(rate / chosen.rate))
     return np.asarray(smooth[::step].reshape(-1, *values.shape[1:]))
 
 
 def _bandwidth(recording: Measured) -> float:
     """Hz, below which the velocity of every joint has nearly all of its power."""
-    _, position, _ = _uniform(recording)
+    position = uniform(recording).position
     rate = recording.rate
     moved = np.ptp(position, axis=0) > 0
     if not moved.any():
@@ -130,24 +132,34 @@ def _bandwidth(recording: Measured) -> float:
     window = np.hanning(len(velocity))[:, None]
     power = np.abs(np.fft.rfft(velocity * window, axis=0)) ** 2
     frequency = np.fft.rfftfreq(len(velocity), 1.0 / rate)
-    share = np.cumsum(power, axis=0) / power.sum(axis=0)
+    # White noise of the position, differenced; motion is what is well above its mean.
+    shape = np.sin(np.pi * frequency / rate)[:, None] ** 2
+    upper = slice(3 * len(frequency) // 4, None)
+    noise = np.median(power[upper] / shape[upper], axis=0) / np.log(2.0) * shape
+    power = np.where(power > _ABOVE_NOISE * noise, power, 0.0)
+    share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
     ends = frequency[np.argmax(share > _MOTION_SHARE, axis=0)]
     # A joint whose noise is as strong as its motion does not determine the motion.
     sound = ends < rate / 10.0
     return float(ends[sound].max()) if sound.any() else rate / 50.0
 
 
-def _uniform(recording: Measured) -> tuple[FloatArray, FloatArray, FloatArray]:
+def uniform(recording: Measured) -> Measured:
+    """The recording at equal intervals."""
     time = recording.time
     step = 1.0 / recording.rate
     count = int(np.floor(time[-1] / step + 1e-6)) + 1
-    uniform: FloatArray = step * np.arange(count, dtype=np.float64)
-    if count == len(time) and np.allclose(uniform, time, atol=1e-3 * step):
-        return time, recording.position, recording.effort
-    return (
-        uniform,
-        _resampled(uniform, time, recording.position),
-        _resampled(uniform, time, recording.effort),
+    even: FloatArray = step * np.arange(count, dtype=np.float64)
+    if count == len(time) and np.allclose(even, time, atol=1e-3 * step):
+        return recording
+    command = recording.command
+    return replace(
+        recording,
+        time=even,
+        position=_resampled(even, time, recording.position),
+        velocity=None,
+        effort=_resampled(even, time, recording.effort),
+        command=None if command is None else _resampled(even, time, command),
     )
 
 
@@ -161,7 +173,8 @@ def _resampled(at: FloatArray, time: FloatArray, values: FloatArray) -> FloatArr
     return np.array(columns).T
 
 
-def _low_passed(values: FloatArray, cutoff: float, rate: float) -> FloatArray:
+def low_passed(values: FloatArray, cutoff: float, rate: float) -> FloatArray:
+    """(n, k) values without a phase lag below ``cutoff`` Hz; columns with NaN stay as they are."""
     if cutoff >= _HIGHEST * rate:
         return values
     sections = signal.butter(_ORDER, cutoff, fs=rate, output="sos")

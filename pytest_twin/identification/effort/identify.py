@@ -9,19 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.errors import RecordingError
 from pytest_twin.identification.effort.delay import Delay, delay_of, without_delay
 from pytest_twin.identification.effort.essential import Essential, essential
+from pytest_twin.identification.effort.estimate import INSTRUMENTS, Estimate, estimate
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
 from pytest_twin.identification.effort.groups import EXCLUDES, dry_of, stages_of
+from pytest_twin.identification.effort.instruments import (
+    along_commands,
+    instrumental,
+    instruments_of,
+)
+from pytest_twin.identification.effort.judging import (
+    EffortError,
+    accepted_values,
+    errors_of,
+    judged_stages,
+)
 from pytest_twin.identification.effort.least_squares import (
     Linear,
     Solution,
-    deviations,
-    dry_levels,
     information,
     linear,
+    moved_by,
     solve,
 )
 from pytest_twin.identification.effort.sampled import Sampled, sample
@@ -39,33 +49,11 @@ from pytest_twin.identification.regressor import (
     Regressor,
     SharedMotor,
     base_of,
-    predicted_covariance,
     structural_base,
 )
 from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
 from pytest_twin.realization import Realization
 from pytest_twin.signals import Signals
-
-_LINEAR_STAGES: tuple[StageName, ...] = ("gravity", "inertia", "friction", "drive")
-
-
-_ENOUGH_MOVING = 10
-"""Samples of a moving joint from which its rows at rest are not needed to judge a stage."""
-
-
-@dataclass(frozen=True)
-class EffortError:
-    """How well the effort of one joint is predicted from its measured motion.
-
-    Attributes:
-        relative: |measured - predicted| / |measured|.
-        rms: N*m or N (A where the effort is a current).
-        moving: ``relative`` over the samples at which the joint moves.
-    """
-
-    relative: float
-    rms: float
-    moving: float
 
 
 @dataclass(frozen=True)
@@ -88,6 +76,7 @@ class EffortResult:
         held_out: of those that were not.
         delay: of the efforts, where one was found.
         scales: joint -> recorded over true effort, where known payloads tell it.
+        estimate: by which estimator, and the check of its intervals.
         suspected: mistakes of the input that the fit shows.
         notes: one line each.
     """
@@ -108,6 +97,7 @@ class EffortResult:
     delay: Delay | None
     suspected: tuple[Suspect, ...]
     notes: tuple[str, ...]
+    estimate: Estimate
     scales: Mapping[str, Scale] = field(default_factory=dict)
 
 
@@ -213,7 +203,7 @@ def _identify(
     regressor = Regressor(realization, joints, shared, unscaled)
     chosen = choose_filter(measured.fit)
     regressors = [regressor] * len(everything)
-    sampled = sample(everything, regressors, chosen)
+    sampled = sample(everything, regressors, chosen, instruments_of(everything, chosen))
     for recording, rows in zip(everything, sampled, strict=True):
         carried = payload_effort(realization, regressor, recording, rows)
         if carried is not None:
@@ -234,19 +224,25 @@ def _identify(
     problem = _problem(fit, regressor, base)
     open_ = _unobservable(problem)
     columns = np.flatnonzero(~open_)
-    found = essential(problem.only(columns))
-    fitted = Essential(
-        columns[found.kept],
-        np.setdiff1d(np.arange(len(base)), columns[found.kept]),
-        found.solution,
-    )
     tested = _problem(held or fit, regressor, base)
+    shown = problem.only(columns)
+    found = estimate(shown, tested.only(columns), essential(shown))
+    kept = columns[found.fitted.kept]
+    fitted = Essential(kept, np.setdiff1d(np.arange(len(base)), kept), found.fitted.solution)
     prior = base.values(regressor.prior)
-    stages = _stages(problem, tested, fitted, stage_of, prior, base, bool(held))
-    values = _accepted(fitted, stages, stage_of, prior)
-    full = solve(problem.only(columns))
+    # Noise of the measured motion would pass for an error of the stages.
+    quiet = found.estimator == INSTRUMENTS
+    stages = judged_stages(
+        along_commands(problem) if quiet else problem,
+        along_commands(tested) if quiet else tested,
+        fitted, stage_of, prior, base, bool(held),
+    )  # fmt: skip
+    values = accepted_values(fitted, stages, stage_of, prior)
+    full = solve(shown, intervals=False)
+    if found.estimator == INSTRUMENTS:
+        full = instrumental(shown, full)
     said = np.zeros((len(base), len(base)))
-    said[np.ix_(columns, columns)] = _precision(problem.only(columns), full)
+    said[np.ix_(columns, columns)] = _precision(shown, full)
     whole = np.zeros(len(base))
     whole[columns] = full.values
     rate = 1.0 / float(np.median(np.diff(fit[0].time)))
@@ -262,8 +258,8 @@ def _identify(
         fitted=fitted,
         stages=stages,
         stage_of=tuple(stage_of),
-        errors=_errors(tested, values, joints),
-        nominal=_errors(tested, prior, joints),
+        errors=errors_of(tested, values, joints),
+        nominal=errors_of(tested, prior, joints),
         without_effort=tuple(j for j, k in zip(joints, known, strict=True) if not k),
         unobservable=open_,
         physical=physical(regressor.columns, regressor.prior, base.combination, whole, said),
@@ -273,6 +269,7 @@ def _identify(
         delay=None,
         suspected=tuple(suspected),
         notes=tuple(dict.fromkeys(n for m in everything for n in m.notes)),
+        estimate=found,
     )
     return result, late
 
@@ -294,120 +291,7 @@ def _problem(samples: Sequence[Sampled], regressor: Regressor, base: BaseParamet
 
 def _unobservable(problem: Linear) -> NDArray[np.bool_]:
     """(b,) parameters that the motion leaves open, whatever the noise."""
-    size = np.sqrt(np.sum(problem.effort**2, axis=0) / np.maximum(problem.known.sum(axis=0), 1))
-    rows = np.where(problem.known[..., None], problem.matrix, 0.0)
-    return predicted_covariance(rows, np.where(size > 0, size, 1.0)).undetermined
-
-
-def _stages(
-    problem: Linear,
-    tested: Linear,
-    fitted: Essential,
-    stage_of: Sequence[StageName],
-    prior: FloatArray,
-    base: BaseParameters,
-    held_out: bool,
-) -> tuple[Stage, ...]:
-    """Judge each stage: its parameters free against its parameters at the model's value.
-
-    Before a stage, the model's own values stand in for its parameters, and all other parameters are
-    fitted around them; after it, its own are fitted too. So nothing that is fitted later can pass
-    for it, and its values are those of the fit of all together.
-    """
-    found: list[Stage] = []
-    own = np.array(stage_of)
-    dry = dry_levels(problem, fitted.values)
-    off = np.where(tested.known, tested.effort - tested.matrix @ fitted.values, 0.0)
-    # The relative standard error of a root mean square of so many independent residuals.
-    independent = effective_samples(off[:, tested.known.any(axis=0)], tested.lengths)
-    chance = float(1.0 / np.sqrt(2.0 * max(independent.sum(), 1.0)))
-    for name in _LINEAR_STAGES:
-        mine = fitted.kept[own[fitted.kept] == name]
-        words = tuple(parameter_name(base, int(i)) for i in mine)
-        if not len(mine):
-            exists = bool((own == name).any())
-            why = (
-                "the motion tells none of its parameters from zero"
-                if exists
-                else "the robot has no such parameter that its efforts show"
-            )
-            found.append(Stage(name, "not_observable", why, (), None, EXCLUDES[name]))
-            continue
-        others = np.setdiff1d(fitted.kept, mine)
-        before = np.zeros(len(own))
-        held = np.flatnonzero(own == name)
-        before[held] = prior[held]
-        rest = Linear(
-            problem.matrix[..., others],
-            np.where(problem.known, problem.effort - problem.matrix @ before, 0.0),
-            problem.known, problem.resting, problem.dry[:, others], problem.lengths,
-        )  # fmt: skip
-        before[others] = solve(rest, intervals=False).values
-        one = HeldOut(
-            _weighted(tested, before, fitted.solution, dry),
-            _weighted(tested, fitted.values, fitted.solution, dry),
-            "standard deviations of the fit",
-        )
-        why = "" if held_out else "nothing is held out, the error is that of what was fitted"
-        stage = Stage(name, "accepted", why, words, None, EXCLUDES[name])
-        found.append(judged(stage, one, chance))
-    return tuple(found)
-
-
-def _accepted(
-    fitted: Essential,
-    stages: Sequence[Stage],
-    stage_of: Sequence[StageName],
-    prior: FloatArray,
-) -> FloatArray:
-    """(b,) parameters: fitted where their stage was not rejected, else the model's."""
-    rejected = {stage.name for stage in stages if stage.state == "rejected"}
-    values = fitted.values
-    for i, name in enumerate(stage_of):
-        if name in rejected:
-            values[i] = prior[i]
-    return values
-
-
-def parameter_name(base: BaseParameters, at: int) -> str:
-    """``JOINT.KIND`` where a base parameter is one parameter, else its expression."""
-    alone = np.count_nonzero(base.combination[at]) == 1
-    return base.names[at] if alone else base.expressions[at]
-
-
-def _weighted(problem: Linear, values: FloatArray, fitted: Solution, dry: FloatArray) -> float:
-    """Root mean square of the residuals, each over what the fit leaves at its joint.
-
-    Of a joint that moves, its rows at rest do not count: dry friction of either sign hides there
-    what the stage has found, and a long rest is one observation.
-    """
-    deviation = deviations(problem.resting, fitted.noise, dry)
-    known = problem.known & np.isfinite(deviation)
-    moving = known & ~problem.resting
-    known = np.where(moving.sum(axis=0) >= _ENOUGH_MOVING, moving, known)
-    off = (problem.effort - problem.matrix @ values)[known] / deviation[known]
-    return float(np.sqrt(np.mean(off**2)))
-
-
-def _errors(problem: Linear, values: FloatArray, joints: Sequence[str]) -> dict[str, EffortError]:
-    off = problem.effort - problem.matrix @ values
-    found = {}
-    for k, joint in enumerate(joints):
-        rows = problem.known[:, k]
-        if not rows.any():
-            continue
-        moving = rows & ~problem.resting[:, k]
-        found[joint] = EffortError(
-            relative=_ratio(off[rows, k], problem.effort[rows, k]),
-            rms=float(np.sqrt(np.mean(off[rows, k] ** 2))),
-            moving=_ratio(off[moving, k], problem.effort[moving, k]),
-        )
-    return found
-
-
-def _ratio(off: FloatArray, measured: FloatArray) -> float:
-    size = float(np.linalg.norm(measured))
-    return float(np.linalg.norm(off)) / size if size > 0 else 0.0
+    return ~moved_by(problem.matrix, problem)
 
 
 def _precision(problem: Linear, solution: Solution) -> FloatArray:

@@ -13,6 +13,7 @@ from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.intervals import clusters, jackknife
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.sampled import Sampled
+from pytest_twin.identification.regressor import predicted_covariance
 
 _ITERATIONS = 12
 _SETTLED = 1e-4
@@ -32,6 +33,7 @@ class Linear:
         resting: (n, joints) where dry friction has no direction.
         dry: (joints, b) which columns are the dry friction of a joint.
         lengths: rows of each recording.
+        instrument: (n, joints, b) the same columns along a motion without noise; None without one.
     """
 
     matrix: FloatArray
@@ -40,6 +42,7 @@ class Linear:
     resting: NDArray[np.bool_]
     dry: NDArray[np.bool_]
     lengths: tuple[int, ...]
+    instrument: FloatArray | None = None
 
     def only(self, columns: NDArray[np.intp]) -> Linear:
         """The problem with these columns alone."""
@@ -50,6 +53,7 @@ class Linear:
             self.resting,
             self.dry[:, columns],
             self.lengths,
+            None if self.instrument is None else self.instrument[..., columns],
         )
 
 
@@ -91,6 +95,7 @@ def linear(samples: Sequence[Sampled], columns: NDArray[np.intp], dry: NDArray[n
     """
     effort = np.concatenate([s.effort for s in samples])
     known = np.isfinite(effort) & ~np.concatenate([s.saturated for s in samples])
+    instruments = [s.instrument[..., columns] for s in samples if s.instrument is not None]
     return Linear(
         np.concatenate([s.matrix[..., columns] for s in samples]),
         np.where(known, effort, 0.0),
@@ -98,7 +103,20 @@ def linear(samples: Sequence[Sampled], columns: NDArray[np.intp], dry: NDArray[n
         np.concatenate([s.resting for s in samples]),
         dry,
         tuple(len(s.time) for s in samples),
+        np.concatenate(instruments) if len(instruments) == len(samples) else None,
     )
+
+
+def moved_by(columns: FloatArray, problem: Linear) -> NDArray[np.bool_]:
+    """(b,) parameters that a motion determines, whatever the noise.
+
+    Args:
+        columns: (n, joints, b) of the problem along that motion.
+        problem: whose efforts are known.
+    """
+    size = np.sqrt(np.sum(problem.effort**2, axis=0) / np.maximum(problem.known.sum(axis=0), 1))
+    rows = np.where(problem.known[..., None], columns, 0.0)
+    return ~predicted_covariance(rows, np.where(size > 0, size, 1.0)).undetermined
 
 
 def solve(problem: Linear, *, intervals: bool = True) -> Solution:
@@ -126,7 +144,7 @@ def solve(problem: Linear, *, intervals: bool = True) -> Solution:
         found = np.linalg.lstsq(triangle[:, :count], triangle[:, count], rcond=None)[0]
         values = np.asarray(found, dtype=np.float64)
         residual = np.where(problem.known, problem.effort - problem.matrix @ values, 0.0)
-        weight, noise = _weights(problem, residual, values)
+        weight, noise = row_weights(problem, residual, values)
         if np.all(np.abs(values - before) <= _SETTLED * np.abs(values).max(initial=0.0)):
             break
     sizes = np.linalg.norm(triangle[:, :count], axis=0)
@@ -140,7 +158,7 @@ def solve(problem: Linear, *, intervals: bool = True) -> Solution:
     return Solution(values, covariance, noise, residual, weight, condition, half)
 
 
-def _weights(
+def row_weights(
     problem: Linear, residual: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Reciprocal deviations of every row, and each joint's noise while it moves."""

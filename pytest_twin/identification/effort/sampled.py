@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,8 @@ class Sampled:
         velocity: (n, joints).
         resting: (n, joints) where dry friction has no direction.
         saturated: (n, joints) where the drive gives all it can.
-        metadata: of the recording.
+        instrument: (n, joints, p) ``matrix`` along the commanded motion, which has no noise; None
+            without commands of every joint's position.
     """
 
     name: str
@@ -41,10 +42,14 @@ class Sampled:
     velocity: FloatArray
     resting: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
+    instrument: FloatArray | None = None
 
 
 def sample(
-    recordings: Sequence[Measured], regressors: Sequence[Regressor], chosen: Filter
+    recordings: Sequence[Measured],
+    regressors: Sequence[Regressor],
+    chosen: Filter,
+    commanded: Sequence[Measured] | None = None,
 ) -> list[Sampled]:
     """Rows of every recording.
 
@@ -52,31 +57,49 @@ def sample(
         recordings: with the joints of the regressors.
         regressors: of each recording, which may carry a payload of its own.
         chosen: how motion is filtered.
+        commanded: the same recordings with a motion that has no noise, for an instrument.
     """
     motions = [differentiate(one, chosen) for one in recordings]
     fastest = np.max([np.abs(m.velocity).max(axis=0) for m in motions], axis=0)
     rest = np.maximum(_REST * fastest, 1e-9)
-    return [
+    rows = [
         _rows(one, motion, regressor, chosen, rest)
         for one, motion, regressor in zip(recordings, motions, regressors, strict=True)
+    ]
+    if commanded is None:
+        return rows
+    return [
+        replace(own, instrument=_matrix(differentiate(one, chosen), regressor, chosen, rest))
+        for own, one, regressor in zip(rows, commanded, regressors, strict=True)
     ]
 
 
 def _rows(
     recording: Measured, motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray
 ) -> Sampled:
-    moving = np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
-    matrix = regressor.matrix(motion.position, moving, motion.acceleration)
     velocity = decimated(motion.velocity, motion.rate, chosen)
     top = np.abs(motion.effort) >= 0.98 * recording.limit
-    edge = int(np.ceil(_EDGE * chosen.rate / chosen.parallel))
-    inner = slice(edge, max(len(velocity) - edge, edge + 1))
+    inner = _inner(len(velocity), chosen)
     return Sampled(
         name=recording.path.name,
         time=motion.time[:: max(1, round(motion.rate / chosen.rate))][inner],
-        matrix=decimated(matrix, motion.rate, chosen)[inner],
+        matrix=_matrix(motion, regressor, chosen, rest),
         effort=decimated(motion.effort, motion.rate, chosen)[inner],
         velocity=velocity[inner],
         resting=(np.abs(velocity) <= rest)[inner],
         saturated=(decimated(top.astype(np.float64), motion.rate, chosen) > 0.01)[inner],
     )
+
+
+def _matrix(motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray) -> FloatArray:
+    moving = np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
+    matrix = decimated(
+        regressor.matrix(motion.position, moving, motion.acceleration), motion.rate, chosen
+    )
+    return np.asarray(matrix[_inner(len(matrix), chosen)])
+
+
+def _inner(count: int, chosen: Filter) -> slice:
+    """All rows but the edges."""
+    edge = int(np.ceil(_EDGE * chosen.rate / chosen.parallel))
+    return slice(edge, max(count - edge, edge + 1))

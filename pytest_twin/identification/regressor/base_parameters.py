@@ -17,7 +17,8 @@ RANK_TOLERANCE = 1e-8
 """Relative size of a column's part that no other column expresses, below which it counts as zero.
 Exact regressors leave 1e-13; columns that motion really moves leave more than 1e-3."""
 _SAMPLES_PER_COLUMN = 4
-_COEFFICIENT_TOLERANCE = 1e-7
+_COEFFICIENT_TOLERANCE = 1e-9
+"""Of unit columns: smaller coefficients are rounding and stand in no expression."""
 _DIGITS = 6
 
 

@@ -1,0 +1,59 @@
+"""Random Fourier series of joint positions, and the effort that a model needs along them."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+
+
+def fourier(
+    random: np.random.Generator,
+    time: FloatArray,
+    joints: int,
+    harmonics: int,
+    base: float,
+    sizes: tuple[float, float],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions, velocities and accelerations (n, joints), in rad, rad/s and rad/s^2.
+
+    Args:
+        random: draws amplitudes and phases.
+        time: (n,) s.
+        joints: how many.
+        harmonics: of each joint.
+        base: frequency of the first, Hz.
+        sizes: least and greatest amplitude of the first, rad; others by one over the square root
+            of their number.
+    """
+    q, v, a = (np.zeros((len(time), joints)) for _ in range(3))
+    for joint in range(joints):
+        for harmonic in range(1, harmonics + 1):
+            omega = 2 * np.pi * base * harmonic
+            size, phase = random.uniform(*sizes) / harmonic**0.5, random.uniform(0, 2 * np.pi)
+            q[:, joint] += size * np.sin(omega * time + phase)
+            v[:, joint] += size * omega * np.cos(omega * time + phase)
+            a[:, joint] -= size * omega**2 * np.sin(omega * time + phase)
+    return q, v, a
+
+
+def needed_effort(
+    model: mujoco.MjModel, q: FloatArray, v: FloatArray, a: FloatArray, *, dry: bool = True
+) -> FloatArray:
+    """(n, joints) effort of rigid bodies, armature, damping and dry friction along a motion.
+
+    Args:
+        model: without constraints beside dry friction, which MuJoCo counts among them.
+        q, v, a: (n, joints).
+        dry: whether dry friction counts.
+    """
+    data, disabled = mujoco.MjData(model), int(model.opt.disableflags)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    effort = np.empty_like(q)
+    for at in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[at], v[at], a[at]
+        mujoco.mj_inverse(model, data)
+        effort[at] = data.qfrc_inverse
+    model.opt.disableflags = disabled
+    return effort + model.dof_frictionloss * np.sign(v) if dry else effort

@@ -1,0 +1,107 @@
+"""Block bootstrap of a linear fit: a check of its covariance that assumes no noise model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.effort.least_squares import Linear, Solution
+
+_ENOUGH = 10
+"""Recordings from which each is a block of its own."""
+_BLOCKS = 20
+"""Blocks that fewer recordings are cut into."""
+_RESAMPLES = 500
+_WIDER = 1.5
+"""Times that the bootstrap's deviation exceeds the stated one before the report names it."""
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """What the fit would be on other recordings of the same kind.
+
+    Attributes:
+        blocks: that were drawn.
+        recordings: whether a block is a whole recording, else a part of one.
+        interval: (b, 2) 95 % interval about the estimate.
+        wider: (b,) whether the deviation is 1.5 times the stated one or more.
+    """
+
+    blocks: int
+    recordings: bool
+    interval: FloatArray
+    wider: NDArray[np.bool_]
+
+
+def bootstrap(problem: Linear, fitted: Solution, left: FloatArray | None = None) -> Bootstrap:
+    """The fit again and again, each block with another weight, under the rows' final weights.
+
+    Residuals may be correlated within a block in any way (Künsch, Annals of Statistics 17, 1989).
+    Blocks get exponential weights (Rubin, Annals of Statistics 9, 1981), so that a parameter that
+    one block alone shows stays determined.
+
+    Args:
+        problem, fitted: the fit.
+        left: (n, joints, b) instrument of an estimate by instrumental variables.
+    """
+    deviation = bootstrap_deviations(*normal_equations(problem, fitted.weight, left))
+    half = Z95 * deviation[:, None] * np.array([-1.0, 1.0])
+    whole = len(problem.lengths) >= _ENOUGH
+    return Bootstrap(
+        blocks=len(problem.lengths) if whole else len(np.unique(block_of(problem.lengths))),
+        recordings=whole,
+        interval=fitted.values[:, None] + half,
+        wider=deviation > _WIDER * fitted.std,
+    )
+
+
+def normal_equations(
+    problem: Linear, weight: FloatArray, left: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """(blocks, b, b) and (blocks, b): the sums of Z^T W and of Z^T y over each block.
+
+    Args:
+        problem: rows and columns.
+        weight: (n, joints) reciprocal deviations of the rows.
+        left: Z, (n, joints, b); W itself by default.
+    """
+    count = problem.matrix.shape[2]
+    owner = block_of(problem.lengths)
+    matrices, rights = [], []
+    for k in range(int(owner.max()) + 1):
+        mine = owner == k
+        w = (problem.matrix[mine] * weight[mine][..., None]).reshape(-1, count)
+        z = w if left is None else (left[mine] * weight[mine][..., None]).reshape(-1, count)
+        matrices.append(z.T @ w)
+        rights.append(z.T @ (problem.effort[mine] * weight[mine]).ravel())
+    return np.array(matrices), np.array(rights)
+
+
+def bootstrap_deviations(matrices: FloatArray, rights: FloatArray) -> FloatArray:
+    """(b,) standard deviation of the solutions over resamples of the blocks."""
+    blocks, count = rights.shape
+    if blocks < 2 or not count:
+        return np.zeros(count)
+    # Unit columns, and one draw for all: the same recordings give the same result.
+    sizes = np.sqrt(np.maximum(np.abs(np.einsum("kbb->b", matrices)), 1e-300))
+    weights = np.random.default_rng(0).exponential(size=(_RESAMPLES, blocks))
+    sums = np.einsum("rk,kbc->rbc", weights, matrices / np.outer(sizes, sizes))
+    found = np.linalg.solve(sums, np.einsum("rk,kb->rb", weights, rights / sizes)[..., None])
+    spread = found[..., 0].std(axis=0) * np.sqrt(blocks / (blocks - 1.0))
+    return np.asarray(spread / sizes)
+
+
+def block_of(lengths: Sequence[int]) -> NDArray[np.intp]:
+    """(n,) block of each row: its recording, or equal parts of few recordings."""
+    parts = 1 if len(lengths) >= _ENOUGH else -(-_BLOCKS // len(lengths))
+    owners, first = [], 0
+    for n in lengths:
+        own = min(parts, n)
+        owners.append(first + np.arange(n) * own // max(n, 1))
+        first += own
+    return np.concatenate(owners).astype(np.intp)

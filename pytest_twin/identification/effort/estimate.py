@@ -1,0 +1,91 @@
+"""The estimator that each figure rests on: least squares, or instrumental variables beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.effort.blocks import Bootstrap, bootstrap
+from pytest_twin.identification.effort.essential import Essential, essential, omission
+from pytest_twin.identification.effort.instruments import (
+    Endogeneity,
+    along_commands,
+    endogeneity,
+    instrumental,
+)
+from pytest_twin.identification.effort.least_squares import Linear, Solution, moved_by, solve
+
+Estimator = Literal["weighted least squares", "instrumental variables"]
+SQUARES: Estimator = "weighted least squares"
+INSTRUMENTS: Estimator = "instrumental variables"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The essential parameters, by which estimator and why.
+
+    Attributes:
+        fitted: the essential parameters.
+        estimator: that they rest on.
+        why: in one sentence.
+        squares: weighted least squares of the same parameters.
+        test: for noise in the regressor; None where there is no instrument.
+        bootstrap: the check of the intervals.
+    """
+
+    fitted: Essential
+    estimator: Estimator
+    why: str
+    squares: Solution
+    test: Endogeneity | None
+    bootstrap: Bootstrap
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``estimator`` stands in ``identification.json``."""
+        found: dict[str, Any] = {"name": self.estimator, "why": self.why}
+        if self.test is not None:
+            found["endogeneity"] = self.test.to_json()
+        return found
+
+
+def estimate(problem: Linear, tested: Linear, found: Essential) -> Estimate:
+    """Choose the estimator by the test of Durbin, Wu and Hausman, and check its intervals.
+
+    Args:
+        problem: all columns that the motion shows; of the recordings that were fitted.
+        tested: the same columns of those that were not.
+        found: least squares of the essential ones.
+    """
+    own, test = problem.only(found.kept), None
+    squares, kept = found.solution, found.kept
+    solution, estimator = squares, SQUARES
+    if own.instrument is None:
+        why = "no instrument: not every joint has position commands"
+    elif not moved_by(own.instrument, own).all():
+        why = "no instrument: the commanded motion does not move every parameter"
+    else:
+        instruments = instrumental(own, squares)
+        test = endogeneity(own, tested.only(kept), squares, instruments)
+        why = test.words
+        if test.biased:
+            estimator = INSTRUMENTS
+            # Along the commanded motion, because least squares takes noise for parameters.
+            found = essential(along_commands(problem))
+            kept, own = found.kept, problem.only(found.kept)
+            squares = solve(own)
+            solution = instrumental(own, squares)
+            bias = omission(along_commands(problem), kept, found.held, solution)
+            half = np.hypot(solution.half_width, Z95 * bias)
+            solution = replace(solution, half_width=half)
+    left = own.instrument if estimator == INSTRUMENTS else None
+    return Estimate(
+        fitted=replace(found, solution=solution),
+        estimator=estimator,
+        why=why,
+        squares=squares,
+        test=test,
+        bootstrap=bootstrap(own, solution, left),
+    )  # fmt: skip

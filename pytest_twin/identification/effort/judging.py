@@ -1,0 +1,153 @@
+"""Each stage against the model's own values, and the error of each joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import effective_samples
+from pytest_twin.identification.effort.essential import Essential
+from pytest_twin.identification.effort.groups import EXCLUDES
+from pytest_twin.identification.effort.least_squares import (
+    Linear,
+    Solution,
+    deviations,
+    dry_levels,
+    solve,
+)
+from pytest_twin.identification.regressor import BaseParameters
+from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
+
+_LINEAR_STAGES: tuple[StageName, ...] = ("gravity", "inertia", "friction", "drive")
+_ENOUGH_MOVING = 10
+"""Samples of a moving joint from which its rows at rest are not needed to judge a stage."""
+
+
+@dataclass(frozen=True)
+class EffortError:
+    """How well the effort of one joint is predicted from its measured motion.
+
+    Attributes:
+        relative: |measured - predicted| / |measured|.
+        rms: N*m or N (A where the effort is a current).
+        moving: ``relative`` over the samples at which the joint moves.
+    """
+
+    relative: float
+    rms: float
+    moving: float
+
+
+def judged_stages(
+    problem: Linear,
+    tested: Linear,
+    fitted: Essential,
+    stage_of: Sequence[StageName],
+    prior: FloatArray,
+    base: BaseParameters,
+    held_out: bool,
+) -> tuple[Stage, ...]:
+    """Judge each stage: its parameters free against its parameters at the model's value.
+
+    Before a stage, the model's own values stand in for its parameters, and all other parameters are
+    fitted around them; after it, its own are fitted too. So nothing that is fitted later can pass
+    for it, and its values are those of the fit of all together.
+    """
+    found: list[Stage] = []
+    own = np.array(stage_of)
+    dry = dry_levels(problem, fitted.values)
+    off = np.where(tested.known, tested.effort - tested.matrix @ fitted.values, 0.0)
+    # The relative standard error of a root mean square of so many independent residuals.
+    independent = effective_samples(off[:, tested.known.any(axis=0)], tested.lengths)
+    chance = float(1.0 / np.sqrt(2.0 * max(independent.sum(), 1.0)))
+    for name in _LINEAR_STAGES:
+        mine = fitted.kept[own[fitted.kept] == name]
+        words = tuple(parameter_name(base, int(i)) for i in mine)
+        if not len(mine):
+            exists = bool((own == name).any())
+            why = (
+                "the motion tells none of its parameters from zero"
+                if exists
+                else "the robot has no such parameter that its efforts show"
+            )
+            found.append(Stage(name, "not_observable", why, (), None, EXCLUDES[name]))
+            continue
+        others = np.setdiff1d(fitted.kept, mine)
+        before = np.zeros(len(own))
+        held = np.flatnonzero(own == name)
+        before[held] = prior[held]
+        rest = Linear(
+            problem.matrix[..., others],
+            np.where(problem.known, problem.effort - problem.matrix @ before, 0.0),
+            problem.known, problem.resting, problem.dry[:, others], problem.lengths,
+        )  # fmt: skip
+        before[others] = solve(rest, intervals=False).values
+        one = HeldOut(
+            _weighted(tested, before, fitted.solution, dry),
+            _weighted(tested, fitted.values, fitted.solution, dry),
+            "standard deviations of the fit",
+        )
+        why = "" if held_out else "nothing is held out, the error is that of what was fitted"
+        stage = Stage(name, "accepted", why, words, None, EXCLUDES[name])
+        found.append(judged(stage, one, chance))
+    return tuple(found)
+
+
+def accepted_values(
+    fitted: Essential,
+    stages: Sequence[Stage],
+    stage_of: Sequence[StageName],
+    prior: FloatArray,
+) -> FloatArray:
+    """(b,) parameters: fitted where their stage was not rejected, else the model's."""
+    rejected = {stage.name for stage in stages if stage.state == "rejected"}
+    values = fitted.values
+    for i, name in enumerate(stage_of):
+        if name in rejected:
+            values[i] = prior[i]
+    return values
+
+
+def parameter_name(base: BaseParameters, at: int) -> str:
+    """``JOINT.KIND`` where a base parameter is one parameter, else its expression."""
+    alone = np.count_nonzero(base.combination[at]) == 1
+    return base.names[at] if alone else base.expressions[at]
+
+
+def _weighted(problem: Linear, values: FloatArray, fitted: Solution, dry: FloatArray) -> float:
+    """Root mean square of the residuals, each over what the fit leaves at its joint.
+
+    Of a joint that moves, its rows at rest do not count: dry friction of either sign hides there
+    what the stage has found, and a long rest is one observation.
+    """
+    deviation = deviations(problem.resting, fitted.noise, dry)
+    known = problem.known & np.isfinite(deviation)
+    moving = known & ~problem.resting
+    known = np.where(moving.sum(axis=0) >= _ENOUGH_MOVING, moving, known)
+    off = (problem.effort - problem.matrix @ values)[known] / deviation[known]
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def errors_of(problem: Linear, values: FloatArray, joints: Sequence[str]) -> dict[str, EffortError]:
+    """Joint -> its error under (b,) parameters; joints without any known effort are left out."""
+    off = problem.effort - problem.matrix @ values
+    found = {}
+    for k, joint in enumerate(joints):
+        rows = problem.known[:, k]
+        if not rows.any():
+            continue
+        moving = rows & ~problem.resting[:, k]
+        found[joint] = EffortError(
+            relative=_ratio(off[rows, k], problem.effort[rows, k]),
+            rms=float(np.sqrt(np.mean(off[rows, k] ** 2))),
+            moving=_ratio(off[moving, k], problem.effort[moving, k]),
+        )
+    return found
+
+
+def _ratio(off: FloatArray, measured: FloatArray) -> float:
+    size = float(np.linalg.norm(measured))
+    return float(np.linalg.norm(off)) / size if size > 0 else 0.0

@@ -1,0 +1,80 @@
+"""Noise of the encoder biases least squares; instrumental variables find the concealed truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import JOINTS, closed_loop, real, write_model
+
+from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.records import effort_document
+from pytest_twin.identification.regressor import Regressor
+from pytest_twin.realization import load
+from pytest_twin.signals import NO_SIGNALS
+
+
+def measured(folder: Path, seed: int, noise: float) -> Measured:
+    time, position, effort, command = closed_loop(real(folder), seed, noise)
+    return Measured(
+        folder / f"{seed}.csv", 0.0, JOINTS, time, position, None, effort,
+        np.zeros(2, dtype=bool), np.full(2, np.inf), {}, command=command,
+    )  # fmt: skip
+
+
+def identified(folder: Path, recordings: list[Measured]) -> EffortResult:
+    return identify_effort(
+        load(write_model(folder)), MeasuredSet(tuple(recordings[:2]), (recordings[2],)), NO_SIGNALS
+    )
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Measured]]:
+    folder = tmp_path_factory.mktemp("noisy")
+    return folder, [measured(folder, seed, 3e-3) for seed in (1, 2, 3)]
+
+
+@pytest.fixture(scope="module")
+def found(noisy: tuple[Path, list[Measured]]) -> EffortResult:
+    return identified(*noisy)
+
+
+def test_least_squares_is_biased_and_instrumental_variables_are_not(
+    noisy: tuple[Path, list[Measured]], found: EffortResult
+) -> None:
+    estimate = found.estimate
+    assert estimate.estimator == "instrumental variables"
+    assert "noise of the positions biases least squares" in estimate.why
+    true = found.base.values(Regressor(real(noisy[0]), JOINTS).prior)[found.fitted.kept]
+    ours, theirs = found.fitted.solution, estimate.squares
+    assert (np.abs(ours.values - true) <= ours.half_width).all()
+    inertia = found.base.expressions.index("Iyy1 + Ia1 + 0.25*m2")
+    at = int(np.flatnonzero(found.fitted.kept == inertia)[0])
+    assert abs(theirs.values[at] - true[at]) > 3 * theirs.half_width[at]
+    assert abs(ours.values[at] - true[at]) < 0.15 * true[at]
+
+
+def test_the_document_says_what_each_figure_rests_on(found: EffortResult) -> None:
+    document = effort_document(found, found.stages)
+    assert document["estimator"]["name"] == "instrumental variables"
+    assert document["estimator"]["endogeneity"]["probability"] < 0.01
+    for k, i in enumerate(found.fitted.kept):
+        one = document["parameters"][document["covariance"]["names"][k]]
+        assert one["estimator"] == "instrumental variables"
+        assert one["least_squares"] == found.estimate.squares.values[k], i
+
+
+def test_without_commands_there_is_no_instrument(noisy: tuple[Path, list[Measured]]) -> None:
+    folder, recordings = noisy
+    result = identified(folder, [replace(one, command=None) for one in recordings])
+    assert result.estimate.estimator == "weighted least squares"
+    assert result.estimate.why == "no instrument: not every joint has position commands"
+
+
+def test_without_noise_least_squares_stays(tmp_path: Path) -> None:
+    result = identified(tmp_path, [measured(tmp_path, seed, 1e-6) for seed in (1, 2, 3)])
+    assert result.estimate.estimator == "weighted least squares"
+    assert result.estimate.test is not None
