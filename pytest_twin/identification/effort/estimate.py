@@ -1,4 +1,4 @@
-"""The estimator that each figure rests on: least squares, or instrumental variables beside it."""
+"""The estimator of each figure: least squares, or instrumental variables where it is biased."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Estimate:
 
     Attributes:
         fitted: the essential parameters.
-        estimator: that they rest on.
+        estimator: that gave them.
         why: in one sentence.
         squares: weighted least squares of the same parameters.
         test: for noise in the regressor; None where there is no instrument.
