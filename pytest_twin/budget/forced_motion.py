@@ -4,7 +4,8 @@ A parameter of the inverse dynamics acts as a force: a robot whose parameters di
 the model moves as the model does under the added force ``-Y d``, ``Y`` the regressor along the
 motion. To first order that force is computed along the nominal motion, one replay for each
 parameter. The draws change damping, dry friction and armature in the simulator
-itself, and add the force of the rest. Delays and encoder zeros shift the joints along the way.
+itself, and add the force of the rest. Delays, encoder zeros, gears and gains shift the joints along
+the way (:mod:`pytest_twin.budget.shifts`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.categories import category_of_parameter
-from pytest_twin.budget.identified import Identified, rate_of
+from pytest_twin.budget.identified import Identified
 from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, spread_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
@@ -172,12 +173,12 @@ class _Motion:
         return found
 
     def _shifted(self, motion: Replayed, change: FloatArray) -> FloatArray:
-        """(n, j) what delays and encoder zeros add to a motion's positions."""
+        """(n, j) what shifts the joints adds to a motion's positions."""
         found = np.zeros_like(motion.position)
         for shift, size in zip(self.found.shifts, change[self.forces :], strict=True):
-            if shift[0] in self.joints:
-                at = self.joints.index(shift[0])
-                found[:, at] += size * rate_of(shift, motion.velocity[:, at])
+            if shift.joint in self.joints:
+                at = self.joints.index(shift.joint)
+                found[:, at] += size * shift.rate(motion.velocity[:, at], motion.effort[:, at])
         return found
 
     def _drawn(self, draw: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What an identification leaves uncertain: forces, encoder zeros, delays."""
+"""What an identification leaves uncertain: forces, and what shifts a joint along its way."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from pytest_twin.budget.propagate import (
     root_of,
     sampled,
 )
+from pytest_twin.budget.shifts import DELAYS, NO_RULE, Shift, shift_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.calibration.tangent import Moving
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
+from pytest_twin.realization.sensed import load_at
 from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import FitEntry
 
-_DELAYS = ("command_delay", "sensor_delay")
-_ZERO = "encoder_bias"
 _ROUNDING = 1e-9
 """Share of the largest effort below which an effort is zero."""
 _GRAVITY = frozenset({"m", "mx", "my", "mz"})
@@ -41,7 +41,7 @@ class Identified:
         covariance: (f + s, f + s) in their units.
         columns: (f,) their columns of the regressor.
         regressor: of the joints that were identified.
-        shifts: (s,) joint, and whether a delay shifts it or the zero of its encoder.
+        shifts: (s,) what delays, encoder zeros, gears and gains do to their joints.
         left_out: what moves nothing here, and why.
     """
 
@@ -50,7 +50,7 @@ class Identified:
     covariance: FloatArray
     columns: tuple[int, ...]
     regressor: Regressor
-    shifts: tuple[tuple[str, bool], ...]
+    shifts: tuple[Shift, ...]
     left_out: tuple[str, ...]
 
     @property
@@ -68,6 +68,11 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
     kept, columns, shifting, shifts, left_out = [], [], [], [], []
     for at, name in enumerate(record.covariance_names):
         joint, _, effect = name.partition(".")
+        rule = (
+            shift_of(name, record.values.get(name, 0.0), record.units.get(name, ""), realization)
+            if joint in task.chain.joints
+            else NO_RULE
+        )
         column = column_of.get(name)
         if name not in record.values:
             left_out.append(f"{name}: the twin does not use it (its stage is not accepted)")
@@ -78,13 +83,13 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
                 columns.append(column)
             else:
                 left_out.append(f"{name}: in {record.units[name]}, of which no torque is known")
-        elif effect in _DELAYS and joint in task.chain.joints and task.velocity is None:
+        elif effect in DELAYS and joint in task.chain.joints and task.velocity is None:
             left_out.append(f"{name}: no speed is known; budget: recordings: gives it")
-        elif effect in (*_DELAYS, _ZERO) and joint in task.chain.joints:
+        elif isinstance(rule, Shift):
             shifting.append(at)
-            shifts.append((joint, effect != _ZERO))
+            shifts.append(rule)
         else:
-            left_out.append(f"{name}: no rule carries it to the task; its uncertainty is stated")
+            left_out.append(f"{name}: {rule}")
     left_out += [
         f"{name}: stated without a covariance, and no motion of the robot depends on it"
         for name in record.values
@@ -141,31 +146,35 @@ def _joints_of(record: IdentificationRecord) -> list[str]:
     return list(record.held_out) or list(record.position_rms)
 
 
-def rate_of(shift: tuple[str, bool], velocity: FloatArray) -> FloatArray:
-    """(n,) change of a joint's position by a unit of what shifts it.
+def displaced(
+    found: Identified, task: Task, realization: Realization
+) -> tuple[Spread, Spread] | None:
+    """What shifts joints does to the frame, to first order and by draws; None where nothing does.
 
-    A robot that is later by ``d`` is where it was: ``q - v d``. A reading that is too high by ``b``
-    leaves the joint at ``q - b``.
-
-    Args:
-        shift: the joint, and whether a delay shifts it.
-        velocity: (n,) of the joint.
-    """
-    return -velocity if shift[1] else -np.ones_like(velocity)
-
-
-def displaced(found: Identified, task: Task) -> tuple[Spread, Spread] | None:
-    """What encoder zeros and delays do to the frame, to first order and by draws.
-
-    None where there are neither.
+    The load of a gear or a servo is the gravity of the links at each pose.
     """
     if not found.shifts:
         return None
     count = len(task.chain.joints)
-    places = [task.chain.joints.index(joint) for joint, _ in found.shifts]
+    places = [task.chain.joints.index(one.joint) for one in found.shifts]
     velocity = np.zeros_like(task.readings) if task.velocity is None else task.velocity
     pairs = zip(found.shifts, places, strict=True)
-    rates = np.column_stack([rate_of(shift, velocity[:, at]) for shift, at in pairs])
+    position = task.chain.signs * task.readings + task.chain.offsets
+    still = np.zeros_like(position)
+    rates = np.column_stack(
+        [
+            shift.rate(
+                velocity[:, at],
+                task.chain.signs[at]
+                * load_at(
+                    realization, shift.joint, tuple(task.chain.joints), position, still, still
+                )[:, 0]
+                if shift.by in ("load", "side")
+                else still[:, at],
+            )
+            for shift, at in pairs
+        ]
+    )
     forces = len(found.columns)
     root = root_of(found.covariance[forces:, forces:], found.entry.record.path)
     every = ChainParameters(count, np.zeros(count), tuple(range(count)))

@@ -161,11 +161,11 @@ def identification_line(found: Identified, task: Task, realization: Realization)
             f"static gravity effort over {len(task.readings)} poses: no motion with commands is "
             f"declared (budget: recordings:, of which {SIMULATED_S:g} s are simulated)"
         )
-    shifted = displaced(found, task) if linear is None else None
+    shifted = displaced(found, task, realization) if linear is None else None
     if shifted is not None:
         linear, drawn = shifted
         poses = f"{len(task.readings)} poses, and {DRAWS} draws"
-        way = f"delays and encoder zeros by J C J^T over {poses}"
+        way = f"delays, encoder zeros, gears and gains by J C J^T over {poses}"
         method = f"{method}; {way}" if found.columns else way
     if linear is not None and drawn is not None:
         warnings += differing(linear, drawn)

@@ -92,6 +92,12 @@ def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
         help="topic of the object's geometry_msgs/PoseStamped: the bags are tosses of an object",
     )
     group.add_argument(
+        "--wrench-topic",
+        metavar="TOPIC",
+        help="with --pose-topic: topic of geometry_msgs/WrenchStamped, the force and torque with "
+        "which the object was pressed, pushed or slid; frame_id is the body's name or world",
+    )
+    group.add_argument(
         "--body", metavar="NAME", help="the body that was tossed, where the model has several free"
     )
     group.add_argument(
@@ -162,6 +168,7 @@ def run(args: argparse.Namespace) -> int:
                         "rate": args.rate,
                         "body": args.body,
                         "topic": args.pose_topic,
+                        "wrench": args.wrench_topic,
                     },
                     **model_files.search_folders(args),
                 },

@@ -9,6 +9,21 @@ from pytest_twin.formats.serialized import Floats
 
 
 @dataclass(frozen=True)
+class WrenchTrack:
+    """Force and torque on an object over time.
+
+    Attributes:
+        frame: in whose axes and about whose origin, as the messages name it.
+        time: (k,) s from the first pose on.
+        values: (k, 6) N and N*m.
+    """
+
+    frame: str
+    time: Floats
+    values: Floats
+
+
+@dataclass(frozen=True)
 class PoseTrack:
     """Poses of one object over time.
 
@@ -22,6 +37,7 @@ class PoseTrack:
         angular: (n, 3) in the object's own axes, rad/s, or None.
         timed: whether the file says when each pose was measured.
         metadata: what the recording says of itself.
+        wrench: what was measured to push the object, beside gravity and contact.
     """
 
     name: str
@@ -33,3 +49,4 @@ class PoseTrack:
     angular: Floats | None = None
     timed: bool = True
     metadata: tuple[tuple[str, str], ...] = ()
+    wrench: WrenchTrack | None = None

@@ -8,10 +8,11 @@ import numpy as np
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats import tosses
-from pytest_twin.formats.pose_track import PoseTrack
+from pytest_twin.formats.pose_track import PoseTrack, WrenchTrack
 from pytest_twin.formats.recordings import reader_of
 from pytest_twin.formats.recordings.base import BagReader
 from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
+from pytest_twin.formats.stamped_readings import WRENCH
 
 _TRANSFORMS = ("/tf", "/tf_static")
 
@@ -30,15 +31,18 @@ def is_bag(path: Path) -> bool:
     return isinstance(reader_of(path), BagReader)
 
 
-def read_pose_tracks(path: Path, topic: str | None = None) -> list[PoseTrack]:
+def read_pose_tracks(
+    path: Path, topic: str | None = None, wrench: str | None = None
+) -> list[PoseTrack]:
     """The tosses of an archive, or the poses of one topic of a bag as one track.
 
     Args:
         path: an ``.npz`` file, an MCAP file, a rosbag2 folder or a ``.db3`` file.
         topic: of the poses, where a bag has several.
+        wrench: topic of the force and torque on the object, where it was pushed.
 
     Raises:
-        RecordingError: no poses, or several topics that could be meant.
+        RecordingError: no poses or no wrenches, or several topics that could be meant.
         TwinError: as the reader of the format.
     """
     if holds_tosses(path):
@@ -66,5 +70,22 @@ def read_pose_tracks(path: Path, topic: str | None = None) -> list[PoseTrack]:
             values[:, :3],
             values[:, [6, 3, 4, 5]] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True),
             metadata=tuple(sorted(bag.metadata.items())),
+            wrench=None if wrench is None else _wrenches(bag, wrench, int(stamps[rows[0]])),
         )
     ]
+
+
+def _wrenches(bag: SensorGatherer, topic: str, zero: int) -> WrenchTrack:
+    readings = bag.readings.get(topic, ())
+    frames = {one.frame for one in readings}
+    if len(readings) < 2 or bag.reading_type[topic] != WRENCH or len(frames) > 1:
+        raise RecordingError(
+            "several frames of wrenches" if len(frames) > 1 else "no wrenches",
+            path=bag.path, where=topic, value=", ".join(sorted(frames)) or None,
+            expected="a topic of geometry_msgs/WrenchStamped in one frame",
+        )  # fmt: skip
+    stamps = np.array([one.stamp for one in readings], dtype=np.int64)
+    _, rows = np.unique(stamps, return_index=True)
+    values = np.array([readings[row].values for row in rows])
+    seconds = np.asarray((stamps[rows] - zero) * 1e-9, dtype=np.float64)
+    return WrenchTrack(frames.pop(), seconds, values)

@@ -85,8 +85,17 @@ def free_body(realization: NamedModel, name: str | None = None) -> FreeBody:
     )
 
 
+Pushed = tuple[FloatArray, FloatArray]
+"""(k,) times, s from the first state on, and (k, 6) wrench on the body, N and N*m, in the axes of
+the world and about its centre of mass; linear in between, as at its ends beyond them."""
+
+
 def poses_of(
-    models: Sequence[mujoco.MjModel], body: FreeBody, states: FloatArray, times: FloatArray
+    models: Sequence[mujoco.MjModel],
+    body: FreeBody,
+    states: FloatArray,
+    times: FloatArray,
+    pushes: Sequence[Pushed | None] | None = None,
 ) -> FloatArray:
     """Poses of a free body over time, for every model and every first state.
 
@@ -97,6 +106,7 @@ def poses_of(
         states: (t, 13) x y z (m), quaternion w x y z, velocity in the world (m/s), angular velocity
             in the body's axes (rad/s).
         times: (t, n) when poses are asked for, s from the first state on; NaN after the last.
+        pushes: what pushes the body from each first state on; None for nothing.
 
     Returns:
         (m, t, n, 7) poses; NaN where none is asked for, and from where a rollout diverged.
@@ -109,31 +119,56 @@ def poses_of(
     for begin in range(0, len(order), width):
         rows = order[begin : begin + width]
         count = int(np.ceil(float(last[rows].max()) / step - 1e-9)) + 1
-        found[:, rows] = _at(_rolled(models, body, states[rows], count), step, times[rows])
+        own = None if pushes is None else [pushes[row] for row in rows]
+        found[:, rows] = _at(_rolled(models, body, states[rows], count, own), step, times[rows])
     return found
 
 
 def _rolled(
-    models: Sequence[mujoco.MjModel], body: FreeBody, states: FloatArray, steps: int
+    models: Sequence[mujoco.MjModel],
+    body: FreeBody,
+    states: FloatArray,
+    steps: int,
+    pushes: Sequence[Pushed | None] | None,
 ) -> FloatArray:
     """(m, t, steps + 1, 7) poses at every step."""
     first = _full_states(models[0], body, states)
     rows = len(models) * len(states)
     each = [model for model in models for _ in range(len(states))]
     workers = [mujoco.MjData(models[0]) for _ in range(usable_cores())]
-    path, _ = rollout.rollout(
-        each, workers, np.tile(first, (len(models), 1)), nstep=steps, persistent_pool=True
-    )
-    start = 1 + body.qpos
+    start = np.tile(first, (len(models), 1))
+    if pushes is None or all(one is None for one in pushes):
+        path, _ = rollout.rollout(each, workers, start, nstep=steps, persistent_pool=True)
+    else:
+        applied = np.tile(_applied(models[0], body, steps, pushes), (len(models), 1, 1))
+        path, _ = rollout.rollout(
+            each, workers, start, applied, persistent_pool=True,
+            control_spec=int(mujoco.mjtState.mjSTATE_XFRC_APPLIED),
+        )  # fmt: skip
+    at = 1 + body.qpos
     poses = np.empty((rows, steps + 1, 7))
     poses[:, 0] = np.tile(states[:, :7], (len(models), 1))
-    poses[:, 1:] = path[:, :, start : start + 7]
+    poses[:, 1:] = path[:, :, at : at + 7]
     # The engine starts a diverged row anew at its reference: from there it is no prediction.
     back = np.flatnonzero((np.diff(path[:, :, 0], axis=1) <= 0.0).any(axis=1))
     for row in back:
         lost = int(np.argmax(np.diff(path[row, :, 0]) <= 0.0))
         poses[row, lost + 1 :] = np.nan
     return poses.reshape(len(models), len(states), steps + 1, 7)
+
+
+def _applied(
+    model: mujoco.MjModel, body: FreeBody, steps: int, pushes: Sequence[Pushed | None]
+) -> FloatArray:
+    """(t, steps, 6 nbody) ``xfrc_applied`` of each step: the wrench in its middle."""
+    found = np.zeros((len(pushes), steps, 6 * model.nbody))
+    middle = float(model.opt.timestep) * (np.arange(steps) + 0.5)
+    for row, push in enumerate(pushes):
+        if push is not None:
+            for axis in range(6):
+                values = np.interp(middle, push[0], push[1][:, axis])
+                found[row, :, 6 * body.body + axis] = values
+    return found
 
 
 def _full_states(model: mujoco.MjModel, body: FreeBody, states: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from budget_files import (
     declared,
     fit_record,
     make_twin,
+    record_motion,
     with_pose,
     zeros_record,
 )
@@ -161,8 +162,8 @@ def test_what_the_model_lacks_is_named(tmp_path: Path) -> None:
     record["records"]["hand_eye"]["parent"] = "upper"
     found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
     assert any("not fixed to the link of 'tool'" in t for t in found["lines"][0]["left_out"])
-    names = ["elbow.backlash", "robot.gear_efficiency"]
-    twin = make_twin(tmp_path, fits=[fit_record(names, [1e-3, 1e-3], ["rad", "1"])])
+    names = ["elbow.joint_spring", "robot.gear_efficiency"]
+    twin = make_twin(tmp_path, fits=[fit_record(names, [1e-3, 1e-3], ["N*m/rad", "1"])])
     found = budget_of_file(str(twin))
     (line,) = found["lines"]
     assert line["linear"] is None
@@ -210,3 +211,55 @@ def test_contacts_and_sensors_stand_in_their_categories_and_move_nothing(tmp_pat
     assert states["timing"]["state"] in ("measured", "counted_elsewhere")
     assert states["timing"]["lines"] + states["sensing"]["lines"] == ["wrist"]
     assert found["total"]["linear"] is None
+
+
+_HELD = 9.81 * 1.0 * 0.1
+"""Effort that holds the forearm out, N*m: 1 kg at 0.1 m."""
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "deviation", "moved"),
+    [
+        ("elbow.backlash", "rad", 0.002, 0.5 * 0.002),
+        ("elbow.joint_elasticity", "N*m/rad", 0.001, _HELD / 0.5**2 * 0.001),
+        ("elbow.joint_elasticity", "rad/(N*m)", 0.001, _HELD * 0.001),
+        ("elbow.controller_gain", "1", 0.02, _HELD / (100.0 * 1.5**2) * 0.02),
+        ("elbow.controller_gain.stiffness_error", "1", 0.02, _HELD / (100.0 * 1.5**2) * 0.02),
+    ],
+)
+def test_gears_and_gains_give_way_to_the_weight_of_the_links(
+    tmp_path: Path, name: str, unit: str, deviation: float, moved: float
+) -> None:
+    """Closed forms of a forearm that is held out level; the record's value is 0.5."""
+    arm = ARM.replace('axis="0 0 1"', 'axis="0 1 0"').replace(
+        '<motor name="m2" joint="elbow"/>', '<position name="m2" joint="elbow" kp="100"/>'
+    )
+    record = fit_record([name], [deviation], [unit])
+    record["fit"] = {}
+    twin = make_twin(tmp_path, fits=[record], budget=declared([{"elbow": 0.0}]), arm=arm)
+    (line,) = budget_of_file(str(twin))["lines"]
+    assert line["linear"]["position"] == pytest.approx(moved * FORE, rel=1e-6)
+    assert line["sampled"]["position"] == pytest.approx(moved * FORE, rel=0.02)
+    assert "gears and gains" in line["method"]
+
+
+def test_a_gain_of_a_joint_without_a_servo_moves_nothing_and_says_so(tmp_path: Path) -> None:
+    record = fit_record(["elbow.controller_gain"], [0.02], ["1"])
+    found = budget_of_file(str(make_twin(tmp_path, fits=[record], budget=declared())))
+    (line,) = found["lines"]
+    assert line["linear"] is None
+    assert any("no position servo drives this joint" in words for words in line["left_out"])
+
+
+def test_a_gear_gives_way_to_the_effort_along_a_motion(tmp_path: Path) -> None:
+    """Constant effort on a free joint: the deflection is that effort over the stiffness squared."""
+    effort, deviation = 0.02, 0.001
+    names = ["elbow.joint_elasticity", "elbow.armature"]
+    record = fit_record(names, [deviation, 0.0], ["N*m/rad", "kg*m^2"])
+    record["fit"] = {}
+    budget = "budget:\n  frame: tool\n  recordings: [motion.mcap]\n"
+    twin = make_twin(tmp_path, fits=[record], budget=budget)
+    record_motion(tmp_path / "motion.mcap", np.zeros((51, 2)), np.tile([0.0, effort], (51, 1)))
+    (line,) = budget_of_file(str(twin))["lines"]
+    expected = effort / 0.5**2 * deviation * FORE
+    assert line["linear"]["position"] == pytest.approx(expected, rel=0.02)

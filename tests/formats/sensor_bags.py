@@ -21,11 +21,11 @@ def _made(name: str, *values: Any) -> Any:
     return STORE.types[name](*values)
 
 
-def message(kind: str, stamp: int, values: Sequence[float]) -> Any:
+def message(kind: str, stamp: int, values: Sequence[float], frame: str = "sensor") -> Any:
     """Pose x y z qx qy qz qw; wrench of 6; angular velocity and acceleration of an IMU."""
     numbers = [float(value) for value in values]
     time = _made("builtin_interfaces/msg/Time", *divmod(stamp, 1_000_000_000))
-    header = _made("std_msgs/msg/Header", time, "sensor")
+    header = _made("std_msgs/msg/Header", time, frame)
 
     def vector(three: Sequence[float]) -> Any:
         return _made("geometry_msgs/msg/Vector3", *three)
@@ -54,6 +54,7 @@ def write(
     topics: Mapping[str, tuple[str, Sequence[int], np.ndarray]],
     encoding: str = "cdr",
     metadata: Mapping[str, str] | None = None,
+    frame: str = "sensor",
 ) -> Path:
     """An MCAP file. Topic -> message type, stamps in ns, (n, k) values."""
     with path.open("wb") as stream:
@@ -63,7 +64,7 @@ def write(
             schema = writer.register_schema(kind, "ros2msg", b"")
             channel = writer.register_channel(topic, encoding, schema)
             for stamp, row in zip(stamps, rows, strict=True):
-                made = message(kind, int(stamp), row)
+                made = message(kind, int(stamp), row, frame)
                 data = (
                     bytes(STORE.serialize_cdr(made, kind))
                     if encoding == "cdr"

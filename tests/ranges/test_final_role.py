@@ -21,6 +21,7 @@ from pytest_twin.golden import Golden
 from pytest_twin.identification.contact.roles import read_by_role as tosses_by_role
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.realization import load
+from pytest_twin.realization.free_body import FreeBody
 from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import DEFAULT_TOPICS, load_twin
@@ -108,5 +109,6 @@ def test_a_contact_identification_refuses_them(tmp_path: Path) -> None:
         tmp_path / "toss.mcap", {"/object": (sensor_bags.POSE, stamps, poses)},
         metadata={"role": "final"},
     )  # fmt: skip
+    cube = FreeBody("cube", 1, 0, 0, (1,), (0,))
     with pytest.raises(RecordingError, match="it is not used for an identification"):
-        tosses_by_role([toss], [], np.array([0.0, 0.0, -9.81]))
+        tosses_by_role([toss], [], np.array([0.0, 0.0, -9.81]), cube, np.zeros(3))

@@ -13,18 +13,21 @@ from pytest_twin.identification.contact.fit import ContactFit
 from pytest_twin.identification.contact.loss import TossErrors, losses
 from pytest_twin.identification.contact.parameters import (
     DAMPING,
+    FRICTION,
     ROLLING,
     STIFFNESS,
     TORSIONAL,
     UNITS,
     geom_patch,
 )
+from pytest_twin.identification.contact.restitution import restitution_of
 from pytest_twin.identification.contact.roles import TossSet
 from pytest_twin.identification.records import verdict_of
 from pytest_twin.identification.stages import HeldOut, Stage, judged
 from pytest_twin.realization import Realization
 
 _MOTION = {
+    FRICTION: "push the object along the surface so that it slides, with a measured force; or toss",
     TORSIONAL: "spin the object about the normal while one face or one point lies on the surface",
     ROLLING: "let the object roll on the surface until it stops",
     STIFFNESS: "press the object onto the surface with two known forces and measure how far it "
@@ -93,6 +96,7 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
             },
             "held": {f"{body}.{one.fixed}": one.value for one in fit.untold},
             "from": "whole tosses" if fit.refined else f"{_samples()}-sample stretches",
+            "restitution": restitution_of(fit),
             "solver": solver_of(model),
             "spread": [
                 {

@@ -32,6 +32,7 @@ from pytest_twin.identification.contact.uncertainty import (
     Told,
     as_good,
     by_toss,
+    few,
     surface,
     told,
 )
@@ -40,6 +41,8 @@ SAMPLES = 12
 """Samples of a stretch around a contact: at 148 Hz 75 ms, one impact and what follows of it."""
 _STRETCHES = 240
 """Stretches that the search uses; more take longer and narrow no interval by much."""
+_MOST_SPARE = 3.0
+"""Few stretches cost less: the best minimum is searched on for up to so many times as long."""
 _WHOLE = 60
 """Whole tosses that the second search uses."""
 _GENERATIONS = {"stretches": 15, "whole": 8, "variant": 6}
@@ -204,7 +207,16 @@ def _minima(
     means = by_toss(loss(minima), groups)
     order = np.argsort(means.mean(axis=1))
     best = int(order[0])
-    return minima[best], [minima[at] for at in order[1:] if as_good(means[best], means[at])]
+    others = [minima[at] for at in order[1:]]
+    spare = min(_STRETCHES / len(loss.stretches) - 1.0, _MOST_SPARE)
+    more = round(_GENERATIONS["stretches"] * spare)
+    polished = minima[best] if more < 1 else minimized(loss, minima[best], 0.08, more, 7)
+    kept = _mean(loss, polished, groups)
+    return polished, [at for at in others if as_good(kept, _mean(loss, at, groups))]
+
+
+def _mean(loss: Loss, place: FloatArray, groups: Sequence[int]) -> FloatArray:
+    return np.asarray(by_toss(loss([place]), groups)[0])
 
 
 def _with_spinning(
@@ -224,7 +236,8 @@ def _with_spinning(
     for row, (name, value) in enumerate(tried, 1):
         gain = means[0] - means[row]
         # Six are tried: three standard errors are 98 % for all together.
-        if np.mean(gain) > 3.0 * np.std(gain, ddof=1) / np.sqrt(len(gain)):
+        beyond = 3.0 * few(len(gain), 3.0) * np.std(gain, ddof=0) / np.sqrt(len(gain))
+        if np.mean(gain) > beyond:
             chosen.setdefault(name, value)
     added = tuple(Parameter(name, 1e-5 * size, size, value) for name, value in chosen.items())
     return replace(contact, parameters=(*contact.parameters, *added)), tuple(chosen)
@@ -235,9 +248,11 @@ def _fixed(
 ) -> tuple[int, Untold]:
     """The parameter that represents an undetermined combination, fixed at its value."""
     direction = known.untold[-1]
-    # Friction is never the one: it is what tosses tell best.
+    # Of parameters that share it friction is not the one: it is what most contacts tell best. A
+    # press tells nothing of it, and then it alone is the direction.
     order = np.argsort(-np.abs(direction))
-    at = next(k for k in order if contact.names[free[k]] != FRICTION)
+    shared = [k for k in order if abs(direction[k]) > 0.5 * abs(direction[order[0]])]
+    at = next((k for k in shared if contact.names[free[k]] != FRICTION), order[0])
     loadings = {contact.names[free[k]]: float(direction[k]) for k in range(len(free))}
     gone = free[at]
     value = contact.parameters[gone].value(float(centre[gone]))

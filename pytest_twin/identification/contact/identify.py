@@ -28,12 +28,14 @@ class TossOptions:
         rate: samples per s; None to find it out.
         body: that was tossed, where the model has several free bodies.
         topic: of the poses in a bag.
+        wrench: topic of what pushed the object, in a bag.
     """
 
     length: float | None = None
     rate: float | None = None
     body: str | None = None
     topic: str | None = None
+    wrench: str | None = None
 
 
 def are_tosses(recordings: Sequence[Path], options: TossOptions) -> bool:
@@ -67,8 +69,9 @@ def identify_contact(
     body = free_body(realization, options.body)
     gravity = np.array(realization.model.opt.gravity)
     tosses = read_by_role(
-        recordings, held_out, gravity, options.topic, options.length, options.rate
-    )
+        recordings, held_out, gravity, body, np.array(realization.model.body_ipos[body.body]),
+        options.topic, options.length, options.rate, options.wrench,
+    )  # fmt: skip
     fit = fit_contact(contact_model(realization, body), tosses.fit, tosses.held_out, progress)
     document = contact_document(fit, tosses, realization)
     unnamed = sum(not realization.model.geom(g).name for g in body.geoms)

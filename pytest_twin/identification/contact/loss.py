@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.identification.contact.pushes import Push
 from pytest_twin.identification.contact.tosses import Toss
 from pytest_twin.metrics.pose_track import position_errors, rotation_errors
 from pytest_twin.realization.free_body import FreeBody, poses_of
@@ -25,11 +26,13 @@ class Stretch:
         state: (13,) pose and velocity to start from.
         time: (n,) s, from 0 on.
         poses: (n, 7) measured.
+        push: what pushes the object, its times from the first sample on.
     """
 
     state: FloatArray
     time: FloatArray
     poses: FloatArray
+    push: Push | None = None
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class TossErrors:
 
 def whole(toss: Toss) -> Stretch:
     """A toss from its first sample to its last."""
-    return Stretch(toss.state(0), toss.time, toss.poses)
+    return Stretch(toss.state(0), toss.time, toss.poses, toss.push)
 
 
 def around_contacts(
@@ -55,7 +58,8 @@ def around_contacts(
 ) -> list[list[Stretch]]:
     """For each toss, short stretches that hold a contact and begin while the object moves.
 
-    A contact is where the acceleration differs from gravity by half of it.
+    A contact is where the acceleration differs from gravity by half of it. Where something pushes
+    the object, it need not move: that it stays where it is bounds the friction from below.
 
     Args:
         gravity: (3,) m/s^2.
@@ -71,9 +75,13 @@ def around_contacts(
             piece = slice(row, row + samples)
             seconds = toss.time[piece][-1] - toss.time[row]
             speed = np.linalg.norm(toss.twist[row, :3]) + size * np.linalg.norm(toss.twist[row, 3:])
-            if pushed[row : row + samples - 1].any() and speed * seconds > 0.1 * size:
-                time = toss.time[piece] - toss.time[row]
-                rows.append(Stretch(toss.state(row), time, toss.poses[piece]))
+            start = float(toss.time[row])
+            acts = toss.push is not None and toss.push.acts(start, start + float(seconds))
+            moves = speed * seconds > 0.1 * size
+            if acts or (pushed[row : row + samples - 1].any() and moves):
+                push = None if toss.push is None else toss.push.after(start)
+                time = toss.time[piece] - start
+                rows.append(Stretch(toss.state(row), time, toss.poses[piece], push))
         found.append(rows)
     return found
 
@@ -91,7 +99,8 @@ def errors_of(
         measured[row, : len(one.time)] = one.poses
     asked = np.isfinite(times)
     found = []
-    for poses in poses_of(models, body, states, times):
+    pushes = [None if one.push is None else (one.push.time, one.push.values) for one in stretches]
+    for poses in poses_of(models, body, states, times, pushes):
         apart = np.where(np.isnan(poses[..., 0]), _LOST, position_errors(poses, measured))
         turned = np.where(np.isnan(poses[..., 3]), np.pi, rotation_errors(poses, measured))
         found.append(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
+from pytest_twin.formats.pose_track import PoseTrack
 from pytest_twin.formats.pose_tracks import read_pose_tracks
+from pytest_twin.identification.contact.pushes import push_of
 from pytest_twin.identification.contact.tosses import Toss, Units, in_model_units
+from pytest_twin.realization.free_body import FreeBody
 from pytest_twin.trial.roles import refuse_final
 
 _ONE_HELD_OUT_OF = 4
@@ -35,9 +38,12 @@ def read_by_role(
     recordings: Sequence[Path],
     held_out: Sequence[Path],
     gravity: FloatArray,
+    body: FreeBody,
+    centre: FloatArray,
     topic: str | None = None,
     length: float | None = None,
     rate: float | None = None,
+    wrench: str | None = None,
 ) -> TossSet:
     """Read tosses and decide the role of each.
 
@@ -47,23 +53,28 @@ def read_by_role(
     Args:
         recordings, held_out: ``.npz`` archives and bags.
         gravity: (3,) of the model, m/s^2.
+        body: the object.
+        centre: (3,) its centre of mass in its own axes, m.
         topic: of the poses in a bag.
         length: m for one unit of length, where it is known.
         rate: Hz, where it is known.
+        wrench: topic of what pushed the object, in a bag.
 
     Raises:
         TwinError: a recording that cannot be read, or no toss to fit.
     """
     aside = {path.resolve() for path in held_out}
     paths = [path for path in dict.fromkeys(recordings) if path.resolve() not in aside]
-    fitting = [one for path in paths for one in read_pose_tracks(path, topic)]
+    fitting = [one for path in paths for one in read_pose_tracks(path, topic, wrench)]
     if not fitting:
         raise RecordingError(
             "no recording remains to fit",
             path=held_out[0] if held_out else None,
             expected="at least one RECORDING that is not under --held-out",
         )
-    testing = [one for path in dict.fromkeys(held_out) for one in read_pose_tracks(path, topic)]
+    testing = [
+        one for path in dict.fromkeys(held_out) for one in read_pose_tracks(path, topic, wrench)
+    ]
     for one in (*fitting, *testing):
         refuse_final(dict(one.metadata), one.path, "an identification")
     notes: list[str] = []
@@ -89,4 +100,24 @@ def read_by_role(
     if testing:
         known = units.length, None if units.period is None else 1.0 / units.period
         tested, _ = in_model_units(testing, gravity, *known, lag=units.lag)
-    return TossSet(tuple(fit), tuple(tested), units, (*notes, *units.notes))
+    return TossSet(
+        tuple(_pushed(fit, fitting, body, centre)),
+        tuple(_pushed(tested, testing, body, centre)),
+        units,
+        (*notes, *units.notes),
+    )
+
+
+def _pushed(
+    tosses: Sequence[Toss], tracks: Sequence[PoseTrack], body: FreeBody, centre: FloatArray
+) -> list[Toss]:
+    """Tosses with what pushed the object."""
+    return [
+        toss
+        if track.wrench is None
+        else replace(
+            toss,
+            push=push_of(track.wrench, body, centre, toss.time, toss.poses, toss.path),
+        )
+        for toss, track in zip(tosses, tracks, strict=True)
+    ]

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.pose_track import PoseTrack
+from pytest_twin.identification.contact.pushes import Push
 
 _LEADING = 10
 """Samples at the start of a toss over which its fall is taken."""
@@ -32,6 +33,7 @@ class Toss:
         poses: (n, 7) x y z (m) and quaternion w x y z.
         twist: (n, 6) velocity in the world (m/s) and in the object's axes (rad/s), at each sample.
         role: ``fit`` or ``held_out`` where the recording says it.
+        push: what pushed the object, beside gravity and contact.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Toss:
     poses: FloatArray
     twist: FloatArray
     role: str | None = None
+    push: Push | None = None
 
     def state(self, row: int) -> FloatArray:
         """(13,) pose and velocity at a sample."""

@@ -13,15 +13,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
+from scipy.stats import norm, qmc
+from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.contact.search import Loss
 
 REACH = 0.1
 """Half width of the region of the quadratic, on the parameters' scales. Within 0.05 the jumps of
 the error outweigh its curvature, beyond 0.2 it is no quadratic."""
-_MOST_STEP = 2.0 * REACH
+_NARROW = (0.5 * REACH, 0.25 * REACH)
+"""Regions that are tried where the error is too sharp for a quadratic over the wider one."""
+_SHARP = 1.02
 _ENDLESS = 0.1
 """Share of drawings without a minimum from which on a direction is not told."""
 DRAWS = 400
@@ -40,10 +44,12 @@ class Surface:
     Attributes:
         centre: (p,) where steps count from.
         coefficients: (c, t) of each toss: constant, p linear, p (p + 1) / 2 quadratic.
+        reach: half width of the region, on the scales.
     """
 
     centre: FloatArray
     coefficients: FloatArray
+    reach: float = REACH
 
     def parts(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gradient (p,) and Hessian (p, p) of the weighted mean error at the centre."""
@@ -58,28 +64,41 @@ class Surface:
         gradient, hessian = self.parts(weights)
         values, vectors = np.linalg.eigh(hessian)
         along = vectors.T @ gradient
+        most = 2.0 * self.reach
         with np.errstate(divide="ignore", invalid="ignore"):
-            inner = np.where(values > 0.0, -along / values, -np.sign(along) * _MOST_STEP)
-        return np.asarray(vectors @ np.clip(inner, -_MOST_STEP, _MOST_STEP))
+            inner = np.where(values > 0.0, -along / values, -np.sign(along) * most)
+        return np.asarray(vectors @ np.clip(inner, -most, most))
 
 
 def surface(loss: Loss, centre: FloatArray, groups: Sequence[int]) -> Surface:
-    """Fit the quadratics around a place.
+    """Fit the quadratics around a place, over a region in which they lead to no larger error.
 
     Args:
         loss: of stretches.
         centre: (p,) on the scales.
         groups: (s,) toss of each stretch.
     """
+    found = _surface(loss, centre, groups, REACH)
+    for reach in _NARROW:
+        everything = np.ones(found.coefficients.shape[1])
+        there = np.clip(centre + found.step(everything), 0.0, 1.0)
+        here, moved = by_toss(loss([centre, there]), groups).mean(axis=1)
+        if moved <= _SHARP * here:
+            break
+        found = _surface(loss, centre, groups, reach)
+    return found
+
+
+def _surface(loss: Loss, centre: FloatArray, groups: Sequence[int], reach: float) -> Surface:
     count = len(centre)
     terms = 1 + count + count * (count + 1) // 2
     power = int(np.ceil(np.log2(_SPARE * terms)))
     drawn = qmc.Sobol(count, seed=2).random_base2(power)
-    places = np.clip(centre + REACH * (2.0 * drawn - 1.0), 0.0, 1.0)
+    places = np.clip(centre + reach * (2.0 * drawn - 1.0), 0.0, 1.0)
     found = loss(list(places))
     matrix = _features(places - centre)
     coefficients = np.linalg.lstsq(matrix, by_toss(found, groups), rcond=None)[0]
-    return Surface(centre, np.asarray(coefficients, dtype=np.float64))
+    return Surface(centre, np.asarray(coefficients, dtype=np.float64), reach)
 
 
 def _features(steps: FloatArray) -> FloatArray:
@@ -115,21 +134,35 @@ def told(
         seed: of the drawings.
     """
     kept = np.array(free, dtype=int)
-    part = Surface(found.centre[kept], _only(found, kept))
+    part = Surface(found.centre[kept], _only(found, kept), found.reach)
     tosses = found.coefficients.shape[1]
     rng = np.random.default_rng(seed)
     weights = rng.multinomial(tosses, np.full(tosses, 1.0 / tosses), size=DRAWS)
     steps = np.array([part.step(row.astype(float)) for row in weights])
     centre = np.clip(part.centre + part.step(np.ones(tosses)), 0.0, 1.0)
-    covariance = np.atleast_2d(np.cov(steps, rowvar=False))
+    covariance = few(tosses) ** 2 * np.atleast_2d(np.cov(steps, rowvar=False))
     for rival in rivals:
         apart = rival[kept] - centre
         covariance = covariance + np.outer(apart, apart) / len(rivals)
     values, vectors = np.linalg.eigh(covariance)
     # A step that ends at the region's end found no minimum.
-    endless = np.mean(np.abs(steps @ vectors) > 0.95 * _MOST_STEP, axis=0) > _ENDLESS
+    endless = np.mean(np.abs(steps @ vectors) > 1.9 * found.reach, axis=0) > _ENDLESS
     untold = [vectors[:, at] for at in range(len(values)) if values[at] > UNTOLD**2 or endless[at]]
     return Told(centre, covariance, tuple(untold))
+
+
+def few(tosses: int, deviations: float = Z95) -> float:
+    """Factor by which so few tosses widen an interval.
+
+    Drawings of n tosses vary by a share of ``(n - 1) / n`` of what tosses do, and the spread of
+    few is itself uncertain: Student's quantile over the normal one of the same probability.
+
+    Args:
+        tosses: how many, at least two.
+        deviations: half width of the interval for many tosses, in standard deviations.
+    """
+    wide = float(student.ppf(norm.cdf(deviations), tosses - 1)) / deviations
+    return wide * float(np.sqrt(tosses / (tosses - 1)))
 
 
 def as_good(one: FloatArray, other: FloatArray) -> bool:
