@@ -17,6 +17,12 @@ from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import read_recording
 
 
+@pytest.fixture(autouse=True)
+def short_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two thirds of the benchmark's: the same motion and forms, in two thirds of the time."""
+    monkeypatch.setattr(forms, "SECONDS", 4.0)
+
+
 @pytest.mark.parametrize("form", [forms.WheelOffItsAxis, forms.Smoothed, forms.HeavyLink])
 def test_another_form_of_a_law_gets_its_name(form: type[forms.Form], tmp_path: Path) -> None:
     right, line = forms.diagnosed(tmp_path / "case", form)

@@ -25,7 +25,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.gate.diagnosis_folder import write_diagnosis
 
-STEP, SECONDS, NOISE = 0.002, 4.0, 2e-5
+STEP, SECONDS, NOISE = 0.002, 2.5, 2e-5
 BACKLASH, DAMPING = Term("backlash", 1), Term("viscous_friction", 1)
 HIDDEN = 0.8
 """N*m*s/rad that the elbow has more than its model."""
