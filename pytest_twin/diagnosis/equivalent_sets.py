@@ -19,6 +19,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.effort_stamps import within_a_step
+from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
 from pytest_twin.diagnosis.evidence import NOISE_FLOORS, log_likelihood, tempered_samples
 from pytest_twin.diagnosis.first_order.beam_search import (
     CandidateSensitivities,
@@ -52,25 +53,8 @@ from pytest_twin.diagnosis.set_evidence import (
     set_price,
 )
 
-MOST_SIMULATIONS = 60.0
-"""Simulations of all recordings that the comparison may take; what it saves is not needed again."""
-# Terms in a subset that is taken out, and subsets at most: singles, whole joints, pairs, triples.
-_LARGEST, _MOST_SUBSETS = 3, 24
-# Beam search: single effects, children of each larger set, and sets that are grown.
-_SINGLE, _KEPT, _GROWN = 60, 6, 3
-# Sets of one, two and three effects for each subset, and of all, that are fitted along the motion;
-# starts of one set at most.
-_OF_SIZE, _POLISHED, _STARTED = (4, 2, 2), 24, 2
-# Sets that are simulated before they are fitted, of these with the parameters of the effects that
-# they replace and with fewer effects; sets that remain for each step of the fit; evidence behind
-# the final set beyond which none remains after one step.
-_SIMULATED, _ALIKE, _FEWER, _IN_FRONT, _FAR_BEHIND = 12, 4, 3, (6, 4, 3), 400.0
+# Dampings of Levenberg and Marquardt, shares of each parameter's own curvature.
 _DAMPINGS = (1e-4, 1e-1)
-# Share of the evidence that a set gains over the worst one from which a smaller set in it explains
-# nearly as much.
-_MOST_OF_IT = 0.9
-_AHEAD = 0.5
-"""Evidence by which another set must be ahead to take the place of the final one."""
 
 Allowed = Callable[[Hypothesis], bool]
 """Whether a set is physically possible and lies where the recordings show it."""
@@ -163,7 +147,7 @@ def subsets(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
     effects at several joints, then pairs and triples that share a joint or the whole robot.
     """
     out: dict[tuple[Term, ...], None] = dict.fromkeys((t,) for t in terms)
-    if len(terms) <= _LARGEST + 1:
+    if len(terms) <= EQUIVALENT.largest + 1:
         out[tuple(terms)] = None
     joints = {t.joint for t in terms if t.joint >= 0}
     crowds = [tuple(t for t in terms if t.joint in (j, -1)) for j in sorted(joints)]
@@ -172,10 +156,10 @@ def subsets(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
         for effect in sorted({t.effect for t in terms})
     ]
     out.update(dict.fromkeys(c for c in (*crowds, *alike) if c))
-    for size in range(2, _LARGEST + 1):
+    for size in range(2, EQUIVALENT.largest + 1):
         for crowd in crowds:
             out.update(dict.fromkeys(itertools.combinations(crowd, size)))
-    return list(out)[:_MOST_SUBSETS]
+    return list(out)[: EQUIVALENT.most_subsets]
 
 
 def _near(
@@ -197,7 +181,7 @@ def _near(
         rest = own.without(*gone)
         slope = view.jacobian[:, :, own.parameters_without(*gone)]
         lens = NormalEquations(ResidualView(left, slope, view.floor, view.lengths), answers)
-        sets = _beam(lens, own.terms, _LARGEST if len(gone) == 1 else len(gone))
+        sets = _beam(lens, own.terms, EQUIVALENT.largest if len(gone) == 1 else len(gone))
         fits = [LinearizedFit(rest.with_terms(s.starts), s.residual) for s in sets]
         evidence = _along(comparison, view, own, fits)
         for i in _chosen(gone, sets, evidence):
@@ -207,7 +191,9 @@ def _near(
             found += [(float(evidence[i]), c) for c in same]
             alike += [c for c in same if len(c.terms) <= len(own.terms)]
         found.append((np.inf if len(gone) == 1 else -np.inf, rest))
-    starts = _without_additions(found, own.terms, _STARTED)[:_POLISHED]
+    starts = _without_additions(found, own.terms, EQUIVALENT.starts)[
+        : EQUIVALENT.fitted_along_motion
+    ]
     fitted = fit_linearized(linear, view, starts, NEARBY)
     values = _along(comparison, view, own, fitted).tolist()
     ranked = [
@@ -217,8 +203,12 @@ def _near(
     # far apart along the motion: they are simulated with the parameters of what they replace.
     likeliest = _without_additions(ranked, own.terms, 1)
     fewer = [h for h in likeliest if len(h.terms) < len(own.terms)]
-    out = [*(h for h in alike[:_ALIKE] if allowed(h)), *fewer[:_FEWER], *likeliest]
-    return list({(h.terms, h.theta.tobytes()): h for h in out}.values())[:_SIMULATED]
+    out = [
+        *(h for h in alike[: EQUIVALENT.with_same_parameters] if allowed(h)),
+        *fewer[: EQUIVALENT.with_fewer_effects],
+        *likeliest,
+    ]
+    return list({(h.terms, h.theta.tobytes()): h for h in out}.values())[: EQUIVALENT.simulated]
 
 
 def _beam(lens: NormalEquations, barred: Sequence[Term], largest: int) -> list[Structure]:
@@ -228,13 +218,15 @@ def _beam(lens: NormalEquations, barred: Sequence[Term], largest: int) -> list[S
         chosen = {
             frozenset(c): c
             for s in level
-            for c in lens.children(s, _KEPT if s.chosen else _SINGLE, [*barred, *s.starts])
+            for c in lens.children(
+                s, EQUIVALENT.children if s.chosen else EQUIVALENT.single, [*barred, *s.starts]
+            )
         }
         if not chosen:
             break
         ranked = lens.compared(level[0], [lens.structure(c) for c in chosen.values()])
         out += ranked
-        level = ranked[:_GROWN]
+        level = ranked[: EQUIVALENT.grown]
     return out
 
 
@@ -245,7 +237,7 @@ def _chosen(gone: Sequence[Term], sets: Sequence[Structure], evidence: FloatArra
     """
     out = dict[int, None]()
     order = [int(i) for i in np.argsort(-evidence)]
-    for size, count in enumerate(_OF_SIZE, start=1):
+    for size, count in enumerate(EQUIVALENT.of_size, start=1):
         out.update(dict.fromkeys([i for i in order if len(sets[i].chosen) == size][:count]))
     confused = {e for t in gone for e in t.law.confused_with}
     for i in order:
@@ -297,7 +289,7 @@ def _without_additions(
         return np.isfinite(evidence) and any(
             set(terms) < set(h.terms)
             and not set(h.terms) - set(terms) <= set(final)
-            and e - lost >= _MOST_OF_IT * (evidence - lost)
+            and e - lost >= EQUIVALENT.nearly_all * (evidence - lost)
             for terms, e in known.items()
             if e > lost
         )
@@ -366,8 +358,8 @@ def _simulated(
     if not current:
         return []
     residual = problem.residuals(current, problem.fit)
-    for step, most in enumerate(_IN_FRONT):
-        behind = _FAR_BEHIND if step else np.inf
+    for step, most in enumerate(EQUIVALENT.kept_by_step):
+        behind = EQUIVALENT.far_behind if step else np.inf
         current, residual = _front(comparison, best, current, residual, most, behind)
         slopes = linearized_slopes(linear, current)
         tried = [
@@ -377,7 +369,7 @@ def _simulated(
             for h, r, slope in zip(current, residual, slopes, strict=True)
             for damping in _DAMPINGS
         ]
-        if count.spent + len(tried) * count.fitted > MOST_SIMULATIONS:
+        if count.spent + len(tried) * count.fitted > EQUIVALENT.most_simulations:
             break
         found = problem.residuals(tried, problem.fit)
         for i in range(len(current)):
@@ -435,7 +427,7 @@ def _compared(
     elif rivals:
         values[0] = -np.inf
     top = int(np.argmax(values))
-    if possible and values[top] <= _AHEAD:
+    if possible and values[top] <= EQUIVALENT.ahead:
         top = 0
     top = _as_likely_in_mjcf(everyone, values, top)
     first = {frozenset(everyone[i].hypothesis.terms): i for i in np.argsort(values, kind="stable")}
@@ -488,7 +480,7 @@ def _as_likely_in_mjcf(rivals: Sequence[ScoredModel], values: FloatArray, top: i
     alike = [
         i
         for i, r in enumerate(rivals)
-        if len(r.hypothesis.terms) == size and values[i] >= values[top] - _AHEAD
+        if len(r.hypothesis.terms) == size and values[i] >= values[top] - EQUIVALENT.ahead
     ]
     return min(alike, key=lambda i: (inexpressible(i), i != top))
 

@@ -13,7 +13,7 @@ Likelihood = Callable[[FloatArray, FloatArray, FloatArray], float]
 """Of a residual (samples, signals), its floor and effective samples (signals,)."""
 NOISE_FLOORS = 1.5
 """Residuals of up to this many floors are taken for noise alone: the floor is an estimate, and a
-signal below this level contains no identifiable effect (``verdict.STANDS_OUT``)."""
+signal below this level contains no identifiable effect (``VERDICT.stands_out``)."""
 _OF_NOISE = math.sqrt(2.0 / math.pi)
 """Mean absolute deviation of Gaussian noise, in standard deviations."""
 

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, parameter_spread
 from pytest_twin.diagnosis.locate import Where, motions, place_of
@@ -23,27 +24,6 @@ from pytest_twin.diagnosis.small_corrections import small_corrections
 from pytest_twin.diagnosis.verdict import UNSEEN
 from pytest_twin.effects.base import Parameter
 from pytest_twin.trial import Trial
-
-# Largest confidence without held-out recordings.
-_UNTESTED = 0.8
-# Alternatives that are listed: least confidence; floors up to which a prediction is the same and
-# listed with any confidence; how many.
-_LEAST_LISTED, _SAME, _MOST_LISTED = 1e-4, 1.5, 4
-# Correlation of two parameters from which only a combination of them is reported as known.
-_CORRELATED = 0.9
-# Largest confidence with a parameter at its physical bound, or a joint whose encoder is stuck.
-_DOUBTED = 0.5
-# Share of the squared held-out error by which it may grow by chance.
-_CHANCE = 0.01
-# s after the start of a window under effort commands in which a finding's effect is measured: later
-# the open-loop error of any change dominates.
-_SOON = 0.25
-# A finding changes whole motions if it moves them this many times as far as their residual; two
-# motions that have diverged differ from each other as much as from a third.
-_TOLD = 2.0
-# Where the interval of a reciprocal reaches zero, its inverse is unbounded. The reported end
-# is then this many times the known one.
-_OPEN = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,13 +152,13 @@ def explain(
             # The selected model itself could not be compared: no support.
             confidence = 0.0
         if term.joint >= 0 and problem.floor[term.joint] >= UNSEEN:
-            confidence = min(confidence, _DOUBTED)
+            confidence = min(confidence, FINDINGS.most_in_doubt)
             pruned.notes.append(
                 f"{label(problem, term)}: the encoder of this joint gives no information. The "
                 "effect was identified from the other joints only; confidence is at most 50 %"
             )
         if hypothesis.at_bound(term) or problem.out_of_shape(hypothesis, term):
-            confidence = min(confidence, _DOUBTED)
+            confidence = min(confidence, FINDINGS.most_in_doubt)
             pruned.notes.append(
                 f"{label(problem, term)}: a parameter is at its physical bound. Another effect may "
                 "be the cause; confidence is at most 50 %"
@@ -193,7 +173,7 @@ def explain(
                 held_out_gain=gain,
                 stands=height,
                 alternatives=tuple(_alternative(problem, a) for a in others if _worth_listing(a))[
-                    :_MOST_LISTED
+                    : FINDINGS.most_alternatives
                 ],
                 next_test=_next_test(term, [t for a in others for t in a.new]),
                 correlated=trade_offs(problem, hypothesis, term, width),
@@ -210,8 +190,8 @@ def _worth_listing(rival: Rivalling) -> bool:
     """Whether a reader needs to know of an alternative: it is likely enough, or predicts the same
     to within the noise, however unlikely so many effects are.
     """
-    same = rival.apart is not None and rival.apart <= _SAME
-    return rival.confidence > _LEAST_LISTED or same
+    same = rival.apart is not None and rival.apart <= FINDINGS.same_prediction
+    return rival.confidence > FINDINGS.least_listed or same
 
 
 def _alternative(problem: Problem, rival: Rivalling) -> Alternative:
@@ -238,13 +218,13 @@ def doubted_by_the_test(explained: Explained, notes: list[str]) -> Explained:
     """
     findings = []
     for f in explained.findings:
-        if f.held_out_gain < -_CHANCE:
+        if f.held_out_gain < -FINDINGS.chance:
             name = f.effect if f.joint is None else f"{f.effect} at {f.joint}"
             notes.append(
                 f"{name}: it improves the fitted recordings and makes the held-out error larger; "
                 "confidence is at most 50 %"
             )
-            f = replace(f, confidence=min(f.confidence, _DOUBTED))
+            f = replace(f, confidence=min(f.confidence, FINDINGS.most_in_doubt))
         findings.append(f)
     return replace(explained, findings=tuple(findings))
 
@@ -252,7 +232,8 @@ def doubted_by_the_test(explained: Explained, notes: list[str]) -> Explained:
 def untested(explained: Explained) -> Explained:
     """The same findings where no recording was held out: confidence is at most 80 %."""
     findings = tuple(
-        replace(f, confidence=min(f.confidence, _UNTESTED)) for f in explained.findings
+        replace(f, confidence=min(f.confidence, FINDINGS.most_without_held_out))
+        for f in explained.findings
     )
     return replace(explained, findings=findings)
 
@@ -302,7 +283,9 @@ def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     if not np.isfinite([*stands, off]).all():
         return explained
     moved = [replace(f, stands=s) for f, s in zip(explained.findings, stands, strict=True)]
-    order = sorted(moved, key=lambda f: -f.stands if f.stands > _TOLD * off else 0.0)
+    order = sorted(
+        moved, key=lambda f: -f.stands if f.stands > FINDINGS.moves_motions * off else 0.0
+    )
     return replace(explained, findings=tuple(order))
 
 
@@ -330,7 +313,9 @@ def _changes(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[_Change
     segments = [problem.simulator.segments[s] for s in problem.tested]
     soon = [
         slice(
-            int(np.searchsorted(s.time, s.start + _SOON)) if s.mode == "effort" and s.amid else None
+            int(np.searchsorted(s.time, s.start + FINDINGS.soon))
+            if s.mode == "effort" and s.amid
+            else None
         )
         for s in segments
     ]
@@ -426,10 +411,12 @@ def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -
     if p.reciprocal_of is None:
         return Estimate(value, unit, low, high)
     # The reciprocal of zero is infinite: report an end far beyond the known one.
-    far = max(high, p.upper * scale / _OPEN) / _OPEN
-    value = value if value > far / _OPEN else far
+    far = max(high, p.upper * scale / FINDINGS.unbounded) / FINDINGS.unbounded
+    value = value if value > far / FINDINGS.unbounded else far
     high = max(high, value)
-    return Estimate(p.reported(value), unit, p.reported(high), p.reported(max(low, value / _OPEN)))
+    return Estimate(
+        p.reported(value), unit, p.reported(high), p.reported(max(low, value / FINDINGS.unbounded))
+    )
 
 
 def trade_offs(
@@ -444,7 +431,7 @@ def trade_offs(
         for k in moved:
             other, q = owner[k]
             rho = float(width.correlation[i, k])
-            if k == i or not abs(rho) >= _CORRELATED or (other == term and k < i):
+            if k == i or not abs(rho) >= FINDINGS.correlated or (other == term and k < i):
                 continue
             p = owner[i][1]
             mine, its = (problem.scales.value(x, t.joint) for x, t in ((p, term), (q, other)))

@@ -29,7 +29,7 @@ from pytest_twin.diagnosis.search_result import (
     search,
 )
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.verdict import LEFT_FLOORS, STANDS_OUT
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.batch_simulator import BatchSimulator
 
 CREEPS = (
@@ -55,7 +55,7 @@ def build_problem_as_friction_acts(
     if not has_dry_friction(problem, EMPTY):
         return given, prepared, kept
     left = residuals_everywhere(problem, EMPTY)
-    near = STANDS_OUT < _greatest(problem, left) < LEFT_FLOORS
+    near = VERDICT.stands_out < _greatest(problem, left) < VERDICT.left_floors
     if near and _leaves_less(problem, _left_otherwise(problem, EMPTY), left):
         given = replace(given, creeps=not given.creeps)
         prepared, _ = build_problem(given, kept, [])
@@ -88,7 +88,7 @@ def search_as_friction_acts(
     def better_so(best: ScoredModel) -> bool:
         nonlocal other
         left = np.concatenate([best.fitted.residual, best.held_residual])
-        if not has_dry_friction(problem, EMPTY) or _greatest(problem, left) <= STANDS_OUT:
+        if not has_dry_friction(problem, EMPTY) or _greatest(problem, left) <= VERDICT.stands_out:
             return False
         if other is None:
             other = build_problem(stepped, trials, [])
@@ -118,7 +118,7 @@ def refit_as_friction_acts(
         run: the diagnosis.
     """
     before, start = found.prepared.problem, found.explained.hypothesis
-    if not has_dry_friction(before, start) or _greatest(before, found.after) <= STANDS_OUT:
+    if not has_dry_friction(before, start) or _greatest(before, found.after) <= VERDICT.stands_out:
         return given, found
     if not _leaves_less(before, _left_otherwise(before, start), found.after, _UNFITTED):
         return given, found

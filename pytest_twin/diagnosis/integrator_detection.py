@@ -23,17 +23,18 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import (
     NOISE,
     STEP,
-    STEP_LEFT_IN,
     Prepared,
     discretization,
 )
+from pytest_twin.diagnosis.prepare_settings import PREPARE
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.verdict import STANDS_OUT, UNSEEN
+from pytest_twin.diagnosis.verdict import UNSEEN
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.segment import Predicted
 
 SUBSTEPS = (1, 2, 4, 5)
@@ -85,13 +86,13 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
         return None
     if found.verdict == "no_mismatch" or not _measured(problem, best.hypothesis):
         return None
-    if (discretization(problem) < STANDS_OUT * noise).all():
+    if (discretization(problem) < VERDICT.stands_out * noise).all():
         return None
     if not _error_stays_small(problem):
         return None
     span = _Span(problem, best)
     before = span.left(problem, noise)
-    seen = bool((before > STANDS_OUT**2).any())
+    seen = bool((before > VERDICT.stands_out**2).any())
     ways = {}
     for creeps, stepped in _ways(problem, best.hypothesis, given).items():
         for k in SUBSTEPS:
@@ -141,9 +142,9 @@ def _substeps_of(prepared: Prepared) -> int:
     before = _squares(problem, EMPTY, noise)
     left = {k: _squares(_with_part(problem, 1.0 - 1.0 / k), EMPTY, noise) for k in SUBSTEPS}
     best = min(left, key=lambda k: float(left[k].max()))
-    only_noise = bool((left[best] < STANDS_OUT**2).all())
+    only_noise = bool((left[best] < VERDICT.stands_out**2).all())
     above = [float(np.maximum(x - 1.0, 0.0).sum()) for x in (left[best], before)]
-    seen = bool((before > STANDS_OUT**2).any())
+    seen = bool((before > VERDICT.stands_out**2).any())
     return best if only_noise and seen and above[0] <= _LEFT * above[1] else 0
 
 
@@ -152,7 +153,7 @@ def _noise(prepared: Prepared) -> FloatArray:
     sensors and a little of the error itself; of an encoder that says nothing, its floor.
     """
     floor, parts = prepared.problem.floor, prepared.floor_parts
-    noise = np.hypot(parts[NOISE], STEP_LEFT_IN * parts[STEP])
+    noise = np.hypot(parts[NOISE], PREPARE.step_of_simulation * parts[STEP])
     known: FloatArray = np.where(floor >= UNSEEN, floor, np.maximum(noise, _LEAST))
     return known
 

@@ -18,6 +18,7 @@ from scipy.signal import welch
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis import temperature
+from pytest_twin.diagnosis.locate_settings import LOCATE
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives
@@ -25,23 +26,6 @@ from pytest_twin.diagnosis.windows import runs
 from pytest_twin.effects.contact_geoms import far_sighted, touching
 from pytest_twin.effects.segment import Segment
 from pytest_twin.trial import Trial
-
-_WINDOW = 0.1
-_MERGE = 0.25
-_TOUCHING = 0.01
-"""m from a surface of the model that counts as contact."""
-_COVER = 0.8
-# Share of the largest speed below which a joint is at rest.
-_STILL = 0.02
-_MOST_WINDOWS = 12
-_LIFT, _SHARE = 1.5, 0.45
-_EDGES = 33
-# Factor on the score of a position interval: its ends were fitted, so it scores higher by chance.
-_SEARCHED = 0.8
-# Longest segment of a spectrum in s, and fewest samples.
-_SPECTRUM, _FEWEST = 4.0, 16
-# Most values of a metadata key that are regimes; more values are recording names or temperatures.
-_MOST_VALUES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +80,7 @@ def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
     simulator, model = problem.simulator, segment.model
     contact = simulator.models.contact
     if contact.world.size:
-        model = far_sighted(model, contact.world, _TOUCHING)
+        model = far_sighted(model, contact.world, LOCATE.touching)
     data = mujoco.MjData(model)
     load = np.empty_like(q)
     # At most 600 samples: the load varies no faster than the motion.
@@ -112,7 +96,7 @@ def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_rne(model, data, 1, result)
         rows[i] = result[simulator.layout.dof_index]
-        close[i] = touching(data, contact, _TOUCHING) if contact.world.size else 0.0
+        close[i] = touching(data, contact, LOCATE.touching) if contact.world.size else 0.0
     for j in range(q.shape[1]):
         load[:, j] = np.interp(segment.time, segment.time[at], rows[:, j])
     command = np.nan_to_num(segment.setpoint.at(segment.time))
@@ -130,20 +114,20 @@ def blame_windows(time: FloatArray, blame: FloatArray) -> list[list[float]]:
     if total <= 0.0 or len(time) < 3:
         return []
     interval = float(np.median(np.diff(time)))
-    smooth = uniform_filter1d(blame, max(int(_WINDOW / max(interval, 1e-6)), 1))
+    smooth = uniform_filter1d(blame, max(int(LOCATE.window / max(interval, 1e-6)), 1))
     order = np.argsort(-smooth, kind="stable")
-    reached = np.searchsorted(np.cumsum(smooth[order]), _COVER * smooth.sum()) + 1
+    reached = np.searchsorted(np.cumsum(smooth[order]), LOCATE.cover * smooth.sum()) + 1
     chosen = np.zeros(len(time), dtype=bool)
     chosen[order[:reached]] = True
     found: list[list[float]] = []
     for run in runs(chosen):
         start, stop = float(time[run][0]), float(time[run][-1])
-        if found and start - found[-1][1] <= _MERGE:
+        if found and start - found[-1][1] <= LOCATE.merge:
             found[-1][1] = stop
         else:
             found.append([start, stop])
     weight = [float(blame[(time >= a) & (time <= b)].sum()) for a, b in found]
-    best = sorted(range(len(found)), key=lambda i: -weight[i])[:_MOST_WINDOWS]
+    best = sorted(range(len(found)), key=lambda i: -weight[i])[: LOCATE.most_windows]
     return [[round(found[i][0], 3), round(found[i][1], 3)] for i in sorted(best)]
 
 
@@ -182,14 +166,14 @@ def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) ->
     position = np.concatenate([m.position[:, joint] for m in paths])
     low, high = _span(position, blame)
     inside = (position >= low) & (position <= high)
-    slices.append((_SEARCHED, f"position {low:.2g} to {high:.2g} {unit}", inside))
+    slices.append((LOCATE.searched, f"position {low:.2g} to {high:.2g} {unit}", inside))
     for weight, text, inside in slices:
         time = float(inside.mean())
         if not 0.02 < time < 0.8:
             continue
         held = float(blame[inside].sum()) / total
         score = weight * held * np.log(max(held / time, 1e-9))
-        if held >= _SHARE and held / time >= _LIFT and score > best:
+        if held >= LOCATE.share and held / time >= LOCATE.lift and score > best:
             best = score
             words = f"{text} ({100 * held:.0f} % of the error in {100 * time:.0f} % of the time)"
     return words
@@ -205,12 +189,12 @@ def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | 
     """
     interval = float(np.median(np.concatenate([np.diff(m.time) for m in paths])))
     longest = max(float(m.time[-1] - m.time[0]) for m in paths)
-    size = 2 ** int(np.ceil(np.log2(min(longest, _SPECTRUM) / interval + 1.0)))
+    size = 2 ** int(np.ceil(np.log2(min(longest, LOCATE.spectrum) / interval + 1.0)))
     power, at = np.zeros((2, size // 2 + 1)), 0
     for m in paths:
         grid = np.arange(m.time[0], m.time[-1], interval)
         mine, at = left[at : at + len(m.time)], at + len(m.time)
-        if len(grid) < _FEWEST:
+        if len(grid) < LOCATE.fewest_samples:
             continue
         for k, values in enumerate((mine, m.position[:, joint])):
             even = np.interp(grid, m.time, np.nan_to_num(values))
@@ -225,7 +209,7 @@ def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | 
     edges = np.arange(len(held))
     width = (edges[None, :] - edges[:, None]) / len(held)
     expected = np.maximum(np.maximum(motion, width), 1e-9)
-    good = (inside >= _SHARE) & (inside >= _LIFT * expected)
+    good = (inside >= LOCATE.share) & (inside >= LOCATE.lift * expected)
     score = np.where(good, inside * np.log(np.maximum(inside, 1e-9) / expected), -np.inf)
     first, last = np.unravel_index(int(np.argmax(score)), score.shape)
     if not good[first, last]:
@@ -239,13 +223,13 @@ def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | 
 
 def _span(values: FloatArray, blame: FloatArray) -> tuple[float, float]:
     """The interval of values with the largest share of the error for its share of the time."""
-    edges = np.quantile(values, np.linspace(0.0, 1.0, _EDGES))
+    edges = np.quantile(values, np.linspace(0.0, 1.0, LOCATE.edges))
     order = np.argsort(values, kind="stable")
     summed = np.concatenate([[0.0], np.cumsum(blame[order])]) / max(float(blame.sum()), 1e-300)
     at = np.searchsorted(values[order], edges)
     held = summed[at][None, :] - summed[at][:, None]
     time = np.maximum((at[None, :] - at[:, None]) / len(values), 1e-9)
-    score = np.where(held > _SHARE, held * np.log(np.maximum(held, 1e-9) / time), -np.inf)
+    score = np.where(held > LOCATE.share, held * np.log(np.maximum(held, 1e-9) / time), -np.inf)
     first, last = np.unravel_index(int(np.argmax(score)), score.shape)
     return float(edges[min(first, last)]), float(edges[max(first, last)])
 
@@ -269,10 +253,10 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
     slow, fast = (float(x) for x in np.quantile(speed, (0.3, 0.75)))
     hard = float(np.quantile(push, 0.75))
     # Of a joint that is mostly at rest, take the quantiles while it moves.
-    slow = max(slow, _STILL * float(speed.max()))
+    slow = max(slow, LOCATE.still * float(speed.max()))
     if fast <= slow < speed.max():
         fast = float(np.median(speed[speed > slow]))
-    if hard <= (least := _STILL * float(push.max())) < push.max():
+    if hard <= (least := LOCATE.still * float(push.max())) < push.max():
         hard = float(np.median(push[push > least]))
     heavy, light = (float(x) for x in np.quantile(np.abs(load), (0.75, 0.3)))
     low, high = (float(x) for x in np.quantile(q, (0.25, 0.75)))
@@ -295,7 +279,7 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
     ]
     if all(m.touching is not None for m in paths):
         at_surface = np.concatenate([m.touching for m in paths if m.touching is not None])
-        words = f"in contact or within {1e3 * _TOUCHING:.0f} mm of a surface"
+        words = f"in contact or within {1e3 * LOCATE.touching:.0f} mm of a surface"
         found += [(words, at_surface), ("without contact", ~at_surface)]
     return found + _conditions(paths)
 
@@ -320,7 +304,7 @@ def _conditions(paths: Sequence[Motion]) -> list[tuple[str, NDArray[np.bool_]]]:
 def _groups(key: str, values: Collection[str]) -> list[tuple[str, Collection[str]]]:
     """(words, values) of each regime of a metadata key: each value, or two temperature halves."""
     words = _shortened(values)
-    if len(values) <= _MOST_VALUES:
+    if len(values) <= LOCATE.most_values:
         return [(words[v], (v,)) for v in sorted(values)]
     measured = temperature.degrees(values) if key == temperature.KEY else None
     if measured is None:
@@ -348,7 +332,7 @@ def _near_reversal(m: Motion, joint: int) -> NDArray[np.bool_]:
     """(n,) within 0.15 s of a change of direction."""
     v = m.velocity[:, joint]
     # Stops between two movements do not count as changes of direction.
-    moving = np.flatnonzero(np.abs(v) > _STILL * np.abs(v).max())
+    moving = np.flatnonzero(np.abs(v) > LOCATE.still * np.abs(v).max())
     turned = np.flatnonzero(np.diff(np.signbit(v[moving])))
     turn = m.time[moving[np.union1d(turned, turned + 1)]]
     if not turn.size:

@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.noise import (
     quiet_noise,
     timing_noise,
 )
+from pytest_twin.diagnosis.prepare_settings import PREPARE
 from pytest_twin.diagnosis.problem import (
     REFINE,
     Problem,
@@ -38,23 +39,8 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 
-# Share of the greatest effort below which a model's negative efforts do not show the sign.
-_UNSIGNED = 0.05
-# Times the noise, and share of the motion, by which a finer step may change a window of usual
-# length; samples that one of half that length has to have.
-_WILD, _WILD_SHARE, _FEWEST = 30.0, 0.002, 20
-STEP_LEFT_IN = 0.01
-"""Share of the step's error by which recordings are off that were simulated with that step: stamps
-fall between steps, and numbers end."""
 NOISE = "sensor noise and quantization"
 STEP = "discretization of the simulator"
-# Alternating estimates of the noise floor and of the weights.
-_PASSES = 3
-# Share of a joint's floor below which it was set far too high.
-_FAR_LOWER = 0.5
-# As measured on an arm whose tip taps on a table, and on arms whose drives are sent efforts:
-# impacts and the jumps of a command fall between steps.
-_LEFT_OF_IMPACTS, _LEFT_OF_JUMPS = 0.35, 0.25
 # Share of a step from its ends within which a command changes between steps.
 _EDGE = 1e-3
 
@@ -98,7 +84,7 @@ class Prepared:
         floor = _floor(noise, problem, steps)
         before = _floor(noise, problem, self.floor_parts[STEP])
         # A floor that is not what its parts add up to is of a joint whose encoder says nothing.
-        lower = (floor < _FAR_LOWER * before) & np.isclose(problem.floor, before)
+        lower = (floor < PREPARE.far_lower * before) & np.isclose(problem.floor, before)
         problem.floor = np.where(lower, floor, problem.floor)
         self.floor_parts[STEP] = np.where(lower, steps, self.floor_parts[STEP])
         return bool(lower.any())
@@ -182,7 +168,7 @@ def prepare(
         effort_floor = effort_noise(segments, nominal, owner)
     scales = simulated.scales or joint_scales(simulator, nominal)
     defect = step_errors(nominal, nominal_replay(refined))
-    allowed = np.maximum(_WILD * noise, _WILD_SHARE * scales.of["position"])
+    allowed = np.maximum(PREPARE.wild * noise, PREPARE.wild_share * scales.of["position"])
     changed = _rms([add.position for add in defect.values()], len(joints))
     if window in (None, WINDOW) and _too_wild(segments, changed, allowed):
         return prepare(
@@ -208,12 +194,12 @@ def prepare(
         problem.free = free
     problem.as_it_came({} if substeps else defect)
     if substeps:
-        problem.step_left = STEP_LEFT_IN
+        problem.step_left = PREPARE.step_of_simulation
     elif segments[0].mode == "effort":
-        problem.step_left = _LEFT_OF_JUMPS
+        problem.step_left = PREPARE.step_with_jumps
     elif simulator.models.contact.world.size:
-        problem.step_left = _LEFT_OF_IMPACTS
-    for _ in range(_PASSES if segments[0].mode == "effort" else 1):
+        problem.step_left = PREPARE.step_with_impacts
+    for _ in range(PREPARE.passes if segments[0].mode == "effort" else 1):
         # Weights of segments are in noise floors, and the floor depends on the weights: alternate.
         steps = changed if substeps else discretization(problem)
         problem.floor = _floor(noise, problem, steps)
@@ -297,7 +283,7 @@ def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -
             return False
         lowest = min(lowest, float(segment.effort.min()))
         highest = np.abs(predicted.effort).max()
-        modelled = min(modelled, float(predicted.effort.min() + _UNSIGNED * highest))
+        modelled = min(modelled, float(predicted.effort.min() + PREPARE.unsigned * highest))
     return lowest < 0.0 or not modelled < 0.0
 
 
@@ -313,7 +299,7 @@ def _known(noise: FloatArray) -> FloatArray:
 
 def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:
     """Whether windows are too long, and half of one is long enough."""
-    enough = float(np.median([len(s.time) for s in segments])) >= 2 * _FEWEST
+    enough = float(np.median([len(s.time) for s in segments])) >= 2 * PREPARE.fewest_samples
     return all(s.amid for s in segments) and enough and bool((steps > allowed).any())
 
 

@@ -32,32 +32,13 @@ from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.patched.replay import replay_whole
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.quick_settings import QUICK
 from pytest_twin.diagnosis.smoothing import smooth_state
-from pytest_twin.diagnosis.verdict import AT_FLOOR
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.replay import replay
 from pytest_twin.trial import Trial
-
-# Of a longer recording, the stretch around its worst error, s.
-_LOOKED_AT = 20.0
-# Candidates are simulated over this share of what is looked at, and no less or more than this, s.
-_STRETCH_SHARE, _SHORTEST, _LONGEST = 0.15, 1.0, 2.5
-# Joints whose missing force stands out at least this much of the clearest one's are looked at.
-_CAUSE, _MOST_JOINTS = 0.4, 2
-_RIVALS, _ITERATIONS = 5, 3
-# An effect is named where it earns this much evidence and removes this share of the squared error.
-_EARNS, _WORTH = 5.0, 0.3
-# An alternative is clearly worse where it leaves this many times the squared error that the best
-# leaves, or, where that is below the noise floor, this many times the squared floor.
-_CLEARLY_WORSE, _MOST_NAMED = 3.0, 2
-# Joints that one effect does not explain are looked at by themselves, so many times.
-_MOST_LOOKS = 3
-# Share of the nominal error below which the residual of a short fit supports no effect.
-_COARSE = 0.05
-# One stretch of one recording settles nothing.
-_MOST_SURE = 0.9
-_STATE_SECONDS = 0.06
 
 Starts = dict[Term, FloatArray]
 """Terms that are fitted together -> where their parameters start."""
@@ -145,8 +126,8 @@ def quick_diagnosis(
     causes = _causes(force, size, counted)
     where = _where(whole, seen, since, _blame(force, causes[:1]), causes[0])
     suspects: list[LikelyEffect] = []
-    left = counted & (size > AT_FLOOR)
-    looks = _MOST_LOOKS
+    left = counted & (size > VERDICT.at_floor)
+    looks = QUICK.most_rounds
     while left.any() and looks:
         looks -= 1
         look = _Look(realization, patched, seen, whole, before, counted if not suspects else left)
@@ -177,7 +158,7 @@ def _blame(force: MissingForce, causes: Sequence[int]) -> FloatArray:
 def _explained(before: FloatArray, after: FloatArray, joints: int) -> NDArray[np.bool_]:
     """(joints,) of whose squared error an effect removes at least what a name has to."""
     left, whole = (np.sum(r[:, :joints] ** 2, axis=0) for r in (after, before))
-    explained: NDArray[np.bool_] = left <= (1.0 - _WORTH) * whole
+    explained: NDArray[np.bool_] = left <= (1.0 - QUICK.removes) * whole
     return explained
 
 
@@ -191,7 +172,7 @@ def cut(trial: Trial, start: float, end: float) -> Trial:
     velocity: FloatArray
     if trial.velocity is None or not np.isfinite(trial.velocity[inside[0]]).all():
         velocity = np.full((len(inside), len(trial.joints)), np.nan)
-        velocity[0] = smooth_state(trial.time, trial.position, first, _STATE_SECONDS)[1]
+        velocity[0] = smooth_state(trial.time, trial.position, first, QUICK.state_seconds)[1]
     else:
         velocity = trial.velocity[inside]
     sent = trial.command_time <= end
@@ -212,7 +193,7 @@ def _worst_part(
     realization: Realization, trial: Trial, patched: Patched | None, failed: Collection[str]
 ) -> tuple[Trial, float]:
     """The trial, or, of a long one, what lies around its largest error; and where that begins."""
-    if trial.duration <= _LOOKED_AT:
+    if trial.duration <= QUICK.looked_at:
         return trial, 0.0
     if patched is None:
         replayed = replay(realization, [trial], tcp=False)[0]
@@ -222,8 +203,8 @@ def _worst_part(
         raise replayed.error
     off = (trial.position - replayed.position)[:, _counted(trial.joints, failed)]
     off = off / np.maximum(np.sqrt(np.mean(off**2, axis=0)), 1e-12)
-    start = _fullest(trial.time, (off**2).sum(axis=1), _LOOKED_AT)
-    return cut(trial, start, start + _LOOKED_AT), start
+    start = _fullest(trial.time, (off**2).sum(axis=1), QUICK.looked_at)
+    return cut(trial, start, start + QUICK.looked_at), start
 
 
 def _prepared(
@@ -246,11 +227,11 @@ def _causes(force: MissingForce, size: FloatArray, counted: NDArray[np.bool_]) -
     order = np.argsort(-strength, kind="stable")
     stands = np.where(counted, strength, 0.0).max()
     # Where none of their own forces stands out of the noise, they are moved by others.
-    own = counted & (stands > 1.0) & (strength >= _CAUSE * stands)
+    own = counted & (stands > 1.0) & (strength >= QUICK.cause * stands)
     clear = [int(j) for j in order if own[j]]
-    clear += [int(j) for j in order if strength[j] >= max(_CAUSE * strength.max(), 1e-9)]
+    clear += [int(j) for j in order if strength[j] >= max(QUICK.cause * strength.max(), 1e-9)]
     worst = int(np.argmax(np.where(counted, size, 0.0)))
-    return list(dict.fromkeys(clear))[:_MOST_JOINTS] or [worst]
+    return list(dict.fromkeys(clear))[: QUICK.most_joints] or [worst]
 
 
 def _where(prepared: Prepared, trial: Trial, since: float, blame: FloatArray, joint: int) -> Where:
@@ -266,7 +247,7 @@ def _where(prepared: Prepared, trial: Trial, since: float, blame: FloatArray, jo
 
 def _stretches(problem: Problem, trial: Trial, blame: FloatArray) -> list[Trial]:
     """Where most of the blame lies, and, where there is room, where most of the rest does."""
-    length = float(np.clip(_STRETCH_SHARE * trial.duration, _SHORTEST, _LONGEST))
+    length = float(np.clip(QUICK.stretch_share * trial.duration, QUICK.shortest, QUICK.longest))
     time = np.concatenate([s.time for s in problem.simulator.segments])
     first = _fullest(time, blame, length)
     found = [cut(trial, first, first + length)]
@@ -327,7 +308,7 @@ class _Look:
         removed = 1.0 - _squared(after[best], whole, counted) / _squared(
             self.before, whole, counted
         )
-        if evidence[best] < _EARNS or not removed >= _WORTH:
+        if evidence[best] < QUICK.earns or not removed >= QUICK.removes:
             return None
         named = tried[best]
         place = _place(problem, named)
@@ -340,15 +321,17 @@ class _Look:
         explained = counted & _explained(self.before, after[best], len(counted))
         left = np.array([_squared(r, whole, explained) for r in after])
         floor = float(len(self.before) * explained.sum())
-        close = (left <= _CLEARLY_WORSE * max(left[best], floor)) | (share >= 1.0 - _MOST_SURE)
+        close = (left <= QUICK.clearly_worse * max(left[best], floor)) | (
+            share >= 1.0 - QUICK.most_confidence
+        )
         order = np.argsort(-evidence, kind="stable")
         rivals = dict.fromkeys(places[i] for i in order if close[i] and other[i])
         suspect = LikelyEffect(
             place=place,
             values=_values(problem, fitted[best].hypothesis),
-            share=min(float(share[same].sum()), _MOST_SURE),
+            share=min(float(share[same].sum()), QUICK.most_confidence),
             removed=float(removed),
-            rivals=tuple(rivals)[:_MOST_NAMED],
+            rivals=tuple(rivals)[: QUICK.most_alternatives],
             of=() if counted.all() else tuple(np.array(problem.joints)[counted].tolist()),
         )
         return suspect, after[best]
@@ -373,7 +356,7 @@ def _tried(
         left, np.empty((*left.shape, 0)), problem.signal_floor[signals], binned.lengths
     )
     lens = NormalEquations(view, CandidateSensitivities(seen))
-    chosen = list(lens.children(lens.bare, _RIVALS))
+    chosen = list(lens.children(lens.bare, QUICK.candidates))
     if not chosen:
         return []
     first = seen[chosen[0][0]].term
@@ -417,13 +400,13 @@ def _weighed(
     """
     left = nominal[:, signals]
     mean_square = np.mean(left**2, axis=0)
-    floor = np.maximum(problem.signal_floor[signals], _COARSE * np.sqrt(mean_square))
+    floor = np.maximum(problem.signal_floor[signals], QUICK.coarse * np.sqrt(mean_square))
     starts = [
         reduce(lambda made, term: made.with_term(*term), terms.items(), EMPTY) for terms in found
     ]
     weights = np.zeros(nominal.shape[1])
     weights[signals] = 1.0 / np.sqrt(mean_square + floor**2)
-    fitted = fit(problem, starts, weights, problem.fit, iterations=_ITERATIONS)
+    fitted = fit(problem, starts, weights, problem.fit, iterations=QUICK.iterations)
     effective = effective_samples(left, problem.lengths(problem.fit))
     price = 0.5 * np.log(max(float(effective.mean()), 2.0))
     base = log_likelihood(left, floor, effective)

@@ -31,13 +31,8 @@ from pytest_twin.diagnosis.structure_search.refit import as_fitted
 from pytest_twin.diagnosis.structure_search.score import Model
 from pytest_twin.diagnosis.structure_search.search import Result, StructureSearch
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.verdict import (
-    LEFT_FLOORS,
-    UNSEEN,
-    JointError,
-    Verdict,
-    verdict,
-)
+from pytest_twin.diagnosis.verdict import UNSEEN, JointError, Verdict, verdict
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.diagnosis.window_length import model_follows_recordings
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import SimulationError
@@ -99,7 +94,7 @@ class SearchResult:
         rubs = any(
             t.joint == joint and t.law.family == "friction" for t in self.explained.hypothesis.terms
         )
-        return rubs and error.after > LEFT_FLOORS * error.floor
+        return rubs and error.after > VERDICT.left_floors * error.floor
 
     @property
     def diverges_from_recordings(self) -> bool:

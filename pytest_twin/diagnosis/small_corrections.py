@@ -13,7 +13,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import totals
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.pruning_rules import longest_shift
-from pytest_twin.diagnosis.verdict import AT_FLOOR
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 # Share of the error of the nominal model at a joint below which the change of a prediction is of no
 # consequence: 1 % of the squared error.
@@ -44,7 +44,9 @@ def small_corrections(
     """
     floor = problem.floor
     mismatch = np.sqrt(np.maximum(before**2 - floor**2, 0.0))
-    limit = np.maximum(_OF_MISMATCH * mismatch, np.where(mismatch > AT_FLOOR * floor, 0.0, floor))
+    limit = np.maximum(
+        _OF_MISMATCH * mismatch, np.where(mismatch > VERDICT.at_floor * floor, 0.0, floor)
+    )
     out: dict[Term, str] = {}
     for term in hypothesis.terms:
         why = _usual(problem, hypothesis, term)

@@ -10,29 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 Verdict = Literal["no_mismatch", "explained", "improved", "unexplained"]
 
-AT_FLOOR = 3.0
-"""An RMS residual of up to this many floors counts as noise. The floor is an estimate, and
-micro-slip of real joints and MuJoCo's soft contacts leave residuals of 2 to 3 floors."""
-STANDS_OUT = 1.5
-"""A signal below this many floors contains no identifiable effect."""
 UNSEEN = 1e6
 """Floor in rad or m of a joint whose encoder gives no information, so that it has no weight."""
-LEFT = 0.02
-"""A residual of up to this share of the squared error counts as explained, ..."""
-LEFT_FLOORS = 10.0
-"""... if it is also below this many floors: above, it is a mismatch of its own."""
-OF_TRAVEL = 1e-3
-"""An error of up to this share of a joint's travel is of no consequence where small corrections of
-the model explain it: 1 mrad of 1 rad is at the repeatability of ordinary arms."""
-
-# Least share of the remaining squared error above the floor, and of the nominal model's squared
-# error (counted up to so many floors), that an effect must remove at some joint. Less is within the
-# accuracy of the simulation.
-_SHARE_OF_REST = 0.1
-_SHARE_OF_ALL, _MOST_FLOORS = 0.003, 100.0
 
 
 def worth_a_name(
@@ -48,9 +31,11 @@ def worth_a_name(
     square = floor**2
     gone = before - after
     rest = np.maximum(before - square, 0.2 * square)
-    all_of_it = np.clip(whole - square, 0.2 * square, _MOST_FLOORS**2 * square)
-    alone = (STANDS_OUT**2 - 1.0) * square
-    least = np.maximum.reduce([alone, _SHARE_OF_REST * rest, _SHARE_OF_ALL * all_of_it])
+    all_of_it = np.clip(whole - square, 0.2 * square, VERDICT.most_floors**2 * square)
+    alone = (VERDICT.stands_out**2 - 1.0) * square
+    least = np.maximum.reduce(
+        [alone, VERDICT.share_of_rest * rest, VERDICT.share_of_all * all_of_it]
+    )
     return bool((gone >= least).any())
 
 
@@ -72,7 +57,7 @@ def own_mismatch(
         return whole
     square = floor**2
     shares = np.maximum(left, square) / np.maximum(whole, square)
-    elsewhere = min(float(np.max(shares[acting])) / _SHARE_OF_ALL, 1.0)
+    elsewhere = min(float(np.max(shares[acting])) / VERDICT.share_of_all, 1.0)
     return np.where(acting, whole, elsewhere * whole)
 
 
@@ -106,18 +91,18 @@ class JointError:
     @property
     def mismatched(self) -> bool:
         """Whether the nominal model's error is above the floor."""
-        return self.before > AT_FLOOR * self.floor
+        return self.before > VERDICT.at_floor * self.floor
 
     @property
     def inconsequential(self) -> bool:
         """Whether the nominal model's error is at the floor, or small against the travel."""
-        return not self.mismatched or self.before <= OF_TRAVEL * self.travel
+        return not self.mismatched or self.before <= VERDICT.of_travel * self.travel
 
     @property
     def explained(self) -> bool:
         """Whether the residual is at the floor, or small enough in both measures."""
-        near = self.after <= LEFT_FLOORS * self.floor and self.fraction <= LEFT
-        return self.after <= AT_FLOOR * self.floor or near
+        near = self.after <= VERDICT.left_floors * self.floor and self.fraction <= VERDICT.left
+        return self.after <= VERDICT.at_floor * self.floor or near
 
 
 class Reported(Protocol):

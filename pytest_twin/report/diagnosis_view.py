@@ -118,7 +118,7 @@ def view_of(
         patched: the patched model that was written.
         model: name of the diagnosed model.
     """
-    from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT, LEFT_FLOORS
+    from pytest_twin.diagnosis.verdict_settings import VERDICT
     from pytest_twin.effects import catalogue
 
     tested = found.tested.prepared
@@ -138,9 +138,9 @@ def view_of(
         beside=tuple(_at(e) for e in patched.beside),
         tried=found.selected.tried,
         laws={id: (law.law, law.source) for id, law in catalogue().items()},
-        at_floor=AT_FLOOR,
-        share_left=LEFT,
-        left_floors=LEFT_FLOORS,
+        at_floor=VERDICT.at_floor,
+        share_left=VERDICT.left,
+        left_floors=VERDICT.left_floors,
     )
 
 

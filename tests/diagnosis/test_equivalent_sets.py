@@ -10,12 +10,12 @@ import pytest
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.equivalent_sets import (
-    MOST_SIMULATIONS,
     AlternativeSet,
     ComparedSets,
     compare_sets,
     subsets,
 )
+from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
 from pytest_twin.diagnosis.evidence import tempered_samples
 from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
@@ -141,7 +141,7 @@ def test_a_late_command_and_a_late_sensor_of_one_joint_share_the_confidence(
     assert {term, *first.new} == {LATE_COMMAND, LATE_SENSOR}
     assert selected.confidence[term] == pytest.approx(0.5, abs=0.15)
     assert first.confidence == pytest.approx(0.5, abs=0.15)
-    assert found.simulations <= MOST_SIMULATIONS
+    assert found.simulations <= EQUIVALENT.most_simulations
 
 
 def test_one_effect_wins_over_three_that_predict_the_same_and_they_are_its_alternative() -> None:

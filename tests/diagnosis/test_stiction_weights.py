@@ -12,7 +12,7 @@ from two_pendulums import START_NS
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.search_result import _half_trusted
-from pytest_twin.diagnosis.verdict import AT_FLOOR
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial
 
@@ -73,8 +73,8 @@ def test_dry_friction_that_yields_a_little_is_no_mismatch(tmp_path: Path) -> Non
     everywhere = problem.everywhere
     (as_it_is,), (trusted,) = (f([EMPTY], everywhere) for f in (problem.errors, problem.residuals))
     floors = [np.sqrt(np.mean((r[:, 0] / problem.floor[0]) ** 2)) for r in (as_it_is, trusted)]
-    assert floors[0] > 2.0 * AT_FLOOR, "or there is nothing to distrust"
-    assert floors[1] < AT_FLOOR
+    assert floors[0] > 2.0 * VERDICT.at_floor, "or there is nothing to distrust"
+    assert floors[1] < VERDICT.at_floor
     assert problem.floor[0] < 3.0 * NOISE, "and not for a floor that would hide anything"
     weights = np.array(list(problem.trust.values()))[:, 0]
     assert np.mean(weights**2) == pytest.approx(1.0)
@@ -93,4 +93,4 @@ def test_friction_that_the_model_lacks_is_not_excused(tmp_path: Path) -> None:
 def test_much_more_yielding_than_that_stands_out(tmp_path: Path) -> None:
     problem = prepared(tmp_path, recorded(tmp_path, DRY, 5e-3)).problem
     (left,) = problem.residuals([EMPTY], problem.everywhere)
-    assert np.sqrt(np.mean(left[:, 0] ** 2)) > 2.0 * AT_FLOOR * problem.floor[0]
+    assert np.sqrt(np.mean(left[:, 0] ** 2)) > 2.0 * VERDICT.at_floor * problem.floor[0]

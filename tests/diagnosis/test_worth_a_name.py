@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_twin.diagnosis.verdict import STANDS_OUT, own_mismatch, worth_a_name
+from pytest_twin.diagnosis.verdict import own_mismatch, worth_a_name
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 FLOOR = np.array([2e-4, 5e-4])
 
@@ -25,7 +26,7 @@ def test_what_would_not_stand_out_alone_is_no_names_merit() -> None:
 
 @pytest.mark.parametrize("after", [1.0, 2.0, 3.0])
 def test_the_bar_is_what_a_finding_has_to_stand_out_by(after: float) -> None:
-    stands = STANDS_OUT**2 - 1.0
+    stands = VERDICT.stands_out**2 - 1.0
     whole = np.hypot(after, 1.0)
     assert _worth(float(np.sqrt(after**2 + 1.01 * stands)), after, whole)
     assert not _worth(float(np.sqrt(after**2 + 0.99 * stands)), after, whole)

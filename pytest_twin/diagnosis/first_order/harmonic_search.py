@@ -22,7 +22,7 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 )
 from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity
 from pytest_twin.diagnosis.hypothesis import Term
-from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.base import Parameter
 
 _AT_ONCE = 32
@@ -44,7 +44,7 @@ def search_harmonics(
     joints = len(linear.problem.joints)
     left = np.sqrt(view.mean_square)[:joints] / view.floor[:joints]
     worst = int(left.argmax())
-    if left[worst] < STANDS_OUT:
+    if left[worst] < VERDICT.stands_out:
         return []
     apart = np.pi / max(_way(linear, worst), _SHORTEST)
     out = []

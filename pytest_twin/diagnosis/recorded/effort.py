@@ -15,32 +15,14 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.recorded.effort_settings import EFFORTS
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
 from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.recording_options import CommandMode
 from pytest_twin.trial.setpoint import Setpoint
 
-_FEWEST = 50
-# Times the deviation that one law leaves of the efforts, by which the other has to leave more.
-_TIMES = 1.5
-# Share of the efforts' deviation that a law may leave to say anything.
-_EXPLAINS = 0.25
-# Sample periods, and parts of one, by which an effort is tried to be older than its stamp.
-_REACH, _PARTS = 1.5, 15
-# Share of a sample period, and of the deviation without it, from which an offset of time is real.
-_LATE, _LESS = 0.15, 0.8
-# Ratio of deviations up to which two laws explain the efforts alike.
-_ALIKE = 1.2
-_KEPT = 0.9
 # Share of the efforts' deviation below which a difference is rounding.
 _NEGLIGIBLE = 1e-6
-# Error of gain and offset up to which an effort is the command: half a percent, less than drives
-# are calibrated to.
-_EQUAL = 0.005
-_SMOOTH = 7
-"""Samples over which positions and velocities are smoothed."""
-_FINE = 20
-"""Points of the fine grid in a sample period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,16 +84,16 @@ def signals(
     Returns:
         None where there are too few samples.
     """
-    if len(time) < _FEWEST:
+    if len(time) < EFFORTS.fewest_samples:
         return None
     period = float(np.median(np.diff(time)))
-    grid = np.arange(time[0], time[-1], period / _FINE)
+    grid = np.arange(time[0], time[-1], period / EFFORTS.fine)
     asked = setpoint.at(grid)[:, joint]
     if mode == "effort":
         return Signals(time, effort, grid, asked, None)
-    smooth, slope, _ = derivatives(time, position[:, None], _SMOOTH * period)
+    smooth, slope, _ = derivatives(time, position[:, None], EFFORTS.smooth * period)
     if velocity is not None:
-        slope, _, _ = derivatives(time, velocity[:, None], _SMOOTH * period)
+        slope, _, _ = derivatives(time, velocity[:, None], EFFORTS.smooth * period)
     speed = np.interp(grid, time, slope[:, 0])
     if mode == "velocity":
         return Signals(time, effort, grid, asked - speed, speed)
@@ -140,15 +122,15 @@ def law(log: Signals, lag: float = 0.0, dead_zone: float = 0.0) -> Law:
     columns = [error] if log.speed is None else [error, log.speed]
     step = log.grid[1] - log.grid[0]
     columns = [_lagged(c, lag, step) for c in columns]
-    period = _FINE * step
+    period = EFFORTS.fine * step
     inner = slice(2, -2)
     tried = []
-    for older in np.linspace(-_REACH, _REACH, 2 * _PARTS + 1) * period:
+    for older in np.linspace(-EFFORTS.reach, EFFORTS.reach, 2 * EFFORTS.parts + 1) * period:
         then = [np.interp(log.time - older, log.grid, c) for c in columns]
         table = np.stack([*then, np.ones(len(log.time))], axis=1)
         tried.append((_left(log.effort[inner], table[inner]), float(older)))
     # Between two steps of a held command all offsets fit alike: the least of them is claimed.
-    alike = _ALIKE * max(min(tried)[0], _NEGLIGIBLE * float(np.std(log.effort)))
+    alike = EFFORTS.alike * max(min(tried)[0], _NEGLIGIBLE * float(np.std(log.effort)))
     left, older = min((t for t in tried if t[0] <= alike), key=lambda each: abs(each[1]))
     at_once = min(tried, key=lambda each: abs(each[1]))[0]
     return Law(left, older, at_once)
@@ -180,12 +162,12 @@ def is_the_command(log: Signals) -> bool:
     left, spread = _deviation(off), float(np.std(command[near]))
     # What differs from sample to sample is noise; a lag or a dead zone differs for longer.
     noise = _deviation(np.diff(off)) / np.sqrt(2.0)
-    if spread == 0.0 or left > _EXPLAINS * spread or left > _TIMES * noise:
+    if spread == 0.0 or left > EFFORTS.explains * spread or left > EFFORTS.ahead * noise:
         return False
     deviation = left / spread / np.sqrt(len(command))
     return bool(
-        abs(gain - 1.0) <= max(3.0 * deviation, _EQUAL)
-        and abs(offset) <= max(3.0 * deviation, _EQUAL) * spread
+        abs(gain - 1.0) <= max(3.0 * deviation, EFFORTS.equal)
+        and abs(offset) <= max(3.0 * deviation, EFFORTS.equal) * spread
     )
 
 
@@ -203,9 +185,9 @@ def effort_fact(scale: float, demands: Sequence[Law], drives: Sequence[Law], per
     laws = {"demanded": tuple(demands), "measured": tuple(drives)}
     best = {name: min(x.left for x in each) for name, each in laws.items() if each}
     name = min(best, key=lambda n: best[n], default=None)
-    if name is None or best[name] > _EXPLAINS * scale:
+    if name is None or best[name] > EFFORTS.explains * scale:
         return unknown("the controller's law on the measured states does not explain the efforts")
-    older = _older([x for x in laws[name] if x.left <= _ALIKE * best[name]], period)
+    older = _older([x for x in laws[name] if x.left <= EFFORTS.alike * best[name]], period)
     numbers = {"lag": (older, "s")}
     unit = f"their own deviation {scale:.3g}, N*m or N"
     words = (
@@ -223,7 +205,7 @@ def effort_fact(scale: float, demands: Sequence[Law], drives: Sequence[Law], per
         words += (
             f"; the effort is {1e3 * abs(older):.3g} ms {side} than the positions of its message"
         )
-    if len(best) < 2 or max(best.values()) < _TIMES * best[name]:
+    if len(best) < 2 or max(best.values()) < EFFORTS.ahead * best[name]:
         return Fact(None, 0.0, "data", words, numbers)
     return Fact(name, 0.99, "data", words, numbers)
 
@@ -233,7 +215,9 @@ def _older(laws: Sequence[Law], period: float) -> float:
     where some needs none.
     """
     late = [
-        x.older if abs(x.older) > _LATE * period and x.left < _LESS * x.at_once else 0.0
+        x.older
+        if abs(x.older) > EFFORTS.late * period and x.left < EFFORTS.less * x.at_once
+        else 0.0
         for x in laws
     ]
     return min(late, key=abs, default=0.0)
@@ -252,4 +236,4 @@ def _left(effort: FloatArray, columns: FloatArray) -> float:
 def _deviation(values: FloatArray) -> float:
     """Root mean square of the smallest nine tenths: a sample beside a jump counts little."""
     square = np.sort(values**2)
-    return float(np.sqrt(np.mean(square[: max(round(_KEPT * len(square)), 1)])))
+    return float(np.sqrt(np.mean(square[: max(round(EFFORTS.kept * len(square)), 1)])))

@@ -18,7 +18,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
-from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 FAR_OFF = 10.0
 """Floors beyond which slopes may lead nowhere."""
@@ -43,7 +43,9 @@ def limits_of_large_residuals(problem: Problem, whole: FloatArray) -> list[Term]
 
 def doubtful_limits(problem: Problem, best: ScoredModel) -> list[Term]:
     """Limits of drives at joints that still stand out."""
-    out = (best.left > STANDS_OUT**2 * problem.signal_floor**2).reshape(-1, len(problem.joints))
+    out = (best.left > VERDICT.stands_out**2 * problem.signal_floor**2).reshape(
+        -1, len(problem.joints)
+    )
     return [t for t in best.hypothesis.terms if _limits(t) and out[:, t.joint].any()]
 
 

@@ -27,7 +27,7 @@ from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.settings import COMPARISON, SELECTION, SHORTLIST
-from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 
 @dataclass(slots=True)
@@ -88,7 +88,7 @@ def linearized_shortlist(
     polished = fit_linearized(look.linear, look.view, starts, NEARBY)
     polished = _by_evidence(look.view, polished, comparison.name_price)
     left = np.mean(polished[0].residual ** 2, axis=0)
-    if look.view.above(left, STANDS_OUT).any():
+    if look.view.above(left, VERDICT.stands_out).any():
         more = grow_single_terms(
             look.view, look.answers, polished, best.hypothesis,
             lambda: search(SHORTLIST.width_around_single, SHORTLIST.added - 1), cores,

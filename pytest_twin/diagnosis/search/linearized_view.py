@@ -25,7 +25,7 @@ from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange, hidden_at
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
-from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def _behind_gears(problem: Problem, best: ScoredModel, linear: Linear) -> set[in
     if not gears:
         return gears
     view = residual_view(problem, best, linear.residual(best.fitted.residual))
-    stands = view.above(view.mean_square, STANDS_OUT)
+    stands = view.above(view.mean_square, VERDICT.stands_out)
     return {j for j in gears if stands[j]}
 
 

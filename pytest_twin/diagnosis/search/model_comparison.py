@@ -25,7 +25,8 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.settings import COMPARISON
-from pytest_twin.diagnosis.verdict import STANDS_OUT, own_mismatch, worth_a_name
+from pytest_twin.diagnosis.verdict import own_mismatch, worth_a_name
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.segment import Predicted
 
 QUICK, FAIR, LONG = 2, 4, 8
@@ -150,7 +151,7 @@ class ModelComparison:
         """Whether any joint has left what would be worth a name if all of it went."""
         floor = self.problem.signal_floor**2
         left = rival.left
-        least = np.where(left > STANDS_OUT**2 * floor, floor, left)
+        least = np.where(left > VERDICT.stands_out**2 * floor, floor, left)
         return self.worth_a_name(left, least, self.mismatch(rival, self.nominal.left, left))
 
     def worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:

@@ -17,14 +17,8 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, label, levels_on
 from pytest_twin.diagnosis.search.pruning_settings import SETTINGS
 from pytest_twin.diagnosis.smoothing import derivatives
-from pytest_twin.diagnosis.verdict import (
-    AT_FLOOR,
-    LEFT,
-    STANDS_OUT,
-    JointError,
-    own_mismatch,
-    worth_a_name,
-)
+from pytest_twin.diagnosis.verdict import JointError, own_mismatch, worth_a_name
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 Rejections = Mapping[int, str]
 """Rejected effects by their number in the model, with the line that the reader gets of each."""
@@ -127,7 +121,10 @@ def below_noise_floor(tested: RefitComparison) -> Rejections:
         seen_once = not len(problem.held_out) and _recordings_that_need(tested, t) < 2
         return seen_once or changed or may_be_absent(fitted, t, tested.known)
 
-    bars = [STANDS_OUT * (SETTINGS.doubtful_factor if doubtful(t) else 1.0) for t in tested.terms]
+    bars = [
+        VERDICT.stands_out * (SETTINGS.doubtful_factor if doubtful(t) else 1.0)
+        for t in tested.terms
+    ]
     # The residual of the whole model is no merit of an effect.
     others = np.maximum(tested.base**2 - 1.0, 0.0)
     height = [
@@ -162,7 +159,9 @@ def _recordings_that_need(tested: RefitComparison, term: Term) -> int:
             for r in (without, tested.fitted.residual)
         )
         worse, base = levels
-        shown += bool((worse > np.maximum(SETTINGS.least_worsening * base, STANDS_OUT)).any())
+        shown += bool(
+            (worse > np.maximum(SETTINGS.least_worsening * base, VERDICT.stands_out)).any()
+        )
     return shown
 
 
@@ -238,7 +237,7 @@ def small_and_replaceable(tested: RefitComparison) -> Rejections:
         taken = float(np.sum(tested.levels[k] ** 2 - tested.base**2))
         left = float(tested.levels[k][_signals_of(tested.problem, t)].max())
         is_small = taken < SETTINGS.small_share * whole and not (
-            is_needed(tested, k) and left > AT_FLOOR
+            is_needed(tested, k) and left > VERDICT.at_floor
         )
         if is_small and tested.chance(t) < SETTINGS.sure_of_small:
             return {
@@ -293,7 +292,7 @@ def wrong_position_dependence(tested: RefitComparison) -> Rejections:
         if t.joint < 0 or not t.law.depends_only_on_position:
             continue
         error = tested.errors[t.joint]
-        if error.explained or error.fraction <= LEFT:
+        if error.explained or error.fraction <= VERDICT.left:
             continue
         share, of_velocity = _explained_by_position_and_velocity(
             tested.problem, tested.fitted.hypothesis, t.joint
@@ -351,7 +350,7 @@ def _levels_that_count(tested: RefitComparison, term: Term) -> tuple[FloatArray,
     effect, they are those of all recordings.
     """
     problem = tested.problem
-    hardly = tested.before[_signals_of(problem, term)].max() <= AT_FLOOR
+    hardly = tested.before[_signals_of(problem, term)].max() <= VERDICT.at_floor
     if not hardly or not len(problem.held_out):
         return tested.before, tested.base
     problem.refine_at(EMPTY)
@@ -420,7 +419,7 @@ def share_too_large(
         bound = SETTINGS.left_if_far
     if several and top > SETTINGS.far_if_several:
         bound = SETTINGS.left_if_several
-    return share if share > bound and top > STANDS_OUT else 0.0
+    return share if share > bound and top > VERDICT.stands_out else 0.0
 
 
 def _signals_of(problem: Problem, term: Term) -> slice:

@@ -28,7 +28,7 @@ from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.settings import SHORTLIST
 from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
-from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 
 def simulation_shortlist(
@@ -61,7 +61,7 @@ def _misread(problem: Problem, best: ScoredModel) -> list[Hypothesis]:
     floor of single samples, which all of them may stand out of together.
     """
     joints = len(problem.joints)
-    (out,) = np.nonzero((best.left > STANDS_OUT**2 * problem.signal_floor**2)[joints:])
+    (out,) = np.nonzero((best.left > VERDICT.stands_out**2 * problem.signal_floor**2)[joints:])
     return [
         best.hypothesis.with_term(t, starts_in_first_form(t)[0])
         for t in candidates(problem)
@@ -155,7 +155,9 @@ def _yielding(
     """The transmission that reduces the simulated residual most, if any."""
     own = best.hypothesis.terms
     seen = {*own, *(h.terms[-1] for h in found.starts if len(h.terms) == len(own) + 1)}
-    gears = [t for t in _gears(tryout.problem, look, found.left, STANDS_OUT) if t not in seen]
+    gears = [
+        t for t in _gears(tryout.problem, look, found.left, VERDICT.stands_out) if t not in seen
+    ]
     rows = [best.hypothesis.with_term(t, start) for t in gears for start, _ in grid(t)]
     if not rows:
         return []

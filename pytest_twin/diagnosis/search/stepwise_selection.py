@@ -62,7 +62,7 @@ from pytest_twin.diagnosis.search.term_exchange import (
     simulated_evidence,
 )
 from pytest_twin.diagnosis.trace import Decision
-from pytest_twin.diagnosis.verdict import AT_FLOOR, LEFT_FLOORS
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 
 class StepwiseSelection:
@@ -304,7 +304,7 @@ class StepwiseSelection:
             or problem.less_than_none(hypothesis, t)
             or (
                 hypothesis.at_bound(t)
-                and (left.max() if t.joint < 0 else left[t.joint]) > LEFT_FLOORS
+                and (left.max() if t.joint < 0 else left[t.joint]) > VERDICT.left_floors
             )
         ]  # fmt: skip
 
@@ -654,7 +654,7 @@ class StepwiseSelection:
         look = self.last_look
         most = float(np.sqrt(np.max(best.left / self.problem.signal_floor**2)))
         elsewhere = look is not None and look.around is not best
-        return None if elsewhere and AT_FLOOR < most <= LEFT_FLOORS else look
+        return None if elsewhere and VERDICT.at_floor < most <= VERDICT.left_floors else look
 
     def _weighed(
         self,

@@ -24,7 +24,7 @@ from pytest_twin.diagnosis.structure_search.refit import as_fitted, corrected_fi
 from pytest_twin.diagnosis.structure_search.score import Model, Scorer
 from pytest_twin.diagnosis.structure_search.settings import SETTINGS, Settings
 from pytest_twin.diagnosis.trace import Decision
-from pytest_twin.diagnosis.verdict import STANDS_OUT
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 _SCANNED = 4
 """Models of a scan that are simulated on all recordings."""
@@ -102,7 +102,7 @@ class StructureSearch:
         """The result with a better model; None where no proposal passes the acceptance test."""
         scorer, incumbent = self.scorer, result.model
         named = bool(incumbent.hypothesis.terms)
-        if not named and not scorer.stands_out(incumbent, STANDS_OUT).any():
+        if not named and not scorer.stands_out(incumbent, VERDICT.stands_out).any():
             return None
         fitted = as_fitted(self.problem, incumbent, result.jacobian)
         look = linearize_around(self.problem, ScoredModel(fitted, incumbent.validation))
@@ -138,7 +138,7 @@ class StructureSearch:
             [incumbent, *models],
             key=lambda m: float(np.log(np.maximum(m.mean_square, 1e-30)).sum()),
         )
-        if scorer.stands_out(best, 2.0 * STANDS_OUT).any():
+        if scorer.stands_out(best, 2.0 * VERDICT.stands_out).any():
             scanned = self._scanned(incumbent, best)
             models += self._fitted(look, scanned, incumbent, 3)
         return models
@@ -182,7 +182,7 @@ class StructureSearch:
         """
         scorer, own = self.scorer, incumbent.hypothesis
         joints = len(self.problem.joints)
-        out = scorer.stands_out(best, 2.0 * STANDS_OUT)[:joints]
+        out = scorer.stands_out(best, 2.0 * VERDICT.stands_out)[:joints]
         rows: dict[tuple[Term, int], list[Hypothesis]] = {}
         for term in self.candidates:
             if term in own.terms or not _is_scanned(term) or term.joint < 0 or not out[term.joint]:

@@ -1,0 +1,40 @@
+"""Thresholds on residuals: each with its unit and its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictSettings:
+    """When a residual is noise, when it is explained, and when an effect is worth a name.
+
+    They were chosen on simulated development cases and recordings of real arms. Floors are
+    multiples of a signal's noise floor; shares are of a squared error above the floor.
+
+    Attributes:
+        at_floor: floors up to which an RMS residual counts as noise. The floor is an estimate, and
+            micro-slip of real joints and MuJoCo's soft contacts leave residuals of 2 to 3 floors.
+        stands_out: floors below which a signal contains no identifiable effect.
+        left: share of the squared error up to which a residual counts as explained, ...
+        left_floors: ... if it is also below this many floors. Above, it is a mismatch of its own.
+        of_travel: share of a joint's travel up to which an error is of no consequence where small
+            corrections of the model explain it: 1 mrad of 1 rad is at the repeatability of ordinary
+            arms.
+        share_of_rest: share of the remaining error that an effect must remove at some joint.
+        share_of_all: share of the nominal model's error that it must remove there. Less is within
+            the accuracy of the simulation.
+        most_floors: floors up to which the nominal model's error counts in ``share_of_all``.
+    """
+
+    at_floor: float = 3.0
+    stands_out: float = 1.5
+    left: float = 0.02
+    left_floors: float = 10.0
+    of_travel: float = 1e-3
+    share_of_rest: float = 0.1
+    share_of_all: float = 0.003
+    most_floors: float = 100.0
+
+
+VERDICT = VerdictSettings()
