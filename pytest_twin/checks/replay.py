@@ -19,6 +19,7 @@ from pytest_twin.checks.base import (
 )
 from pytest_twin.checks.episode import EPISODE_SCHEMA, recording_of
 from pytest_twin.checks.fields import known_name, quantity, spec_error
+from pytest_twin.checks.measured_pose import measured_and_predicted
 from pytest_twin.checks.replay_signals import MISSING, effort_rms, frequency
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SpecError
@@ -120,6 +121,11 @@ class Replay(Check):
                     "description": "Frame of the tool: its pose at the predicted joints is held "
                     "against that at the measured ones.",
                 },
+                "tcp_topic": {
+                    **_NAME,
+                    "description": "Topic of the recording with the tool's measured poses "
+                    "(geometry_msgs/PoseStamped): the prediction is held against these instead.",
+                },
                 "controller": {
                     **_NAME,
                     "description": "The controller of twin.yaml that the recording names.",
@@ -130,6 +136,7 @@ class Replay(Check):
                 },
             },
             "required": ["recording"],
+            "dependentRequired": {"tcp_topic": ["tcp"]},
             "additionalProperties": False,
         },
         "stimulus": {"type": "object", "additionalProperties": False},
@@ -216,14 +223,19 @@ class Replay(Check):
         }
         if "tcp" in golden.target:
             frame = golden.target["tcp"]
-            predicted = [replay.frame_poses(realization, r.qpos, frame) for r in results]
-            measured = [
-                replay.frame_poses(realization, replay.measured_qpos(realization, r), frame)
-                for r in results
-            ]
-            values["tcp"] = _of_tcp(
-                frame, _time(trials), np.concatenate(predicted), np.concatenate(measured)
-            )
+            if "tcp_topic" in golden.target:
+                values["tcp"] = _of_tcp(
+                    frame, *measured_and_predicted(golden, realization, results)
+                )
+            else:
+                predicted = [replay.frame_poses(realization, r.qpos, frame) for r in results]
+                measured = [
+                    replay.frame_poses(realization, replay.measured_qpos(realization, r), frame)
+                    for r in results
+                ]
+                values["tcp"] = _of_tcp(
+                    frame, _time(trials), np.concatenate(predicted), np.concatenate(measured)
+                )
         return Observation(
             values,
             _series(trials, joints, lambda i: {"position": results[i].position,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.recording import TOPICS, JointSeries
 from pytest_twin.metrics.residual import residual
 from pytest_twin.trial import Trial, predicted_rows
@@ -72,6 +73,11 @@ def joined(parts: Sequence[JointSeries], trials: Sequence[Trial]) -> JointSeries
 
     names = ("stamp", "log_time", "position", "velocity", "effort")
     return replace(parts[0], **{name: of(name) for name in names})
+
+
+def predicted_positions(part: JointSeries) -> dict[str, FloatArray]:
+    """Joint -> (n,) positions, rad or m."""
+    return {} if part.position is None else dict(zip(part.names, part.position.T, strict=True))
 
 
 def distances(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.predicting import distances, joined, predict
+from pytest_twin.commands.predicting import distances, joined, predict, predicted_positions
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -26,6 +26,7 @@ from pytest_twin.formats.recording import TOPICS
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
+from pytest_twin.report import replay as page
 from pytest_twin.trial import at_command_stamps, make_trials, recording_at
 from pytest_twin.twin import FILE_NAME, Twin, load_twin, model_suffixes
 
@@ -59,8 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.mcap",
         type=Path,
         required=True,
-        help=f"the predicted {STATE_TOPIC}, at the stamps of the recording; FILE.json beside it "
-        "says how far it is from the recording, joint by joint",
+        help=f"the predicted {STATE_TOPIC}, at the stamps of the recording; FILE.json and "
+        "FILE.html beside it say how far it is from the recording, joint by joint and over "
+        "frequency",
     )
     add_recording_arguments(parser)
     parser.add_argument(
@@ -96,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
             progress=progress,
         )
     atomic.write_text(out.with_suffix(".json"), json.dumps(summary, indent=2) + "\n")
+    atomic.write_text(out.with_suffix(".html"), page.render(summary))
     json_output.give(args, summary)
     show(_words(summary))
     return DONE
@@ -141,6 +144,7 @@ def replay_file(
     """
     import mujoco
 
+    from pytest_twin.diagnosis.patched.frequency import best_responses
     from pytest_twin.identification.sensing.predicted import (
         as_encoders_read,
         compared,
@@ -181,6 +185,10 @@ def replay_file(
         "joints": distances(trials, parts, realization.structure.joint_type),
         "encoder_steps": {joint: one.step for joint, one in encoders.items()},
         "sensors": sensors,
+        "frequency_response": best_responses(
+            trials,
+            lambda at: predicted_positions(parts[at]),
+        ),
         "parts": [{"start": t.offset, "end": t.offset + t.duration} for t in replayed],
         "marks": [
             {

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from replay_trials import ARM, series
 from test_replay_check import JOINTS, TWIN, run
 
+from pytest_twin import cli
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import read_recording, write_recording
+from pytest_twin.formats.schema import load_schema
 from pytest_twin.realization import load
 from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import make_trial
@@ -80,3 +84,22 @@ def test_a_recording_that_supports_no_frequency_is_refused(arm: Path) -> None:
         with pytest.raises(SpecError) as error:
             run(arm, {"target": {"recording": "moves.mcap"}, "tolerance": tolerance})
         assert words in str(error.value)
+
+
+def test_the_page_of_a_replay_shows_the_response_of_each_joint(arm: Path) -> None:
+    out = arm.parent / "predicted.mcap"
+    moves = arm.parent / "logs" / "moves.mcap"
+    assert cli.main(["replay", str(arm / "twin.yaml"), str(moves), "--out", str(out)]) == 0
+    summary = json.loads(out.with_suffix(".json").read_text())
+    jsonschema.validate(summary, load_schema("results/replay.schema.json"))
+    (elbow,) = (
+        one for one in summary["frequency_response"]
+        if (one["joint"], one["input"]) == ("elbow", "command")
+    )  # fmt: skip
+    ratio = np.array(elbow["measured"]["magnitude_db"]) - np.array(
+        elbow["predicted"]["magnitude_db"]
+    )
+    np.testing.assert_allclose(ratio, 20 * np.log10(1.3), atol=1e-3)
+    page = out.with_suffix(".html").read_text()
+    assert "Frequency response" in page
+    assert page.count("magnitude, phase and coherence over frequency") >= 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pytest_twin.arrays import FloatArray
@@ -22,6 +22,18 @@ def responses_beside(realization: Realization, trials: Sequence[Trial]) -> list[
         realization: the fitted model, loaded from its folder.
         trials: recordings, of which the measured motion and the prediction are compared.
     """
+    return best_responses(trials, lambda at: _predicted(realization, trials[at]))
+
+
+def best_responses(
+    trials: Sequence[Trial], predicted: Callable[[int], Mapping[str, FloatArray]]
+) -> list[dict[str, Any]]:
+    """Every joint's responses in the recording that supports the most frequencies, in Hz, dB, rad.
+
+    Args:
+        trials: with measured motion.
+        predicted: number of a trial -> joint -> (n,) predicted positions.
+    """
     chosen: dict[tuple[str, str], tuple[int, int]] = {}
     for at, trial in enumerate(trials):
         for joint in trial.joints:
@@ -29,13 +41,11 @@ def responses_beside(realization: Realization, trials: Sequence[Trial]) -> list[
                 lines = len(one.measured.frequency)
                 if lines > chosen.get((joint, one.input), (0, 0))[0]:
                     chosen[joint, one.input] = lines, at
-    predicted = {
-        at: _predicted(realization, trials[at]) for at in {at for _, at in chosen.values()}
-    }
+    known = {at: predicted(at) for at in {at for _, at in chosen.values()}}
     return [
         one.to_json()
         for (joint, given), (_, at) in chosen.items()
-        for one in joint_responses(trials[at], joint, predicted[at].get(joint))
+        for one in joint_responses(trials[at], joint, known[at].get(joint))
         if one.input == given
     ]
 
