@@ -87,7 +87,11 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
     if other.twin.shadow != policy:
         notes.append("the candidate states other metrics under 'shadow:'; the release's count")
     if other.twin.update is not None:
-        document = try_update(other.twin.update, other.realization, trials, policy)
+        same = base.realization.parts == other.realization.parts
+        document = try_update(
+            other.twin.update, other.realization, trials, policy,
+            None if same else base.realization,
+        )  # fmt: skip
     else:
         document = _compared(base, other, trials, policy)
     held = all(fault["holds"] for fault in document["faults"])

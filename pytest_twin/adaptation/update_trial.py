@@ -31,9 +31,21 @@ _WORSE = 1.05
 
 
 def try_update(
-    spec: UpdateSpec, realization: Realization, trials: Sequence[Trial], policy: ShadowPolicy
+    spec: UpdateSpec,
+    realization: Realization,
+    trials: Sequence[Trial],
+    policy: ShadowPolicy,
+    released: Realization | None = None,
 ) -> dict[str, Any]:
     """Run an update beside the base and judge it; each window is predicted before it is learned.
+
+    Args:
+        spec: of the update.
+        realization: of the candidate.
+        trials: in the order of time.
+        policy: what the release declares.
+        released: of the release, where its model is another one. Its prediction then is what the
+            candidate has to improve: an update may not hide a worse model.
 
     Raises:
         SpecError: parameters that the model lacks, or a base with effects beside its model.
@@ -54,14 +66,20 @@ def try_update(
             path=trials[0].path,
             expected=f"recordings of more than {spec.window:g} s with dense positions",
         )
+    released_windows = windows
+    notes = ["metrics are over windows, each predicted before it was learned from"]
+    if released is not None:
+        others = [row_of(released, trial) for trial in trials]
+        released_windows = track(Recursion(spec, base_parameters(spec, others[0].model)), others)
+        notes.append("the candidate's model is another one: it is compared with the release's")
     share = policy.metrics.get("position_rms", 0.0)
-    before, after = _rms([w.base_rms for w in windows]), _rms([w.updated_rms for w in windows])
+    before = [w.base_rms for w in released_windows]
+    after = [w.updated_rms for w in windows]
     allowed = policy.safety.get("position_max", 0.0)
-    worst = [max(getattr(w, name) for w in windows) for name in ("base_rms", "updated_rms")]
     return {
         "metrics": [
-            _metric("position_rms", False, share, before, after),
-            _metric("position_max", True, allowed, *worst),
+            _metric("position_rms", False, share, _rms(before), _rms(after)),
+            _metric("position_max", True, allowed, max(before), max(after)),
         ],
         "faults": _faults(spec, recursion, rows),
         "acting": {
@@ -87,7 +105,7 @@ def try_update(
                 for w in windows
             ],
         },
-        "notes": ["metrics are over windows, each predicted before it was learned from"],
+        "notes": notes,
     }
 
 

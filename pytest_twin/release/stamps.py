@@ -10,10 +10,11 @@ from pathlib import Path
 from securesystemslib.signer import Key
 
 from pytest_twin.errors import ReleaseError, TwinError
-from pytest_twin.formats.stamps import Carrier, carriers_of
+from pytest_twin.formats.stamps import Carrier
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
 from pytest_twin.release import seen, stamp
+from pytest_twin.release.parsed_apart import carriers_apart
 from pytest_twin.release.restore import authentic
 from pytest_twin.release.stamp import Stamp, StampVerdict
 from pytest_twin.twin import find_twin
@@ -56,7 +57,7 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
     assert envelope is not None
     found = [
         Stamped(carrier, stamp.make(released, envelope, carrier.digest(), now))
-        for carrier in carriers_of(dataset)
+        for carrier in carriers_apart(dataset)
     ]
     for one in found:
         assert one.stamp is not None
@@ -72,7 +73,7 @@ def read(dataset: Path) -> list[Stamped]:
         TwinError: nothing there that holds a stamp, or a damaged file.
         ReleaseError: none of its files is stamped.
     """
-    found = [_read(carrier) for carrier in carriers_of(dataset)]
+    found = [_read(carrier) for carrier in carriers_apart(dataset)]
     if not any(one.stamp or one.problem for one in found):
         raise ReleaseError(
             "is not stamped",

@@ -97,3 +97,41 @@ def test_a_lasting_corruption_ends_in_the_base(setting) -> None:
     for _ in range(20):
         recursion.compare(0.02, 0.01)
     assert not recursion.falls_back
+
+
+def test_an_update_does_not_hide_a_worse_model(setting, tmp_path: Path) -> None:
+    """Twenty times the damping: the update improves that model, and not what was released."""
+    released, trials = setting
+    (tmp_path / "model.xml").write_text(model(damping=1.0))
+    worse = load(tmp_path / "model.xml")
+    spec = UpdateSpec("hides", {"a.coulomb_friction": (0.0, 0.2)}, window=0.5, noise=0.001)
+    policy = ShadowPolicy(metrics={"position_rms": 0.05})
+    against_itself = try_update(spec, worse, trials[:1], policy)
+    against_release = try_update(spec, worse, trials[:1], policy, released)
+    changes = [one["metrics"][0]["change"] for one in (against_itself, against_release)]
+    assert changes[1] > 1.0 > changes[0]
+    assert not against_release["metrics"][0]["met"]
+    assert any("compared with the release's" in note for note in against_release["notes"])
+
+
+def test_it_follows_a_plant_that_wears_and_warms_up(tmp_path: Path) -> None:
+    """Coulomb friction doubles from recording to recording, viscous friction falls."""
+    (tmp_path / "model.xml").write_text(model(damping=0.1, dry=0.02))
+    realization = load(tmp_path / "model.xml")
+    rows = []
+    for number in range(4):
+        age = number / 3.0
+        plant = model(damping=0.1 * (1.0 - 0.4 * age), dry=0.02 * (1.0 + age))
+        path = record(tmp_path / f"{number}.mcap", plant, phase=float(number), seconds=6.0)
+        topics = {"state": "/joint_states", "command": "/joint_commands"}
+        trials = make_trials(recording_at(path, topics), realization.structure)
+        rows += [row_of(realization, trial) for trial in trials]
+    spec = UpdateSpec(
+        "wear", {"a.viscous_friction": (0.0, 0.4), "a.coulomb_friction": (0.0, 0.2)}, window=0.5,
+        forgetting=0.9,
+    )  # fmt: skip
+    recursion = Recursion(spec, base_parameters(spec, rows[0].model))
+    windows = track(recursion, rows)
+    late = windows[-10:]
+    assert recursion.value == pytest.approx([0.06, 0.04], rel=0.15)
+    assert np.mean([w.updated_rms for w in late]) < 0.4 * np.mean([w.base_rms for w in late])

@@ -18,6 +18,7 @@ from pytest_twin import cli
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.formats.stamps import carriers_of
+from pytest_twin.release.parsed_apart import carriers_apart
 
 sys.path.append(str(Path(__file__).parents[1] / "formats"))
 
@@ -289,3 +290,27 @@ def test_a_damaged_file_is_refused_or_read_and_never_crashes(kind: str, tmp_path
             except TwinError:
                 refused += 1
     assert refused >= 60
+
+
+@pytest.mark.parametrize("kind", ["hdf5", "onnx"])
+def test_what_a_library_in_c_parses_is_parsed_in_a_child_process(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The parent cannot even import the library, and reads the stamp all the same."""
+    path = write(kind, tmp_path)
+    (carrier,) = carriers_apart(path)
+    carrier.write('{"a": 1}')
+    for library in ("h5py", "onnx"):
+        monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(TwinError, match="which is not installed"):
+        carriers_of(path)[0].read()
+    assert carrier.read() == '{"a": 1}'
+    assert len(carrier.digest()) == 64
+
+
+def test_a_damaged_file_is_told_by_the_child_in_the_same_words(tmp_path: Path) -> None:
+    path = tmp_path / "demo.hdf5"
+    path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    (carrier,) = carriers_apart(path)
+    with pytest.raises(TwinError, match=r"demo\.hdf5: cannot be read as HDF5"):
+        carrier.read()
