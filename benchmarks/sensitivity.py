@@ -9,7 +9,7 @@ Answers are kept in DIR/answers.jsonl, so that a second run goes on where the fi
 Writes DIR/sensitivity.md: for each field its value, what each change does to the answers, and the
 simulations that the searches take.
 
-FIELD: ``OBJECT.field``, such as ``SELECTION.earns``; all by default.
+FIELD: ``CLASS`` or ``CLASS.field``, such as ``SelectionSettings.earns``; all by default.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SAME_SHARE = 0.01
 
 @dataclass(frozen=True)
 class Field:
-    """One number in a settings object."""
+    """One number in a settings object; ``name`` is ``CLASS.attribute``."""
 
     name: str
     owner: Any
@@ -72,23 +72,21 @@ class Field:
 
 def settings_fields() -> list[Field]:
     """Every number of every settings object of the diagnosis."""
-    found: dict[int, tuple[str, Any]] = {}
+    found: list[Any] = []
     package = pytest_twin.diagnosis
     for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
         module = importlib.import_module(info.name)
-        for name, value in vars(module).items():
+        for value in vars(module).values():
             if (
                 dataclasses.is_dataclass(value)
                 and not isinstance(value, type)
                 and type(value).__module__ == info.name
                 and type(value).__name__.endswith("Settings")
             ):
-                stage = info.name.removeprefix(f"{package.__name__}.").rpartition(".")[2]
-                shown = name if name != "SETTINGS" else f"{stage}.{name}"
-                found[id(value)] = (shown, value)
+                found.append(value)
     return [
-        Field(f"{shown}.{field.name}", owner, field.name, getattr(owner, field.name))
-        for shown, owner in found.values()
+        Field(f"{type(owner).__name__}.{field.name}", owner, field.name, getattr(owner, field.name))
+        for owner in found
         for field in dataclasses.fields(owner)
         if isinstance(getattr(owner, field.name), int | float)
     ]
@@ -222,7 +220,11 @@ def main() -> int:
     until = time.monotonic() + 60.0 * args.minutes
     args.out.mkdir(parents=True, exist_ok=True)
     answers = Answers(args.out / "answers.jsonl")
-    fields = [f for f in settings_fields() if not args.fields or f.name in args.fields]
+    fields = [
+        field
+        for field in settings_fields()
+        if not args.fields or {field.name, field.name.partition(".")[0]} & {*args.fields}
+    ]
     base: dict[str, dict[str, Any]] = {}
     read: dict[str, set[str]] = {}
     for case, hidden in CASES.items():

@@ -264,7 +264,6 @@ def diagnose_files(
         Path(out),
         loaded.realization,
         trials,
-        inherited=loaded.patched,
         model=Path(model).name,
         threads=threads,
         progress=progress,

@@ -8,7 +8,7 @@ from pytest_twin.diagnosis.equivalent_sets import compare_sets
 from pytest_twin.diagnosis.evidence import log_likelihood
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused
-from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import label
 from pytest_twin.diagnosis.search.pruning import prune
@@ -55,7 +55,7 @@ def with_alternative_sets(
         run.step(
             problem, "exchange of a set", "rejected",
             f"its predictions differ by at most {other.apart:.3g} floors; it shares the confidence",
-            other.rival.hypothesis, other.evidence, compared.best.hypothesis, 0.0,
+            Scored(other.rival.hypothesis, other.evidence), Scored(compared.best.hypothesis, 0.0),
         )  # fmt: skip
     before = replace(found.selected, best=replace(found.selected.best, fitted=found.pruned.fitted))
     selected, pruned = share_confidence(before, compared), found.pruned

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeVar
 
 from pytest_twin.diagnosis.budget import Budget
@@ -12,6 +13,17 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trace import Decision, Step, Trace, named
 
 Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A hypothesis with its score; None where it has none."""
+
+    hypothesis: Hypothesis = EMPTY
+    score: float | None = None
+
+
+_NOTHING = Scored()
 
 
 class Run:
@@ -54,10 +66,8 @@ class Run:
         move: str,
         decision: Decision,
         reason: str,
-        proposed: Hypothesis = EMPTY,
-        score: float | None = None,
-        best: Hypothesis = EMPTY,
-        best_score: float | None = None,
+        proposed: Scored = _NOTHING,
+        best: Scored = _NOTHING,
     ) -> None:
         """Record a step; arguments as :class:`~pytest_twin.diagnosis.trace.Step` has them."""
         joints = problem.joints
@@ -65,10 +75,10 @@ class Run:
             Step(
                 self.trace.stage,
                 move,
-                named(joints, proposed.terms),
-                score,
-                named(joints, best.terms),
-                best_score,
+                named(joints, proposed.hypothesis.terms),
+                proposed.score,
+                named(joints, best.hypothesis.terms),
+                best.score,
                 decision,
                 reason,
                 self.budget.work,

@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.cma_es_fit import fit_by_evolution, initial_covariance_root
 from pytest_twin.diagnosis.search.full_drive_model import (
     fit_all_terms,
@@ -176,7 +176,7 @@ def conclude(
             selected.best = selection.comparison.scored_without_fit(best.hypothesis, slopes=True)
         pruned = prune(problem, selected, hurried=run.budget.out_of_time)
         for note in pruned.notes:
-            run.step(problem, "pruning", "rejected", note, best=pruned.fitted.hypothesis)
+            run.step(problem, "pruning", "rejected", note, best=Scored(pruned.fitted.hypothesis))
         return _searched(prepared, trials, selected, pruned)
 
 

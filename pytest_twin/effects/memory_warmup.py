@@ -14,7 +14,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, Values, World
 from pytest_twin.effects.fast_clip import fast_clip
-from pytest_twin.effects.motor_side import Gear, MotorSide
+from pytest_twin.effects.motor_side import Gear, Motor, MotorSide
 
 LEAD = 0.2
 """Length of the motion before a window in s; transmissions and current loops settle sooner."""
@@ -83,8 +83,11 @@ def shift_motors(world: World, geared: Sequence[tuple[Effect, Values]], shift: F
 def _motor_side(world: World, geared: Sequence[tuple[Effect, Values]]) -> MotorSide:
     return MotorSide.at_rest(
         gears(world, geared), world.position, world.velocity, world.load,
-        armature=world.motor_armature, damping=world.motor_damping, constant=world.motor_constant,
-        servo=world.damping + world.stiffness * world.timestep, timestep=world.timestep,
+        Motor(
+            world.motor_armature, world.motor_damping, world.motor_constant,
+            world.damping + world.stiffness * world.timestep,
+        ),
+        world.timestep,
     )  # fmt: skip
 
 

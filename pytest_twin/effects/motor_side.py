@@ -94,6 +94,23 @@ def _resolved(
     return np.where(bound, np.minimum(1.0, most * momentum / least / teeth), 1.0)
 
 
+@dataclass(frozen=True, slots=True)
+class Motor:
+    """What turns on the motor's side, on the joint's side of the gear, (rows, joints).
+
+    Attributes:
+        armature: motor inertia, kg*m^2 or kg.
+        damping: viscous coefficient, N*m*s/rad or N*s/m.
+        constant: constant effort, N*m or N.
+        servo: reduction of the drive's effort per unit of motor speed over a step.
+    """
+
+    armature: FloatArray
+    damping: FloatArray
+    constant: FloatArray
+    servo: FloatArray
+
+
 @dataclass(slots=True)
 class MotorSide:
     """State and coefficients of the motor sides.
@@ -131,11 +148,7 @@ class MotorSide:
         position: FloatArray,
         velocity: FloatArray,
         load: FloatArray,
-        *,
-        armature: FloatArray,
-        damping: FloatArray,
-        constant: FloatArray,
-        servo: FloatArray,
+        motor: Motor,
         timestep: float,
     ) -> MotorSide:
         """Motors at rest relative to their links, with the transmission deflected by the load.
@@ -144,21 +157,20 @@ class MotorSide:
             gear: the transmission.
             position, velocity: of the link.
             load: effort on the link.
-            armature, damping, constant: motor inertia, viscous damping and constant effort.
-            servo: reduction of the drive's effort per unit of motor speed over a step.
+            motor: what turns on the motor's side.
             timestep: s.
         """
-        stretch = gear.stretch(load)
+        stretch, constant = gear.stretch(load), motor.constant
         # A rigid transmission transmits nothing here.
         stiffness = np.where(gear.apart, gear.stiffness, 0.0)
         pull = stiffness * timestep + np.where(gear.apart, gear.damping, 0.0)
-        momentum = np.maximum(armature, 1e-9) / timestep
+        momentum = np.maximum(motor.armature, 1e-9) / timestep
         play = bool(gear.gap.any())
-        inert = momentum + damping
+        inert = momentum + motor.damping
         return cls(
             gear.apart, position + np.where(gear.apart, stretch, 0.0), velocity.copy(), constant,
             constant, np.zeros_like(constant), stiffness, pull, gear.gap / 2.0 if play else None,
-            momentum, inert if play else inert + pull, servo,
+            momentum, inert if play else inert + pull, motor.servo,
         )  # fmt: skip
 
     def meet(self, position: FloatArray, velocity: FloatArray) -> None:

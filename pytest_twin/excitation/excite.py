@@ -145,7 +145,8 @@ def excite(
         if payload in wanted
     }
     safe, refused = find_safe(designs, approved, robots, progress)
-    predicted = _predicted(safe, approved, noise, regressor, base, robots, twin, realization)
+    carrier = _carrier(twin, realization, regressor)
+    predicted = _predicted(safe, approved, noise, regressor, base, robots, carrier)
     return Excitation(
         realization, approved, noise, regressor, base, tuple(safe), tuple(refused),
         tuple(predicted), seed,
@@ -204,10 +205,12 @@ def _predicted(
     regressor: Regressor,
     base: BaseParameters,
     robots: Mapping[str | None, Robot],
-    twin: Twin,
-    realization: Realization,
+    carrier: str,
 ) -> list[Predicted]:
-    """What the motions to fit determine, mechanism by mechanism."""
+    """What the motions to fit determine, mechanism by mechanism.
+
+    ``carrier``: joint that moves the body with the payloads.
+    """
     fit = [one for one in safe if one.motion.role == "fit"]
     found: list[Predicted] = []
     for at, joint in enumerate(approved.joints):
@@ -230,7 +233,6 @@ def _predicted(
                 static = static_base(regressor, approved)
                 found += prediction.gravity(one.motion, static, regressor, approved, noise)
             if "payload" in approved.mechanisms:
-                carrier = _carrier(twin, realization, regressor)
                 found += prediction.payload(one.motion, carrier, regressor, approved, noise)
         if one.motion.kind == "fourier":
             found += prediction.inertia([one.motion], base, regressor, approved, noise)

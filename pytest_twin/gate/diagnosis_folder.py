@@ -9,8 +9,8 @@ from typing import Any
 
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.patched.frequency import responses_beside
-from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.patched.write import load_written, write_realization
+from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.write import Recorded, load_written, write_realization
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats import atomic
@@ -26,7 +26,6 @@ def write_diagnosis(
     realization: Realization,
     trials: TrialSet,
     *,
-    inherited: Patched | None,
     model: str,
     threads: int = 0,
     progress: Callable[[float], None],
@@ -36,9 +35,9 @@ def write_diagnosis(
 
     Args:
         folder: empty.
-        realization: the nominal model.
+        realization: the nominal model; the effects beside it are used where an earlier diagnosis
+            wrote it.
         trials: what was recorded.
-        inherited: effects beside the model, where an earlier diagnosis wrote it.
         model: what the report calls it.
         threads: of the simulations, 0 for all cores.
         progress: told the fraction done.
@@ -51,6 +50,7 @@ def write_diagnosis(
     Raises:
         TwinError: the model or the recordings cannot be used, or the folder cannot be written.
     """
+    inherited = patched_of(realization)
     with quiet():
         found = diagnose(
             realization, trials,
@@ -63,9 +63,7 @@ def write_diagnosis(
             found.prepared.problem,
             found.free.hypothesis,
             inherited,
-            found.prepared.coldness,
-            found.prepared.substeps,
-            found.settled.found_between,
+            Recorded(found.prepared.coldness, found.prepared.substeps, found.settled.found_between),
         )
         fitted = load_written(folder / REALIZATION)
         frequency = responses_beside(fitted, found.tested.trials.held_out or trials.fit)

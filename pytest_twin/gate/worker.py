@@ -95,7 +95,6 @@ def diagnose(
     Raises:
         TwinError: the model or the recordings cannot be used.
     """
-    from pytest_twin.diagnosis.patched.model import patched_of
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
 
@@ -119,7 +118,6 @@ def diagnose(
         Path(out),
         loaded,
         trials,
-        inherited=patched_of(loaded),
         model=f"{described.name}, {realization}",
         progress=progress,
     )

@@ -178,7 +178,7 @@ def _from_commands(
 ) -> dict[str, Any]:
     """No joint has an effort: the closed loop is simulated under the recorded commands."""
     from pytest_twin.diagnosis.patched.model import patched_of
-    from pytest_twin.diagnosis.patched.write import write_realization
+    from pytest_twin.diagnosis.patched.write import Recorded, write_realization
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.identification.simulation.document import simulation_document
     from pytest_twin.identification.simulation.identify import identify_simulation
@@ -193,7 +193,9 @@ def _from_commands(
         )  # fmt: skip
         write_realization(
             folder, realization, result.prepared.problem, result.hypothesis, inherited,
-            result.prepared.coldness, result.prepared.substeps, result.settled.found_between,
+            Recorded(
+                result.prepared.coldness, result.prepared.substeps, result.settled.found_between
+            ),
         )  # fmt: skip
     document = simulation_document(result)
     document["fit"] = {}

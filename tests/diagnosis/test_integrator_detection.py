@@ -104,9 +104,7 @@ def test_what_is_hidden_is_found_to_the_noise_of_the_simulation(tmp_path: Path) 
     realization, trials = posed(tmp_path, 1, HIDDEN)
     folder = tmp_path / "out"
     folder.mkdir()
-    write_diagnosis(
-        folder, realization, trials, inherited=None, model="arm", progress=lambda _: None
-    )
+    write_diagnosis(folder, realization, trials, model="arm", progress=lambda _: None)
     said = json.loads((folder / "diagnosis.json").read_text())
     assert said["verdict"] == "explained"
     assert any("with a time step of 2 ms" in note for note in said["notes"])

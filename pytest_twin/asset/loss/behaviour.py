@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,17 +43,15 @@ def rows(
             metres = max(metres, float(np.abs(first[frame] - second[frame])[:3, 3].max()))
             radians = max(radians, turned(first[frame], second[frame]))
     what = f"{len(frames)} frames"
-    yield _measured("forward kinematics, position", what, ran, metres, 1.0, "m")
-    yield _measured("forward kinematics, orientation", what, ran, radians, 1.0, "rad")
+    yield _measured("forward kinematics, position", what, ran, _Difference(metres, "m"))
+    yield _measured("forward kinematics, orientation", what, ran, _Difference(radians, "rad"))
     yield _directions(source, target, reference, by)
     mass = reference.mass(), target.dynamics.mass()
     yield _measured(
         "mass",
         f"{mass[0]:.9g} kg",
         f"{by} against {target.engine}, all bodies",
-        abs(mass[0] - mass[1]),
-        max(mass[0], 1e-3),
-        "kg",
+        _Difference(abs(mass[0] - mass[1]), "kg", max(mass[0], 1e-3)),
         after=f"{mass[1]:.9g} kg",
     )
     if min(mass) > _LEAST_MASS:
@@ -60,7 +59,7 @@ def rows(
             float(np.abs(reference.center_of_mass(q) - target.dynamics.center_of_mass(q)).max())
             for q in poses
         )
-        yield _measured("centre of mass", "of all bodies", ran, centre, 1.0, "m")
+        yield _measured("centre of mass", "of all bodies", ran, _Difference(centre, "m"))
     mine, theirs = _orders(reference, target.dynamics, poses[0])
     names = f"{len(mine)} joints"
     torque, largest = 0.0, 1.0
@@ -71,8 +70,8 @@ def rows(
         big = reference.mass_matrix(q)[np.ix_(mine, mine)]
         other = target.dynamics.mass_matrix(q)[np.ix_(theirs, theirs)]
         matrix, heaviest = max(matrix, most(big - other)), max(heaviest, most(big))
-    yield _measured("gravity torque", names, ran, torque, largest, "N*m or N")
-    yield _measured("mass matrix", names, ran, matrix, heaviest, "kg*m^2, kg*m or kg")
+    yield _measured("gravity torque", names, ran, _Difference(torque, "N*m or N", largest))
+    yield _measured("mass matrix", names, ran, _Difference(matrix, "kg*m^2, kg*m or kg", heaviest))
     yield _default_state(source, target)
 
 
@@ -92,17 +91,25 @@ def _orders(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Difference:
+    """Of two quantities, in ``unit``; it is exact up to 1e-9 of ``scale``."""
+
+    value: float
+    unit: str
+    scale: float = 1.0
+
+
 def _measured(
     feature: str,
     before: str,
     ran: str,
-    difference: float,
-    scale: float,
-    unit: str,
+    measured: _Difference,
     *,
     after: str | None = None,
     items: tuple[Item, ...] = (),
 ) -> Row:
+    difference, scale, unit = measured.value, measured.scale, measured.unit
     verdict: Verdict = "kept" if difference <= EXACT * scale else "changed"
     shown = after or before
     if verdict == "changed" and after is None:
@@ -141,9 +148,7 @@ def _directions(source: Description, target: Description, reference: Dynamics, b
         "direction of every joint",
         f"{len(shared)} joints",
         ran,
-        worst,
-        1.0,
-        "rad",
+        _Difference(worst, "rad"),
         items=tuple(items),
     )
 
@@ -178,8 +183,6 @@ def _default_state(source: Description, target: Description) -> Row:
         "default state",
         f"{len(shared)} joints at zero",
         ran,
-        worst,
-        1.0,
-        "rad or m",
+        _Difference(worst, "rad or m"),
         items=tuple(items),
     )

@@ -30,13 +30,12 @@ def table(
     *,
     empty: bool = False,
     critical: bool = False,
-    lost: bool = False,
 ) -> Row:
     """A row of named elements: kept where no item differs."""
     verdict: Verdict = "kept"
     if empty:
         verdict = "none"
-    elif lost or any(item.verdict == "lost" for item in items):
+    elif any(item.verdict == "lost" for item in items):
         verdict = "lost"
     elif items:
         verdict = "changed"

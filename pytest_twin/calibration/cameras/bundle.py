@@ -86,6 +86,14 @@ class Bundle:
         return replace(detection, board_points=self.board[detection.corner_ids])
 
 
+@dataclass(frozen=True, slots=True)
+class KnownNoise:
+    """Standard deviations: ``exact``, or where their estimation starts."""
+
+    value: Noise
+    exact: bool = True
+
+
 def bundle(
     base_from_flange: FloatArray | None,
     detections: Sequence[Detection],
@@ -93,9 +101,7 @@ def bundle(
     mount: Mount,
     free: Sequence[str] = (),
     *,
-    noise: Noise | None = None,
-    first_noise: Noise | None = None,
-    exact_board: bool = False,
+    noise: KnownNoise | None = None,
     arm: Arm | None = None,
 ) -> Bundle:
     """The least-squares estimate from images and, where there is one, the robot's poses.
@@ -106,15 +112,14 @@ def bundle(
         start: where the search starts; its board is the drawing.
         mount: what the flange carries.
         free: intrinsics that are estimated.
-        noise: where the standard deviations are known; estimated where it is left out.
-        first_noise: where the estimation of the noise starts.
-        exact_board: whether the board is held to its drawing; it is with few images.
+        noise: standard deviations that are known; estimated where it is left out.
         arm: whose zeros or links are estimated with the rest.
 
     Raises:
         numpy.linalg.LinAlgError: the images and poses do not determine the unknowns.
     """
-    exact_board = exact_board or len(detections) < FEWEST_IMAGES_FOR_BOARD
+    # With few images the board is held to its drawing.
+    exact_board = len(detections) < FEWEST_IMAGES_FOR_BOARD
     model = Model(
         base_from_flange,
         corners_of(detections),
@@ -125,10 +130,10 @@ def bundle(
     )
     if arm is not None:
         start = replace(start, arm=np.zeros(arm.count))
-    unknowns, sizes = start, noise or first_noise or Noise()
+    unknowns, sizes = start, Noise() if noise is None else noise.value
     for _ in range(_ROUNDS):
         unknowns = _minimized(model, unknowns, sizes)
-        if noise is not None:
+        if noise is not None and noise.exact:
             break
         new = noise_of(model, unknowns, sizes)
         change = max(abs(np.log(new.vector / sizes.vector)))

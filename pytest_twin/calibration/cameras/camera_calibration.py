@@ -10,7 +10,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.detection import Detection
 from pytest_twin.calibration.boards.opencv import opencv
-from pytest_twin.calibration.cameras.bundle import Bundle, bundle
+from pytest_twin.calibration.cameras.bundle import Bundle, KnownNoise, bundle
 from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics
 from pytest_twin.calibration.cameras.normal_equations import Unknowns
 from pytest_twin.calibration.cameras.pose import target_pose
@@ -118,7 +118,8 @@ def fixed_or_free(
     """
     if before is not None:
         start = Unknowns(np.eye(4), np.eye(4), intrinsics.vector, before.camera_from_target, board)
-        return bundle(None, detections, start, "hand", free, first_noise=before.noise)
+        known = KnownNoise(before.noise, exact=False)
+        return bundle(None, detections, start, "hand", free, noise=known)
     poses = [target_pose(one, intrinsics) for one in detections]
     if any(pose is None for pose in poses):
         raise ValueError("no pose of the target")

@@ -81,10 +81,10 @@ def calibrate_streams(plan: Plan) -> dict[str, Any]:
     found = correlate_speeds(hand, camera)
     problem = _unclear(found)
     middle = float(camera.time.mean())
-    fitted, held_out = _stretches(camera, plan)
+    stretches = _stretches(camera, plan)
     if not problem:
         try:
-            _solve(document, plan, hand, camera, found, middle, fitted, held_out)
+            _solve(document, plan, hand, camera, found, middle, stretches)
         except np.linalg.LinAlgError:
             problem = "the time offset: the motion does not determine it together with hand-eye"
     if problem:
@@ -128,9 +128,9 @@ def _solve(
     camera: PoseStream,
     found: Correlated,
     middle: float,
-    fitted: np.ndarray,
-    held_out: np.ndarray,
+    stretches: tuple[np.ndarray, np.ndarray],
 ) -> None:
+    fitted, held_out = stretches
     start = _start(hand, camera.rows(fitted), found.offset, plan)
     seen = _seen(camera, plan, start.inverted)
     mine, theirs = camera.rows(fitted), camera.rows(held_out)

@@ -90,7 +90,6 @@ def fit_clocks(
     middle: float,
     *,
     with_drift: bool,
-    with_offset: bool = True,
 ) -> ClockFit:
     """Least squares on all poses of the camera, against the hand's interpolated poses.
 
@@ -100,12 +99,12 @@ def fit_clocks(
         offset: where the search starts, s.
         start: where the search starts.
         middle: time of the camera's clock at which the offset holds, s.
-        with_drift, with_offset: whether these are free.
+        with_drift: whether the drift is free.
 
     Raises:
         numpy.linalg.LinAlgError: the motion does not determine the unknowns.
     """
-    free = np.r_[[0] * with_offset, [1] * with_drift, 2:14].astype(int)
+    free = np.r_[0, [1] * with_drift, 2:14].astype(int)
     at = ClockFit(offset, 0.0, start, np.zeros((14, 14)), 1.96, np.zeros(0), np.zeros(0))
     sizes = np.array([0.01, 0.01])
     for _ in range(_STEPS):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,6 +121,14 @@ class _Joint:
     model_spring: FloatArray
     rest: FloatArray
     soft: NDArray[np.bool_]
+
+
+class _Efforts(NamedTuple):
+    """Of the drive, of springs and constants, and the level of dry friction, N*m or N."""
+
+    drive: FloatArray
+    applied: FloatArray
+    level: FloatArray
 
 
 class LawForces:
@@ -303,7 +311,7 @@ class LawForces:
         )
         out = self._closed(
             wide, world.velocity, flat(along.acceleration), flat(self.required),
-            world.delivered, world.applied, world.friction_level,
+            _Efforts(world.delivered, world.applied, world.friction_level),
             (flat(self._standing), flat(self._direction)),
         )  # fmt: skip
         return [x.reshape(count, samples, columns) for x in out]
@@ -356,8 +364,9 @@ class LawForces:
                 run_hooks(world, hooks)
                 drive[i], level[i] = world.delivered, world.friction_level
             found = self._closed(
-                joint, velocity, acceleration, required, drive[:steps], applied,
-                level[:steps], _slipping(velocity, slip_velocity),
+                joint, velocity, acceleration, required,
+                _Efforts(drive[:steps], applied, level[:steps]),
+                _slipping(velocity, slip_velocity),
             )  # fmt: skip
             for m, x in zip(mean, found, strict=True):
                 m[first:last] = x.reshape(last - first, parts, count, columns).mean(axis=1)
@@ -374,12 +383,11 @@ class LawForces:
         velocity: FloatArray,
         acceleration: FloatArray,
         required: FloatArray,
-        drive: FloatArray,
-        applied: FloatArray,
-        level: FloatArray,
+        efforts: _Efforts,
         slipping: tuple[FloatArray, FloatArray],
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Total, drive, dry friction and its level, (..., lanes, columns) like the arguments."""
+        drive, applied, level = efforts
         level = np.maximum(level, 0.0)
         others = drive + applied - joint.damping * velocity - joint.armature * acceleration
         standing, direction = slipping

@@ -7,8 +7,8 @@ applies the listed effects.
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -25,15 +25,32 @@ from pytest_twin.recording_options import CommandBetween
 from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Twin, load_twin
 
 
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What recordings say of how they are simulated.
+
+    Attributes:
+        coldness: temperature -> normalized coldness of the trials.
+        substeps: as :class:`Patched` has it.
+        between: what commands do between stamps where a recording does not say it; None where that
+            is not known.
+    """
+
+    coldness: Coldness = field(default_factory=dict)
+    substeps: int = 0
+    between: CommandBetween | None = None
+
+
+_AS_MODELLED = Recorded()
+
+
 def write_realization(
     folder: Path,
     realization: Realization,
     problem: Problem,
     hypothesis: Hypothesis,
     inherited: Patched | None = None,
-    coldness: Coldness = MappingProxyType({}),
-    substeps: int = 0,
-    between: CommandBetween | None = None,
+    recorded: Recorded = _AS_MODELLED,
 ) -> Patched:
     """Write ``model.xml``, ``effects.json`` and, where it says something, ``twin.yaml``.
 
@@ -43,10 +60,7 @@ def write_realization(
         problem: the diagnosed problem.
         hypothesis: the findings.
         inherited: effects of the nominal model, if an earlier diagnosis wrote it.
-        coldness: temperature -> normalized coldness of the trials.
-        substeps: see :class:`Patched`.
-        between: what commands do between stamps where a recording does not say it, as found; None
-            where that is not known.
+        recorded: what the recordings say of how they are simulated.
 
     Raises:
         PathError: the folder cannot be written.
@@ -65,9 +79,9 @@ def write_realization(
     patched = Patched(
         problem.joints,
         tuple(effects),
-        coldness if asked else {},
+        recorded.coldness if asked else {},
         problem.simulator.segments[0].creeps,
-        substeps,
+        recorded.substeps,
     )
     writer.settle()
     text = writer.text()
@@ -77,6 +91,7 @@ def write_realization(
                 atomic.write_bytes(folder / name, path.read_bytes())
     atomic.write_text(folder / MODEL_FILE, text)
     atomic.write_text(folder / EFFECTS_FILE, json.dumps(effects_json(patched), indent=2) + "\n")
+    between = recorded.between
     if realization.twin is not None:
         atomic.write_text(folder / FILE_NAME, twin_text(realization.twin, between))
     elif between is not None:

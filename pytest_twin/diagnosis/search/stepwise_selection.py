@@ -18,10 +18,10 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.evidence import supported_by_windows
 from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity, linearize
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.refusal import refused
-from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, limits_instead
 from pytest_twin.diagnosis.search.linearized_shortlist import (
     LinearizedShortlist,
@@ -207,9 +207,10 @@ class StepwiseSelection:
         score = self._score(best)
         self.diagnosis_run.step(
             self.problem, move, decision, reason,
-            EMPTY if proposed is None else proposed.hypothesis,
-            None if proposed is None else score + proposed.evidence,
-            best.hypothesis, score,
+            Scored()
+            if proposed is None
+            else Scored(proposed.hypothesis, score + proposed.evidence),
+            Scored(best.hypothesis, score),
         )  # fmt: skip
 
     def _grow(self, selected: SelectedModel) -> None:
@@ -366,8 +367,8 @@ class StepwiseSelection:
         for h in starts:
             self.diagnosis_run.step(
                 self.problem, "addition", "shortlisted",
-                "among the best of the linearized comparison: simulated next", h,
-                best=best.hypothesis,
+                "among the best of the linearized comparison: simulated next", Scored(h),
+                Scored(best.hypothesis),
             )  # fmt: skip
         # What the step costs differs between the nominal model and what explains the rest; of
         # that, the simplest is the least to be wrong.

@@ -30,7 +30,7 @@ from pytest_twin.diagnosis.search.simplification import (
     split_terms,
 )
 from pytest_twin.diagnosis.structure_search.score import Scorer
-from pytest_twin.diagnosis.structure_search.settings import Settings
+from pytest_twin.diagnosis.structure_search.settings import StructureSearchSettings
 
 _ITERATIONS = 3
 """Of a fit along the motion."""
@@ -49,7 +49,9 @@ class Proposal:
     gain: float
 
 
-def proposals(scorer: Scorer, look: LinearizedView, settings: Settings) -> list[Proposal]:
+def proposals(
+    scorer: Scorer, look: LinearizedView, settings: StructureSearchSettings
+) -> list[Proposal]:
     """Proposals around the incumbent, most promising first.
 
     Args:
@@ -74,7 +76,9 @@ def proposals(scorer: Scorer, look: LinearizedView, settings: Settings) -> list[
     return sorted(found, key=lambda p: -p.gain)
 
 
-def _exchanged(scorer: Scorer, look: LinearizedView, settings: Settings) -> Iterable[Hypothesis]:
+def _exchanged(
+    scorer: Scorer, look: LinearizedView, settings: StructureSearchSettings
+) -> Iterable[Hypothesis]:
     """The incumbent with terms removed and others added."""
     own, view = look.around.hypothesis, look.view
     removed = removals(own)

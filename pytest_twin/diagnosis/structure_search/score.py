@@ -49,7 +49,7 @@ class Scorer:
     Attributes:
         problem: recordings and simulator.
         name_price: log-likelihood that one more effect has to earn.
-        earns, share: as :class:`Settings` has them.
+        earns, share: as :class:`StructureSearchSettings` has them.
         nominal: the model without any effect.
     """
 

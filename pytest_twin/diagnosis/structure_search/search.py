@@ -16,13 +16,13 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused
-from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView, linearize_around
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.structure_search.proposals import Proposal, proposals
 from pytest_twin.diagnosis.structure_search.refit import as_fitted, corrected_fits, settled
 from pytest_twin.diagnosis.structure_search.score import Model, Scorer
-from pytest_twin.diagnosis.structure_search.settings import SETTINGS, Settings
+from pytest_twin.diagnosis.structure_search.settings import SETTINGS, StructureSearchSettings
 from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
@@ -64,7 +64,7 @@ class StructureSearch:
         self,
         problem: Problem,
         run: Run | None = None,
-        settings: Settings = SETTINGS,
+        settings: StructureSearchSettings = SETTINGS,
         leave: Callable[[Model], bool] = lambda model: False,
     ) -> None:
         self.problem = problem
@@ -229,7 +229,12 @@ class StructureSearch:
         )
         decision: Decision = "accepted" if taken else "rejected"
         self.diagnosis_run.step(
-            self.problem, move, decision, reason, model.hypothesis, gain, incumbent.hypothesis, 0.0
+            self.problem,
+            move,
+            decision,
+            reason,
+            Scored(model.hypothesis, gain),
+            Scored(incumbent.hypothesis, 0.0),
         )
 
 

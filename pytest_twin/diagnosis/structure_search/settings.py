@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class StructureSearchSettings:
     """Thresholds and bounds of one structure search.
 
     Attributes:
@@ -38,4 +38,4 @@ class Settings:
     share: float = 0.1
 
 
-SETTINGS = Settings()
+SETTINGS = StructureSearchSettings()

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.boards.detection import Detection, detect_files
 from pytest_twin.calibration.boards.target import make_target
-from pytest_twin.calibration.cameras.bundle import bundle
+from pytest_twin.calibration.cameras.bundle import KnownNoise, bundle
 from pytest_twin.calibration.cameras.increments import changed, inverse
 from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics, make_intrinsics, project
 from pytest_twin.calibration.cameras.normal_equations import Noise, Unknowns
@@ -169,7 +169,7 @@ def test_known_noise_is_kept():
     noise = Noise(0.25, 4e-4, 6e-4)
     board = TARGET.board_points()
     start = Unknowns(first.hand_eye, first.robot_world, CAMERA.vector, seen, board)
-    assert bundle(reported, detections, start, "hand", noise=noise).noise == noise
+    assert bundle(reported, detections, start, "hand", noise=KnownNoise(noise)).noise == noise
 
 
 def test_the_noise_of_corners_is_found_from_single_images():
