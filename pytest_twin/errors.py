@@ -19,7 +19,8 @@ class TwinError(Exception):
         expected: what would have been right.
     """
 
-    def __init__(
+    # By keyword, and each of them one part of the message.
+    def __init__(  # noqa: PLR0913
         self,
         problem: str,
         *,

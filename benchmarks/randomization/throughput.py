@@ -141,7 +141,7 @@ def main() -> None:
         path = twin(folder)
         before = engine(folder, args.engine_rows, threads)
         started = time.perf_counter()
-        found = ranges_of_file(str(path), draws=args.draws)
+        found = ranges_of_file(str(path), {"draws": args.draws})
         whole = time.perf_counter() - started
         after = engine(folder, args.engine_rows, threads)
     own = found["throughput"]["steps_per_second"]

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -170,7 +171,7 @@ def diagnose_into(
     Args:
         out: absolute; new, empty, or that of an earlier diagnosis.
         model, recordings, held_out: as the command has them.
-        arguments: further keyword arguments of :func:`diagnose_files`.
+        arguments: further fields of :class:`DiagnosisRequest`.
         progress: shows how far it is; Ctrl-C then ends the search early.
 
     Raises:
@@ -191,11 +192,13 @@ def diagnose_into(
             summary: dict[str, Any] = sandbox.call(
                 "pytest_twin.commands.diagnose:diagnose_files",
                 {
-                    "model": str(found),
-                    "recordings": [str(r.absolute()) for r in recordings],
-                    "held_out": [str(r.absolute()) for r in held_out],
-                    "out": str(staging),
-                    **arguments,
+                    "request": {
+                        "model": str(found),
+                        "recordings": [str(r.absolute()) for r in recordings],
+                        "held_out": [str(r.absolute()) for r in held_out],
+                        "out": str(staging),
+                        **arguments,
+                    },
                 },
                 progress=progress,
                 tell=None if progress is None else progress.tell,
@@ -204,25 +207,50 @@ def diagnose_into(
     return summary
 
 
+@dataclass(frozen=True, slots=True)
+class DiagnosisRequest:
+    """What a diagnosis is asked for, as one process tells another.
+
+    Attributes:
+        model: file of the model.
+        recordings, held_out: files and folders.
+        out: empty folder.
+        topics: role -> topic, before those of the twin.
+        options: how recordings are read, before what the twin says.
+        packages, roots: where the model's files may lie.
+        seconds: that the search may take; 0: as long as it takes.
+        own_time: whether these are the command's own and not the user's.
+        answer_first: whether one recording is diagnosed quickly before.
+        threads: of the simulations, 0 for all cores.
+    """
+
+    model: str
+    recordings: Sequence[str]
+    held_out: Sequence[str]
+    out: str
+    topics: Mapping[str, str]
+    options: Mapping[str, Any]
+    packages: Mapping[str, str] | None = None
+    roots: Sequence[str] = ()
+    seconds: float = 0.0
+    own_time: bool = False
+    answer_first: bool = False
+    threads: int = 0
+
+
 def diagnose_files(
-    model: str,
-    recordings: list[str],
-    held_out: list[str],
-    out: str,
-    topics: Mapping[str, str],
-    options: Mapping[str, Any],
-    packages: Mapping[str, str] | None = None,
-    roots: Sequence[str] = (),
-    seconds: float = 0.0,
-    own_time: bool = False,
-    answer_first: bool = False,
-    threads: int = 0,
+    request: Mapping[str, Any],
     progress: Callable[[float], None] = lambda fraction: None,
     tell: Callable[[str, str], None] = lambda kind, text: None,
 ) -> dict[str, Any]:
     """Load, diagnose, write; runs in the child process.
 
     An interruption (SIGINT) ends the search early: the best so far is written.
+
+    Args:
+        request: fields of :class:`DiagnosisRequest`.
+        progress: told the fraction done.
+        tell: told states and lines for the terminal.
 
     Returns:
         The verdict and the lines to print.
@@ -238,15 +266,17 @@ def diagnose_files(
     from pytest_twin.realization.quiet import quiet
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
-    loaded = load_model(Path(model), SearchFolders.of(roots, packages))
+    asked = DiagnosisRequest(**request)
+    loaded = load_model(Path(asked.model), SearchFolders.of(asked.roots, asked.packages))
     trials = read_trials(
-        [Path(r) for r in recordings],
-        [Path(r) for r in held_out],
-        {**loaded.topics, **topics},
+        [Path(r) for r in asked.recordings],
+        [Path(r) for r in asked.held_out],
+        {**loaded.topics, **asked.topics},
         loaded.realization.structure,
-        RecordingOptions.from_json(options).over(loaded.options),
+        RecordingOptions.from_json(asked.options).over(loaded.options),
     )
-    budget = Budget(seconds, own_time=own_time)
+    seconds = asked.seconds
+    budget = Budget(seconds, own_time=asked.own_time)
     signal.signal(signal.SIGINT, lambda number, frame: budget.stop())
 
     def say_state(step: Step) -> None:
@@ -254,18 +284,18 @@ def diagnose_files(
         left = f"; at most {budget.left:.0f} s left" if seconds else ""
         tell("state", f"{step.stage}; best so far: {best}{left}")
 
-    if answer_first:
+    if asked.answer_first:
         bound = min(FIRST_SECONDS, 0.2 * seconds) if seconds else FIRST_SECONDS
         with quiet():
             seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
         words = f"none within {bound:g} s" if seen is None else quick_diagnosis_in_words(seen)
         tell("line", f"first answer, from one recording: {words}")
     summary = write_diagnosis(
-        Path(out),
+        Path(asked.out),
         loaded.realization,
         trials,
-        model=Path(model).name,
-        threads=threads,
+        model=Path(asked.model).name,
+        threads=asked.threads,
         progress=progress,
         run=Run(budget, Trace(say_state)),
     )

@@ -66,7 +66,7 @@ class Options:
     Attributes:
         out: folder that gets a folder for each robot.
         threads: cores of each diagnosis, 0 for all.
-        arguments: keyword arguments of ``diagnose_files`` beside the files.
+        arguments: fields of ``DiagnosisRequest`` beside the files.
     """
 
     out: Path
@@ -153,7 +153,7 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
 
     Args:
         args: of ``diagnose``.
-        arguments: keyword arguments of ``diagnose_files`` beside the files.
+        arguments: fields of ``DiagnosisRequest`` beside the files.
 
     Raises:
         TwinError: the fleet file or the output folder cannot be used.

@@ -155,22 +155,24 @@ def run(args: argparse.Namespace) -> int:
             document = sandbox.call(
                 "pytest_twin.identification.run:identify_files",
                 {
-                    "model": str(model),
-                    "recordings": [str(r.absolute()) for r in args.recordings],
-                    "held_out": [str(r.absolute()) for r in args.held_out],
-                    "out": str(staging),
-                    "name": args.id or out.name,
-                    "topics": args.topics,
-                    "options": recording_options(args),
-                    "sensors": args.sensor,
-                    "tosses": {
-                        "length": args.length_unit,
-                        "rate": args.rate,
-                        "body": args.body,
-                        "topic": args.pose_topic,
-                        "wrench": args.wrench_topic,
-                    },
-                    **model_files.search_folders(args),
+                    "request": {
+                        "model": str(model),
+                        "recordings": [str(r.absolute()) for r in args.recordings],
+                        "held_out": [str(r.absolute()) for r in args.held_out],
+                        "out": str(staging),
+                        "name": args.id or out.name,
+                        "topics": args.topics,
+                        "options": recording_options(args),
+                        "sensors": args.sensor,
+                        "tosses": {
+                            "length": args.length_unit,
+                            "rate": args.rate,
+                            "body": args.body,
+                            "topic": args.pose_topic,
+                            "wrench": args.wrench_topic,
+                        },
+                        **model_files.search_folders(args),
+                    }
                 },
                 progress=progress,
             )

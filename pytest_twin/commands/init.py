@@ -116,8 +116,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
         roots = dict(brought.roots)
         if root is not None:
             roots[ROOT if ROOT not in roots else f"{ROOT}_of_{folder.name}"] = root
-        twin_file = writing.write_twin_file(
-            folder,
+        first = writing.FirstTwin(
             name=re.sub(r"[^A-Za-z0-9_.-]", "_", robot.stem),
             model=brought.model,
             source=brought.files,
@@ -127,6 +126,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             motors=seen["motors"],
             reading=_reading(args),
         )
+        twin_file = writing.write_twin_file(folder, first)
         writing.write_schemas(folder)
         seen["notes"] += writing.write_git_files(folder)
         progress.begin("choosing goldens")

@@ -102,13 +102,15 @@ def run(args: argparse.Namespace) -> int:
             "pytest_twin.ranges.run:ranges_of_file",
             {
                 "path": str(twin.absolute()),
-                "final": [str(path.absolute()) for path in args.final],
-                "held_out": [str(path.absolute()) for path in args.held_out],
-                "draws": args.draws,
-                "share": args.share,
-                "options": recording_options(args),
-                "topics": args.topics,
-                "against": None if args.against is None else str(args.against.absolute()),
+                "request": {
+                    "final": [str(path.absolute()) for path in args.final],
+                    "held_out": [str(path.absolute()) for path in args.held_out],
+                    "draws": args.draws,
+                    "share": args.share,
+                    "options": recording_options(args),
+                    "topics": args.topics,
+                    "against": None if args.against is None else str(args.against.absolute()),
+                },
             },
             progress=progress,
         )

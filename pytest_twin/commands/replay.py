@@ -87,13 +87,15 @@ def run(args: argparse.Namespace) -> int:
         summary = sandbox.call(
             "pytest_twin.commands.replay:replay_file",
             {
-                "model": str(find_model(args.model)),
-                "recording": str(recording),
-                "out": str(out.absolute()),
-                "topics": args.topics,
-                "options": recording_options(args),
-                "episode": args.episode,
-                **model_files.search_folders(args),
+                "request": {
+                    "model": str(find_model(args.model)),
+                    "recording": str(recording),
+                    "out": str(out.absolute()),
+                    "topics": args.topics,
+                    "options": recording_options(args),
+                    "episode": args.episode,
+                    **model_files.search_folders(args),
+                },
             },
             progress=progress,
         )
@@ -126,18 +128,39 @@ def find_model(given: Path) -> Path:
     return given.resolve()
 
 
+@dataclass(frozen=True, slots=True)
+class ReplayRequest:
+    """What a replay is asked for, as one process tells another.
+
+    Attributes:
+        model: file of the model.
+        recording: file or folder.
+        out: file of the prediction.
+        topics: role -> topic, before those of the twin.
+        options: how recordings are read, before what the twin says.
+        episode: of a data set, from 0.
+        packages, roots: where the model's files may lie.
+    """
+
+    model: str
+    recording: str
+    out: str
+    topics: Mapping[str, str]
+    options: Mapping[str, Any]
+    episode: int | None = None
+    packages: Mapping[str, str] | None = None
+    roots: Sequence[str] = ()
+
+
 def replay_file(
-    model: str,
-    recording: str,
-    out: str,
-    topics: Mapping[str, str],
-    options: Mapping[str, Any],
-    episode: int | None = None,
-    packages: Mapping[str, str] | None = None,
-    roots: Sequence[str] = (),
+    request: Mapping[str, Any],
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Load, replay, write; runs in the child process.
+
+    Args:
+        request: fields of :class:`ReplayRequest`.
+        progress: told the fraction done.
 
     Returns:
         The content of the JSON file beside the prediction.
@@ -152,10 +175,12 @@ def replay_file(
         sensors_of,
     )
 
-    loaded = load_model(Path(model), SearchFolders.of(roots, packages))
+    asked = ReplayRequest(**request)
+    loaded = load_model(Path(asked.model), SearchFolders.of(asked.roots, asked.packages))
     realization = loaded.realization
-    chosen = RecordingOptions.from_json(options).over(loaded.options)
-    read = recording_at(Path(recording), {**loaded.topics, **topics}, chosen, episode)
+    chosen = RecordingOptions.from_json(asked.options).over(loaded.options)
+    topics = {**loaded.topics, **asked.topics}
+    read = recording_at(Path(asked.recording), topics, chosen, asked.episode)
     trials = make_trials(read, realization.structure, chosen)
     # One state says where the robot starts: the motion is predicted at the commands.
     replayed = [t if len(t.time) > 1 else at_command_stamps(t) for t in trials]
@@ -165,15 +190,15 @@ def replay_file(
     predicted = joined(parts, replayed)
     sensors, unread = compared(
         sensors_of(realization.twin), read.path, realization, joined(ideal, replayed),
-        {**loaded.topics, **topics}["state"],
+        topics["state"],
     )  # fmt: skip
-    write_recording(Path(out), [predicted], trials[0].metadata)
+    write_recording(Path(asked.out), [predicted], trials[0].metadata)
     first = trials[0]
     return {
         "schema": 1,
-        "model": model,
-        "recording": recording,
-        "prediction": out,
+        "model": asked.model,
+        "recording": asked.recording,
+        "prediction": asked.out,
         "simulator": f"mujoco {mujoco.__version__}",
         "timestep": {"value": float(realization.model.opt.timestep), "unit": "s"},
         "samples": len(predicted.stamp),

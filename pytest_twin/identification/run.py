@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,8 @@ from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.identification.closed_loop import simulated, trials_of
-from pytest_twin.identification.contact.identify import (
-    TossOptions,
-    are_tosses,
-    identify_contact,
-)
+from pytest_twin.identification.contact.identify import are_tosses, identify_contact
+from pytest_twin.identification.contact.roles import TossOptions
 from pytest_twin.identification.effort.identify import has_effort, identify_effort
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.measured import Measured
@@ -33,23 +31,11 @@ from pytest_twin.twin import DEFAULT_TOPICS, Twin, load_twin
 REALIZATION = "realization"
 
 
-def identify_files(
-    model: str,
-    recordings: Sequence[str],
-    held_out: Sequence[str],
-    out: str,
-    name: str,
-    topics: Mapping[str, str],
-    options: Mapping[str, Any],
-    packages: Mapping[str, str] | None = None,
-    roots: Sequence[str] = (),
-    tosses: Mapping[str, Any] | None = None,
-    sensors: Sequence[Mapping[str, str]] = (),
-    progress: Callable[[float], None] = lambda fraction: None,
-) -> dict[str, Any]:
-    """Load, identify, write the fitted model; runs in the child process.
+@dataclass(frozen=True, slots=True)
+class IdentificationRequest:
+    """What an identification is asked for, as one process tells another.
 
-    Args:
+    Attributes:
         model: MJCF, URDF or ``twin.yaml``.
         recordings, held_out: files and folders.
         out: empty folder; gets ``realization/``.
@@ -59,6 +45,29 @@ def identify_files(
         packages, roots: where the model's files lie.
         tosses: fields of ``TossOptions``, for recordings of a free object.
         sensors: fields of ``Mounted``; where there are any, they alone are estimated.
+    """
+
+    model: str
+    recordings: Sequence[str]
+    held_out: Sequence[str]
+    out: str
+    name: str
+    topics: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    packages: Mapping[str, str] | None = None
+    roots: Sequence[str] = ()
+    tosses: Mapping[str, Any] | None = None
+    sensors: Sequence[Mapping[str, str]] = ()
+
+
+def identify_files(
+    request: Mapping[str, Any],
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> dict[str, Any]:
+    """Load, identify, write the fitted model; runs in the child process.
+
+    Args:
+        request: fields of :class:`IdentificationRequest`.
         progress: told the fraction done.
 
     Returns:
@@ -67,9 +76,12 @@ def identify_files(
     Raises:
         TwinError: input that cannot be used.
     """
-    realization, notes = _load(Path(model), SearchFolders.of(roots, packages))
+    asked = IdentificationRequest(**request)
+    model, out, name, topics = asked.model, asked.out, asked.name, asked.topics
+    recordings, held_out, sensors = asked.recordings, asked.held_out, asked.sensors
+    realization, notes = _load(Path(model), SearchFolders.of(asked.roots, asked.packages))
     twin = realization.twin
-    chosen = RecordingOptions.from_json(options).over(
+    chosen = RecordingOptions.from_json(asked.options).over(
         NO_OPTIONS if twin is None else twin.recordings
     )
     signals = NO_SIGNALS if twin is None else twin.signals
@@ -84,7 +96,7 @@ def identify_files(
             lambda fraction: progress(0.1 + 0.9 * fraction),
         )  # fmt: skip
         return _finished(document, notes, name, realization, [Path(model), *paths, *tested])
-    tossed = TossOptions(**(tosses or {}))
+    tossed = TossOptions(**(asked.tosses or {}))
     if are_tosses([*paths, *tested], tossed):
         document = identify_contact(
             realization, paths, tested, tossed, _made(Path(out) / REALIZATION),

@@ -54,19 +54,29 @@ class Request:
     topics: Mapping[str, str] | None = None
     against: Path | None = None
 
+    @classmethod
+    def from_json(cls, fields: Mapping[str, Any]) -> Request:
+        """Its fields with paths as text."""
+        paths = {
+            name: [Path(one) for one in fields[name]]
+            for name in ("final", "held_out")
+            if name in fields
+        }
+        against = fields.get("against")
+        return cls(**{**fields, **paths, "against": None if against is None else Path(against)})
+
 
 def ranges_of_file(
     path: str,
-    final: Sequence[str] = (),
-    held_out: Sequence[str] = (),
-    draws: int | None = None,
-    share: float | None = None,
-    options: Mapping[str, Any] | None = None,
-    topics: Mapping[str, str] | None = None,
-    against: str | None = None,
+    request: Mapping[str, Any] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """The content of ``ranges.json`` for a ``twin.yaml``; see :class:`Request`.
+    """The content of ``ranges.json`` for a ``twin.yaml``.
+
+    Args:
+        path: the ``twin.yaml``.
+        request: fields of :class:`Request`, paths as text, as one process tells another.
+        progress: told the fraction done.
 
     Raises:
         TwinError: a twin, a record or a recording that cannot be used.
@@ -74,11 +84,8 @@ def ranges_of_file(
     twin = load_twin(Path(path))
     first = twin.first_realization
     realization = load(first.file, twin=twin, name=first.name)
-    request = Request(
-        [Path(one) for one in final], [Path(one) for one in held_out], draws, share, options,
-        topics, None if against is None else Path(against),
-    )  # fmt: skip
-    return ranges(twin, realization, request, progress or (lambda done: None))
+    asked = Request.from_json(request or {})
+    return ranges(twin, realization, asked, progress or (lambda done: None))
 
 
 def ranges(

@@ -22,7 +22,8 @@ from pytest_twin.realization.source import Source
 from pytest_twin.twin import Fit, Twin, effects_beside
 
 
-def load(
+# A public function whose arguments are given by keyword.
+def load(  # noqa: PLR0913
     path: Path,
     *,
     twin: Twin | None = None,

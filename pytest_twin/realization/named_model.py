@@ -42,7 +42,8 @@ class NamedModel:
         controller, payload: ids of the variant, None for the model as it stands.
     """
 
-    def __init__(
+    # A plain record, by keyword.
+    def __init__(  # noqa: PLR0913
         self,
         *,
         name: str,

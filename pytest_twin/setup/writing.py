@@ -7,6 +7,7 @@ import os
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -66,35 +67,45 @@ def _written(folder: Path) -> Iterator[Path]:
             yield folder / name
 
 
-def write_twin_file(
-    folder: Path,
-    *,
-    name: str,
-    model: Path,
-    source: Iterable[Path],
-    roots: Mapping[str, Path],
-    tcp: str | None,
-    inertia_repairs: Mapping[str, Sequence[float]],
-    motors: Mapping[str, str],
-    reading: Mapping[str, Any],
-) -> Path:
-    """``twin.yaml``, readable; returns its path.
+@dataclass(frozen=True, slots=True)
+class FirstTwin:
+    """What a first ``twin.yaml`` says.
 
-    Args:
-        reading: how recordings are read: ``topics``, ``joints``, ``clock`` and the like.
+    Attributes:
+        name: of the twin.
+        model: file of the model.
+        source: files that the model was made from.
+        roots: name -> folder that references may lead into.
+        tcp: frame of the tool.
+        inertia_repairs: link -> inertia that replaces one which no body can have.
         motors: actuator -> ``hinge`` or ``slide``, of a URDF, which states no controller.
+        reading: how recordings are read: ``topics``, ``joints``, ``clock`` and the like.
     """
+
+    name: str
+    model: Path
+    source: Iterable[Path]
+    roots: Mapping[str, Path]
+    tcp: str | None
+    inertia_repairs: Mapping[str, Sequence[float]]
+    motors: Mapping[str, str]
+    reading: Mapping[str, Any]
+
+
+def write_twin_file(folder: Path, first: FirstTwin) -> Path:
+    """``twin.yaml``, readable; returns its path."""
+    motors, inertia_repairs = first.motors, first.inertia_repairs
     content: dict[str, Any] = {
         "schema": 1,
-        "name": name,
-        "model": model.relative_to(folder).as_posix(),
-        "source": sorted(_from(folder, path) for path in source),
+        "name": first.name,
+        "model": first.model.relative_to(folder).as_posix(),
+        "source": sorted(_from(folder, path) for path in first.source),
     }
-    if roots:
-        content["roots"] = {name: _from(folder, root) for name, root in sorted(roots.items())}
-    content |= reading
-    if tcp is not None:
-        content["tcp"] = tcp
+    if first.roots:
+        content["roots"] = {name: _from(folder, root) for name, root in sorted(first.roots.items())}
+    content |= first.reading
+    if first.tcp is not None:
+        content["tcp"] = first.tcp
     if inertia_repairs:
         # Named and visible: the supplier states inertias that no body can have.
         content["fit"] = {

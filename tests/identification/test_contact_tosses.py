@@ -184,9 +184,15 @@ def identified(model_path: Path, tmp_path_factory: pytest.TempPathFactory) -> tu
     (folder / "cube.xml").write_text(CUBE)
     (folder / "out").mkdir()
     document = identify_files(
-        str(folder / "cube.xml"), [str(folder / "sim.npz")], [], str(folder / "out"),
-        "table", {}, {}, tosses={"rate": RATE, "length": 1.0},
-    )  # fmt: skip
+        {
+            "model": str(folder / "cube.xml"),
+            "recordings": [str(folder / "sim.npz")],
+            "held_out": [],
+            "out": str(folder / "out"),
+            "name": "table",
+            "tosses": {"rate": RATE, "length": 1.0},
+        }
+    )
     return folder, document
 
 

@@ -45,9 +45,14 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_recording(root / f"{name}.csv", *record(robot, seed))
     (root / "out").mkdir()
     document = identify_files(
-        str(root / "model.xml"), [str(root / "one.csv"), str(root / "two.csv")],
-        [str(root / "check.csv")], str(root / "out"), "october", {}, {},
-    )  # fmt: skip
+        {
+            "model": str(root / "model.xml"),
+            "recordings": [str(root / "one.csv"), str(root / "two.csv")],
+            "held_out": [str(root / "check.csv")],
+            "out": str(root / "out"),
+            "name": "october",
+        }
+    )
     (root / "record.json").write_text(json.dumps(document))
     (root / "twin.yaml").write_text("model: model.xml\nfit: [{file: record.json}]\n")
     (root / "golden").mkdir()

@@ -89,10 +89,15 @@ def identified(folder: Path, kind: str, readings: Any, first_motion: int = 0) ->
         write(folder / f"{seed}.mcap", q, readings(true_signals(q, v, a), seed), kind,
               {"role": role})  # fmt: skip
     return identify_files(
-        str(folder / "arm.xml"), [str(folder / f"{n}.mcap") for n in (3, 1, 2)], [],
-        str(folder / "out"), "wrist", {}, {},
-        sensors=[{"name": "wrist", "topic": "/sensor", "frame": "wrist"}],
-    )  # fmt: skip
+        {
+            "model": str(folder / "arm.xml"),
+            "recordings": [str(folder / f"{n}.mcap") for n in (3, 1, 2)],
+            "held_out": [],
+            "out": str(folder / "out"),
+            "name": "wrist",
+            "sensors": [{"name": "wrist", "topic": "/sensor", "frame": "wrist"}],
+        }
+    )
 
 
 def test_a_force_torque_sensor_is_found_and_its_intervals_hold(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ class Events:
 
 def against(folder: Path, given: Path, more: str = "") -> dict[str, Any]:
     twin = make_twin(folder, [record(covariance())], more)
-    found = ranges_of_file(str(twin), against=str(given))["against"]
+    found = ranges_of_file(str(twin), {"against": str(given)})["against"]
     assert isinstance(found, dict)
     return {**found, "by": {one["parameter"]: one for one in found["entries"]}}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,29 +12,10 @@ from pytest_twin.formats.pose_tracks import holds_tosses
 from pytest_twin.identification.contact.document import contact_document, priority_of
 from pytest_twin.identification.contact.fit import ContactFit, fit_contact
 from pytest_twin.identification.contact.parameters import contact_model, geom_patch
-from pytest_twin.identification.contact.roles import read_by_role
+from pytest_twin.identification.contact.roles import TossOptions, read_by_role
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization
 from pytest_twin.realization.free_body import free_body
-
-
-@dataclass(frozen=True)
-class TossOptions:
-    """How tosses are read.
-
-    Attributes:
-        length: m for one unit of length; None to find it out.
-        rate: samples per s; None to find it out.
-        body: that was tossed, where the model has several free bodies.
-        topic: of the poses in a bag.
-        wrench: topic of what pushed the object, in a bag.
-    """
-
-    length: float | None = None
-    rate: float | None = None
-    body: str | None = None
-    topic: str | None = None
-    wrench: str | None = None
 
 
 def are_tosses(recordings: Sequence[Path], options: TossOptions) -> bool:
@@ -70,7 +50,7 @@ def identify_contact(
     gravity = np.array(realization.model.opt.gravity)
     tosses = read_by_role(
         recordings, held_out, gravity, body, np.array(realization.model.body_ipos[body.body]),
-        options.topic, options.length, options.rate, options.wrench,
+        options,
     )  # fmt: skip
     fit = fit_contact(contact_model(realization, body), tosses.fit, tosses.held_out, progress)
     document = contact_document(fit, tosses, realization)

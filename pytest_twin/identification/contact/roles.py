@@ -19,6 +19,25 @@ _ONE_HELD_OUT_OF = 4
 
 
 @dataclass(frozen=True)
+class TossOptions:
+    """How tosses are read.
+
+    Attributes:
+        length: m for one unit of length; None to find it out.
+        rate: samples per s; None to find it out.
+        body: that was tossed, where the model has several free bodies.
+        topic: of the poses in a bag.
+        wrench: topic of what pushed the object, in a bag.
+    """
+
+    length: float | None = None
+    rate: float | None = None
+    body: str | None = None
+    topic: str | None = None
+    wrench: str | None = None
+
+
+@dataclass(frozen=True)
 class TossSet:
     """Tosses by role.
 
@@ -40,10 +59,7 @@ def read_by_role(
     gravity: FloatArray,
     body: FreeBody,
     centre: FloatArray,
-    topic: str | None = None,
-    length: float | None = None,
-    rate: float | None = None,
-    wrench: str | None = None,
+    options: TossOptions,
 ) -> TossSet:
     """Read tosses and decide the role of each.
 
@@ -55,17 +71,16 @@ def read_by_role(
         gravity: (3,) of the model, m/s^2.
         body: the object.
         centre: (3,) its centre of mass in its own axes, m.
-        topic: of the poses in a bag.
-        length: m for one unit of length, where it is known.
-        rate: Hz, where it is known.
-        wrench: topic of what pushed the object, in a bag.
+        options: how they are read.
 
     Raises:
         TwinError: a recording that cannot be read, or no toss to fit.
     """
     aside = {path.resolve() for path in held_out}
     paths = [path for path in dict.fromkeys(recordings) if path.resolve() not in aside]
-    fitting = [one for path in paths for one in read_pose_tracks(path, topic, wrench)]
+    fitting = [
+        one for path in paths for one in read_pose_tracks(path, options.topic, options.wrench)
+    ]
     if not fitting:
         raise RecordingError(
             "no recording remains to fit",
@@ -73,7 +88,9 @@ def read_by_role(
             expected="at least one RECORDING that is not under --held-out",
         )
     testing = [
-        one for path in dict.fromkeys(held_out) for one in read_pose_tracks(path, topic, wrench)
+        one
+        for path in dict.fromkeys(held_out)
+        for one in read_pose_tracks(path, options.topic, options.wrench)
     ]
     for one in (*fitting, *testing):
         refuse_final(dict(one.metadata), one.path, "an identification")
@@ -95,7 +112,7 @@ def read_by_role(
             "nothing is held out: no result can be accepted; record further tosses and name them "
             "with --held-out"
         )
-    fit, units = in_model_units(fitting, gravity, length, rate)
+    fit, units = in_model_units(fitting, gravity, options.length, options.rate)
     tested: list[Toss] = []
     if testing:
         known = units.length, None if units.period is None else 1.0 / units.period
