@@ -90,7 +90,7 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
         same = base.realization.parts == other.realization.parts
         document = try_update(
             other.twin.update, other.realization, trials, policy,
-            None if same else base.realization,
+            None if same else base.realization, None if same else base.twin.update,
         )  # fmt: skip
     else:
         document = _compared(base, other, trials, policy)

@@ -36,6 +36,7 @@ def try_update(
     trials: Sequence[Trial],
     policy: ShadowPolicy,
     released: Realization | None = None,
+    released_update: UpdateSpec | None = None,
 ) -> dict[str, Any]:
     """Run an update beside the base and judge it; each window is predicted before it is learned.
 
@@ -46,6 +47,7 @@ def try_update(
         policy: what the release declares.
         released: of the release, where its model is another one. Its prediction then is what the
             candidate has to improve: an update may not hide a worse model.
+        released_update: of the release, where its model is another one and it has an update.
 
     Raises:
         SpecError: parameters that the model lacks, or a base with effects beside its model.
@@ -66,14 +68,15 @@ def try_update(
             path=trials[0].path,
             expected=f"recordings of more than {spec.window:g} s with dense positions",
         )
-    released_windows = windows
+    before = [w.base_rms for w in windows]
     notes = ["metrics are over windows, each predicted before it was learned from"]
     if released is not None:
         others = [row_of(released, trial) for trial in trials]
-        released_windows = track(Recursion(spec, base_parameters(spec, others[0].model)), others)
+        own = released_update or spec
+        shown = track(Recursion(own, base_parameters(own, others[0].model)), others)
+        before = [w.base_rms if released_update is None else w.updated_rms for w in shown]
         notes.append("the candidate's model is another one: it is compared with the release's")
     share = policy.metrics.get("position_rms", 0.0)
-    before = [w.base_rms for w in released_windows]
     after = [w.updated_rms for w in windows]
     allowed = policy.safety.get("position_max", 0.0)
     return {

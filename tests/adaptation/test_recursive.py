@@ -112,6 +112,9 @@ def test_an_update_does_not_hide_a_worse_model(setting, tmp_path: Path) -> None:
     assert changes[1] > 1.0 > changes[0]
     assert not against_release["metrics"][0]["met"]
     assert any("compared with the release's" in note for note in against_release["notes"])
+    # A release that adapts is harder to beat than its model alone.
+    adapting = try_update(spec, worse, trials[:1], policy, released, spec)
+    assert adapting["metrics"][0]["change"] > changes[1]
 
 
 def test_it_follows_a_plant_that_wears_and_warms_up(tmp_path: Path) -> None:
