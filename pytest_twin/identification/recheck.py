@@ -10,6 +10,7 @@ import numpy as np
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.identification_record import IdentificationRecord
+from pytest_twin.identification.effort.encoders import BIAS, SCALE, Reading, without_errors
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.sampled import Sampled, sample
 from pytest_twin.identification.measured import read_measured
@@ -45,8 +46,9 @@ def recheck(
 ) -> dict[str, Rechecked]:
     """Joint -> error of the realization's inverse dynamics along the measured motion.
 
-    Inertia, armature and friction are the realization's own; constant efforts, scales of currents
-    and shared motors are the record's, which no model holds. Motion is filtered as it was then.
+    Inertia, armature and friction are the realization's own; constant efforts, scales of currents,
+    shared motors and errors of encoders are the record's, which no model holds. Motion is
+    filtered as it was then.
 
     Raises:
         RecordingError: no effort, or an identification without measured effort.
@@ -68,6 +70,12 @@ def recheck(
         for part in read_measured(path, realization, topics, twin.recordings, signals)
     ]
     joints = measured[0].joints
+    encoders = [
+        Reading(joint, kind, record.values[f"{joint}.{kind}"], 0.0)
+        for joint in joints
+        for kind in (BIAS, SCALE)
+        if f"{joint}.{kind}" in record.values
+    ]
     shared = [
         SharedMotor(j, own.joint, own.ratio)
         for j in joints
@@ -82,7 +90,8 @@ def recheck(
         elif column.joint in unscaled and not column.inertial:
             # The drive's parameters of a current are in A.
             values[at] = record.values.get(column.name, 0.0)
-    rows = sample(measured, [regressor] * len(measured), Filter(*record.filter))
+    right = without_errors(measured, encoders)
+    rows = sample(right, [regressor] * len(right), Filter(*record.filter))
     return {
         joint: found
         for k, joint in enumerate(joints)

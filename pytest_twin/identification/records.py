@@ -9,6 +9,7 @@ import numpy as np
 
 from pytest_twin import __version__
 from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.effort.encoders import SCALE, undetermined_words
 from pytest_twin.identification.effort.estimate import SQUARES
 from pytest_twin.identification.effort.groups import FRICTION
 from pytest_twin.identification.effort.identify import EffortResult
@@ -94,6 +95,19 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "used": scale.significant and "drive" not in rejected,
             "estimator": "least squares of known payloads",
         }
+    for reading in result.encoders.readings:
+        slide = result.regressor.slides[result.regressor.joints.index(reading.joint)]
+        bias = "m" if slide else "rad"
+        name = f"{reading.joint}.{reading.kind}"
+        parameters[name] = {
+            "value": reading.value,
+            "unit": "1" if reading.kind == SCALE else bias,
+            "ci95": [reading.value - reading.half_width, reading.value + reading.half_width],
+            "prior": 0.0,
+            "stage": "encoder",
+            "used": any(name in s.parameters and s.state == "accepted" for s in stages),
+            "estimator": SQUARES,
+        }
     if result.delay is not None:
         late = result.delay
         parameters["robot.effort_delay"] = {
@@ -131,7 +145,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         },
         "suspected": [one.to_json() for one in result.suspected],
         "without_effort": list(result.without_effort),
-        "unobservable": _unobservable(result),
+        "unobservable": [*_unobservable(result), *undetermined_words(result.encoders.undetermined)],
         "filter": {
             "cutoff": result.filter.cutoff,
             "parallel": result.filter.parallel,

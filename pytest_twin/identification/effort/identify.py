@@ -11,6 +11,13 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.identification.effort.delay import Delay, delay_of, without_delay
+from pytest_twin.identification.effort.encoders import (
+    Encoders,
+    Reading,
+    encoders_of,
+    without_errors,
+)
+from pytest_twin.identification.effort.encoders import said as words_of
 from pytest_twin.identification.effort.essential import Essential, essential
 from pytest_twin.identification.effort.estimate import INSTRUMENTS, Estimate, estimate
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
@@ -55,6 +62,9 @@ from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
 from pytest_twin.realization import Realization
 from pytest_twin.signals import Signals
 
+_ROUNDS = 6
+"""Errors of encoders that are corrected one after another, at most."""
+
 
 @dataclass(frozen=True)
 class EffortResult:
@@ -77,6 +87,7 @@ class EffortResult:
         delay: of the efforts, where one was found.
         scales: joint -> recorded over true effort, where known payloads tell it.
         estimate: by which estimator, and the check of its intervals.
+        encoders: their zeros and scales.
         suspected: mistakes of the input that the fit shows.
         notes: one line each.
     """
@@ -98,6 +109,7 @@ class EffortResult:
     suspected: tuple[Suspect, ...]
     notes: tuple[str, ...]
     estimate: Estimate
+    encoders: Encoders = field(default_factory=Encoders)
     scales: Mapping[str, Scale] = field(default_factory=dict)
 
 
@@ -122,8 +134,9 @@ def identify_effort(
     """
     found, late = _identify(realization, measured, signals)
     measured, found, delay = _with_delay(realization, measured, signals, found, late)
+    measured, found, encoder = _with_encoders(realization, measured, signals, found)
     return _with_scales(realization, measured, signals, replace(found, stages=(
-        delay, *found.stages,
+        delay, encoder, *found.stages,
     )))  # fmt: skip
 
 
@@ -156,6 +169,67 @@ def _with_delay(
     return moved, replace(again, delay=late), stage
 
 
+def _with_encoders(
+    realization: Realization, measured: MeasuredSet, signals: Signals, found: EffortResult
+) -> tuple[MeasuredSet, EffortResult, Stage]:
+    """The stage of the encoders: positions are corrected where that lowers the held-out error."""
+    excludes = EXCLUDES["encoder"]
+    slides = dict(zip(found.regressor.joints, found.regressor.slides, strict=True))
+    said = _encoders(realization, measured, found)
+    found = replace(found, encoders=said)
+    if not said.wrong:
+        why = "no zero and no scale of an encoder differs from the model's, as far as efforts show"
+        if not said.readings:
+            why = "the motion does not tell a zero or scale of an encoder from parameters of links"
+        return measured, found, Stage("encoder", "not_observable", why, (), None, excludes)
+    right, again, left = measured, found, said
+    applied: dict[tuple[str, str], Reading] = {}
+    for _ in range(_ROUNDS):
+        # The clearest alone: errors that it causes in the others are gone when it is corrected.
+        fresh = [one for one in left.wrong if (one.joint, one.kind) not in applied]
+        applied = {
+            key: replace(one, value=one.value + left.value_of(*key)) for key, one in applied.items()
+        }
+        if fresh:
+            clearest = max(fresh, key=lambda one: abs(one.value) / one.half_width)
+            applied[clearest.joint, clearest.kind] = clearest
+        readings = tuple(applied.values())
+        right = MeasuredSet(
+            without_errors(measured.fit, readings), without_errors(measured.held_out, readings)
+        )
+        again, _ = _identify(realization, right, signals)
+        left = _encoders(realization, right, again)
+        if not any((one.joint, one.kind) not in applied for one in left.wrong):
+            break
+    stage = judged(
+        Stage(
+            "encoder", "accepted", words_of(readings, slides),
+            tuple(f"{one.joint}.{one.kind}" for one in readings), None, excludes,
+        ),
+        HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
+    )  # fmt: skip
+    told = replace(
+        left,
+        readings=tuple(
+            replace(one, value=one.value + applied[one.joint, one.kind].value)
+            if (one.joint, one.kind) in applied
+            else one
+            for one in left.readings
+        ),
+    )
+    if stage.state != "accepted":
+        return measured, found, stage
+    return right, replace(again, delay=found.delay, encoders=told), stage
+
+
+def _encoders(realization: Realization, measured: MeasuredSet, found: EffortResult) -> Encoders:
+    shown = _problem(found.samples, found.regressor, found.base)
+    return encoders_of(
+        realization, measured.fit, found.regressor, found.base,
+        shown.only(np.flatnonzero(~found.unobservable)), found.fitted.values, found.filter,
+    )  # fmt: skip
+
+
 def _with_scales(
     realization: Realization, measured: MeasuredSet, signals: Signals, found: EffortResult
 ) -> EffortResult:
@@ -180,8 +254,8 @@ def _with_scales(
     own = {s.name: s for s in again.stages}
     biases = own["drive"].parameters
     stage = replace(stage, parameters=(*stage.parameters, *biases))
-    kept = (found.stages[0], *(stage if s.name == "drive" else s for s in again.stages))
-    return replace(again, stages=kept, delay=found.delay, scales=scales)
+    kept = (*found.stages[:2], *(stage if s.name == "drive" else s for s in again.stages))
+    return replace(again, stages=kept, delay=found.delay, encoders=found.encoders, scales=scales)
 
 
 def _mean_relative(errors: dict[str, EffortError]) -> float:

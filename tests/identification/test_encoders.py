@@ -1,0 +1,59 @@
+"""The effort tells zero and scale of an encoder, and the record says where it does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from arms import JOINTS, real, record, write_model
+
+from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.records import effort_document
+from pytest_twin.realization import load
+from pytest_twin.signals import NO_SIGNALS
+
+
+def identified(folder: Path, bias: list[float], scale: list[float]) -> EffortResult:
+    """Two recordings and one that is held out, by encoders that read (1 + scale) q + bias."""
+    runs = []
+    for seed in (1, 2, 3):
+        time, q, effort = record(real(folder), seed)
+        runs.append(
+            Measured(
+                folder / f"{seed}.csv", 0.0, JOINTS, time, q * (1 + np.array(scale)) + bias, None,
+                effort, np.zeros(2, dtype=bool), np.full(2, np.inf), {},
+            )
+        )  # fmt: skip
+    return identify_effort(
+        load(write_model(folder)), MeasuredSet(tuple(runs[:2]), (runs[2],)), NO_SIGNALS
+    )
+
+
+def test_a_zero_and_a_scale_are_found_and_taken_out(tmp_path: Path) -> None:
+    result = identified(tmp_path, [0.08, 0.0], [0.0, 0.05])
+    (stage,) = (one for one in result.stages if one.name == "encoder")
+    assert stage.state == "accepted"
+    found = {(one.joint, one.kind): one for one in result.encoders.readings}
+    for key, true in ((("shoulder", "encoder_bias"), 0.08), (("elbow", "encoder_scale"), 0.05)):
+        assert abs(found[key].value - true) <= 1.2 * found[key].half_width, key
+        assert found[key].half_width < 0.4 * true, key
+    assert stage.held_out is not None
+    assert stage.held_out.after < 0.5 * stage.held_out.before
+
+
+def test_the_zero_of_the_last_joint_is_undetermined(tmp_path: Path) -> None:
+    result = identified(tmp_path, [0.0, 0.1], [0.0, 0.0])
+    assert ("elbow", "encoder_bias") in result.encoders.undetermined
+    document = effort_document(result, result.stages)
+    (said,) = (one for one in document["unobservable"] if one["expression"] == "elbow.encoder_bias")
+    assert said["motion"] == (
+        "hold a known payload (payloads: in twin.yaml) in poses all over the range of elbow"
+    )
+
+
+def test_a_sound_encoder_has_zero_within_its_interval(tmp_path: Path) -> None:
+    result = identified(tmp_path, [0.0, 0.0], [0.0, 0.0])
+    assert {one.kind for one in result.encoders.readings} == {"encoder_bias", "encoder_scale"}
+    assert all(abs(one.value) <= 1.3 * one.half_width for one in result.encoders.readings)
+    assert not result.encoders.wrong
