@@ -50,7 +50,12 @@ def with_alternative_sets(
     run = Run() if run is None else run
     run.begin("comparison with other sets", problem)
     comparison = ModelComparison(problem, run)
-    compared = compare_sets(comparison, final, lambda h: not refused(problem, h, recorded))
+    rejected = {*found.pruned.closest}
+    compared = compare_sets(
+        comparison,
+        final,
+        lambda h: rejected.isdisjoint(h.terms) and not refused(problem, h, recorded),
+    )
     for other in compared.sets:
         run.step(
             problem, "exchange of a set", "rejected",

@@ -90,12 +90,14 @@ class ComparedSets:
         sets: all other sets with their evidence over ``best``, likeliest first.
         tempering: effective samples with model error counted, over those without.
         simulations: of all recordings that the comparison took.
+        gain: evidence of ``best`` over the final set, reported or not.
     """
 
     best: ScoredModel
     sets: tuple[AlternativeSet, ...]
     tempering: float
     simulations: float
+    gain: float = 0.0
 
 
 def compare_sets(
@@ -424,7 +426,8 @@ def _compared(
         values[1:] = [
             _decided(v, r, best, comparison) for v, r in zip(values[1:], rivals, strict=True)
         ]
-    elif rivals:
+    measured = values.copy()
+    if not possible and rivals:
         values[0] = -np.inf
     top = int(np.argmax(values))
     if possible and values[top] <= EQUIVALENT.ahead:
@@ -447,7 +450,7 @@ def _compared(
         if np.isfinite(values[i])
     ]
     sets.sort(key=lambda s: -s.evidence)
-    return ComparedSets(chosen, tuple(sets), tempering, count.spent)
+    return ComparedSets(chosen, tuple(sets), tempering, count.spent, float(measured[top]))
 
 
 def _decided(

@@ -55,6 +55,7 @@ def fit(
     iterations: int,
     slopes: bool = True,
     jacobians: Sequence[FloatArray] | None = None,
+    secants: bool = False,
 ) -> list[Fitted]:
     """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
 
@@ -66,6 +67,8 @@ def fit(
         iterations: steps at most; a rival that no longer gains stops earlier.
         slopes: whether the Jacobian at the optimum is wanted.
         jacobians: of each start, where they are known well enough for a first step.
+        secants: whether later steps take these Jacobians too, corrected by what the steps show
+            (Broyden, Math. Comp. 19, 1965), which costs no simulation.
     """
     current = list(starts)
     residual = problem.residuals(current, segments)
@@ -96,6 +99,10 @@ def fit(
             gained = weighted_cost(tried[best], weights)
             # The slopes of the last step serve on while they bring the cost down fast.
             fast = gained < _FAST * cost[i]
+            if secants:
+                step = trials[best].theta - current[i].theta
+                known[i] = _corrected(known[i], step, residual[i] - tried[best])
+                fresh[i] = True
             if gained < cost[i]:
                 if gained < cost[i] * (1.0 - _ENOUGH) or not fresh[i]:
                     still.append(i)
@@ -103,7 +110,7 @@ def fit(
             elif not fresh[i]:
                 still.append(i)
             fresh[i] = False
-            if not fast:
+            if not fast and not secants:
                 known[i] = None
         active = still
     if slopes:
@@ -118,6 +125,16 @@ def fit(
             Fitted(h, residual[i], np.empty(shape) if jac is None or not slopes else jac, cost[i])
         )
     return out
+
+
+def _corrected(jacobian: FloatArray | None, step: FloatArray, change: FloatArray) -> FloatArray:
+    """A Jacobian that predicts the change of the prediction that a step has shown."""
+    assert jacobian is not None
+    length = float(step @ step)
+    if length == 0.0 or not np.isfinite(change).all():
+        return jacobian
+    corrected: FloatArray = jacobian + (change - jacobian @ step)[..., None] * (step / length)
+    return corrected
 
 
 def weighted_cost(residual: FloatArray, weights: FloatArray) -> float:

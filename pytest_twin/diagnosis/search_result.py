@@ -16,6 +16,7 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.replacement import replace_closest_known
 from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.cma_es_fit import fit_by_evolution, initial_covariance_root
 from pytest_twin.diagnosis.search.full_drive_model import (
@@ -175,6 +176,10 @@ def conclude(
         if best.fitted.jacobian.shape[2] != best.hypothesis.theta.size:
             selected.best = selection.comparison.scored_without_fit(best.hypothesis, slopes=True)
         pruned = prune(problem, selected, hurried=run.budget.out_of_time)
+        if not run.budget.out_of_time:
+            selected, pruned = replace_closest_known(
+                problem, selection.comparison, selected, pruned
+            )
         for note in pruned.notes:
             run.step(problem, "pruning", "rejected", note, best=Scored(pruned.fitted.hypothesis))
         return _searched(prepared, trials, selected, pruned)

@@ -12,6 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.equivalent_sets import (
     AlternativeSet,
     ComparedSets,
+    _without_additions,
     compare_sets,
     subsets,
 )
@@ -20,7 +21,9 @@ from pytest_twin.diagnosis.evidence import tempered_samples
 from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
+from pytest_twin.diagnosis.replacement import replace_closest_known
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.pruning import PrunedModel
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.shared_confidence import share_confidence
 from pytest_twin.effects.batch_simulator import BatchSimulator
@@ -250,3 +253,59 @@ def test_a_general_law_at_its_special_case_is_no_rival() -> None:
     assert share_confidence(SelectedModel(rival, comparison.nominal), found).confidence[
         general
     ] == pytest.approx(0.5)
+
+
+def rejected(
+    problem: Problem, chosen: dict[Term, dict[str, float]]
+) -> tuple[ModelComparison, SelectedModel, PrunedModel]:
+    """A chosen set of effects, fitted, of which pruning leaves nothing."""
+    comparison = ModelComparison(problem)
+    best = comparison.settled(comparison.scored_without_fit(with_values(problem, chosen)))
+    nothing = comparison.scored_without_fit(EMPTY).fitted
+    selected = SelectedModel(best, comparison.nominal)
+    return comparison, selected, PrunedModel(nothing, [], ["rejected"], closest=tuple(chosen))
+
+
+@pytest.fixture(scope="module")
+def late() -> Problem:
+    return problem_of(PENDULUM.format(drive=SERVO), "position", {LATE_COMMAND: {"delay": 0.02}})
+
+
+def test_the_effect_that_explains_as_much_stands_instead(late: Problem) -> None:
+    comparison, selected, pruned = rejected(late, {LATE_SENSOR: {"delay": 0.02}})
+    chosen, left = replace_closest_known(late, comparison, selected, pruned)
+    assert left.fitted.hypothesis.terms == (LATE_COMMAND,)
+    assert left.fitted.hypothesis.theta[0] * late.scales.value(
+        LATE_COMMAND.parameters[0], LATE_COMMAND.joint
+    ) == pytest.approx(0.02, abs=1e-3)
+    assert chosen.confidence[LATE_COMMAND] > 0.5
+    assert left.notes == ["rejected"]
+    assert left.closest == (LATE_SENSOR,)
+
+
+def test_nothing_stands_instead_of_an_effect_that_explains_far_more(late: Problem) -> None:
+    comparison, selected, pruned = rejected(late, {LATE_COMMAND: {"delay": 0.02}})
+    pruned.closest = (LATE_COMMAND, LATE_SENSOR)
+    _, left = replace_closest_known(late, comparison, selected, pruned)
+    assert left is pruned
+
+
+def test_nothing_is_asked_for_where_pruning_rejected_no_closest_effect(late: Problem) -> None:
+    comparison, selected, pruned = rejected(late, {DRAG: {"coefficient": 0.1}})
+    pruned.closest = ()
+    before = late.stepped
+    assert replace_closest_known(late, comparison, selected, pruned) == (selected, pruned)
+    assert late.stepped == before
+
+
+def test_a_rival_set_keeps_the_other_effects() -> None:
+    """With an effect of little consequence beside the main one, the main one's rival has it too."""
+    main, rival, small = (Term(e, 0) for e in ("command_delay", "actuator_lag", "cogging"))
+    sets = [
+        (99.0, EMPTY.with_term(rival, np.zeros(len(rival.parameters)))),
+        (100.0, EMPTY.with_terms({t: np.zeros(len(t.parameters)) for t in (rival, small)})),
+        (0.0, EMPTY),
+    ]
+    kept = [set(h.terms) for h in _without_additions(sets, (main, small), 1)]
+    assert {rival, small} in kept
+    assert {rival, small} not in [set(h.terms) for h in _without_additions(sets, (main,), 1)]

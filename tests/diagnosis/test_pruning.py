@@ -132,6 +132,29 @@ def test_a_law_out_of_shape_that_does_not_explain_all_is_no_name(
 
 
 @pytest.mark.parametrize(
+    ("confidence", "rival", "named"),
+    [(0.48, 0.5, True), (0.4, 0.6, True), (0.4, 0.3, True), (0.2, 0.7, False)],
+)
+def test_an_effect_that_shares_the_confidence_with_an_equal_one_is_no_closest_known(
+    tmp_path: Path, confidence: float, rival: float, named: bool
+) -> None:
+    """A scale error and an eccentricity of one encoder are alike over a small angle."""
+    prepared, _ = bench(tmp_path, viscous=0.6)
+    problem, term = prepared.problem, Term("viscous_friction", 0)
+    hypothesis = with_sizes(problem, [term], [0.6])
+    weights = 1.0 / problem.signal_floor
+    fitted = fit(problem, [hypothesis], weights, problem.fit, iterations=0, slopes=True)[0]
+    tested = replace(
+        of_floors(
+            problem, fitted, (100.0, 1.0), (20.0, 1.0), (90.0, 1.0), confidence={term: confidence}
+        ),
+        rivals={term: rival},
+    )
+    gone = at_bound_or_in_doubt(tested)
+    assert not gone if named else "other effects are more likely" in gone[0]
+
+
+@pytest.mark.parametrize(
     ("distance", "without", "named"),
     [
         pytest.param(0.1, 2.0, True, id="bristles"),

@@ -14,7 +14,12 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, label, levels_on
-from pytest_twin.diagnosis.search.pruning_rules import RULES, RefitComparison, residual_remains
+from pytest_twin.diagnosis.search.pruning_rules import (
+    CLOSEST_KNOWN,
+    RULES,
+    RefitComparison,
+    residual_remains,
+)
 from pytest_twin.diagnosis.search.pruning_settings import SETTINGS
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
 
@@ -29,12 +34,14 @@ class PrunedModel:
         notes: a line for each rejected effect.
         absent: log-likelihood ratio of each rest over the model, where effects were judged by that
             alone.
+        closest: rejected effects that were only the closest known ones to what acts at their joint.
     """
 
     fitted: Fitted
     rests: list[Hypothesis]
     notes: list[str]
     absent: Mapping[Term, float] = field(default_factory=dict)
+    closest: tuple[Term, ...] = ()
 
 
 def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -> PrunedModel:
@@ -49,26 +56,36 @@ def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -
         selected: result of the search.
         hurried: whether each refit takes one step only.
     """
-    notes: list[str] = []
+    notes, closest = list[str](), list[Term]()
     # The remaining share is judged once, with all effects: each removal raises it for the others.
     judged = False
     fitted = selected.best.fitted
+    rivals = {t: _likeliest_rival(selected, t) for t in fitted.hypothesis.terms}
     problem.refine_at(EMPTY)
     (before,) = levels_on(problem, [EMPTY], problem.tested)
     while fitted.hypothesis.terms:
         refitted, weights, base, levels = refit_without_each(problem, fitted, hurried)
         tested = RefitComparison(
-            problem, fitted, selected.confidence, before, base, refitted, levels, weights
+            problem, fitted, selected.confidence, before, base, refitted, levels, weights, rivals
         )
-        gone = next(filter(None, (rule(tested) for rule in RULES)), {})
+        rule, gone = next(((r, gone) for r in RULES if (gone := r(tested))), (None, {}))
         if not gone and not judged:
             judged = True
-            gone = residual_remains(tested)
+            rule, gone = residual_remains, residual_remains(tested)
         if not gone:
-            return PrunedModel(fitted, [f.hypothesis for f in refitted], notes)
+            rests = [f.hypothesis for f in refitted]
+            return PrunedModel(fitted, rests, notes, closest=tuple(closest))
         notes += gone.values()
+        closest += [tested.terms[k] for k in gone] if rule in CLOSEST_KNOWN else []
         fitted = _with_slopes(problem, tested.without(list(gone)), weights)
-    return PrunedModel(fitted, [], notes)
+    return PrunedModel(fitted, [], notes, closest=tuple(closest))
+
+
+def _likeliest_rival(selected: SelectedModel, term: Term) -> float:
+    """Confidence of the likeliest alternative to an effect; no effect at all is one too."""
+    others = [a.confidence for a in selected.alternatives_to(term)]
+    nothing = 1.0 - selected.confidence.get(term, 1.0) - sum(others)
+    return max([nothing, *others])
 
 
 def keep_named(comparison: ModelComparison, best: ScoredModel) -> PrunedModel:
@@ -102,7 +119,7 @@ def refit_without_each(
 ) -> tuple[list[Fitted], FloatArray, FloatArray, list[FloatArray]]:
     """Refit a model without each of its effects.
 
-    The first step of a refit uses the Jacobian of the model; in a hurry it is the only one.
+    Each refit starts with the Jacobian of the model. In a hurry it takes one step only.
 
     Returns:
         The refits; their (signals,) weights; (signals,) residual of the model on the tested
@@ -117,7 +134,8 @@ def refit_without_each(
     ]
     refitted = fit(
         problem, starts, weights, problem.fit,
-        iterations=1 if hurried else SETTINGS.refit_iterations, slopes=False, jacobians=shared,
+        iterations=1 if hurried else SETTINGS.refit_iterations,
+        slopes=False, jacobians=shared, secants=True,
     )  # fmt: skip
     each = [fitted.hypothesis, *(f.hypothesis for f in refitted)]
     base, *levels = levels_on(problem, each, problem.tested)

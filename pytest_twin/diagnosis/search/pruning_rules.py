@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +37,8 @@ class RefitComparison:
         refitted: the model without each effect.
         levels: (signals,) residual of each of these, in noise floors.
         weights: (signals,) of the refits.
+        rivals: confidence of the likeliest alternative to each effect; without, all alternatives
+            are one.
     """
 
     problem: Problem
@@ -47,6 +49,7 @@ class RefitComparison:
     refitted: list[Fitted]
     levels: list[FloatArray]
     weights: FloatArray
+    rivals: Mapping[Term, float] = field(default_factory=dict)
 
     @cached_property
     def known(self) -> Spread:
@@ -68,6 +71,16 @@ class RefitComparison:
     def chance(self, term: Term) -> float:
         """Confidence of an effect; 1 where it was compared with no alternative."""
         return self.confidence.get(term, 1.0)
+
+    def is_likely(self, term: Term) -> bool:
+        """Whether an effect is likelier than all else together, or as likely as the likeliest.
+
+        Two names that the recordings do not distinguish have half the confidence each: that is no
+        sign of a third.
+        """
+        chance = self.chance(term)
+        rival = self.rivals.get(term, 1.0 - chance)
+        return chance >= SETTINGS.even or chance >= SETTINGS.as_likely * rival
 
     def label(self, k: int) -> str:
         """Effect and joint in words."""
@@ -261,14 +274,14 @@ def alternatives_more_likely(tested: RefitComparison) -> Rejections:
 
 
 def at_bound_or_in_doubt(tested: RefitComparison) -> Rejections:
-    """Reject effects at unexplained joints that are at a bound, in doubt, or unlikely."""
+    """Reject effects at unexplained joints that are at a bound, in doubt, or less likely."""
     problem, hypothesis = tested.problem, tested.fitted.hypothesis
     explained = [error.explained for error in tested.errors]
     gone = {}
     for k, t in enumerate(tested.terms):
         if all(explained) if t.joint < 0 else explained[t.joint]:
             continue
-        likely = tested.chance(t) >= SETTINGS.even
+        likely = tested.is_likely(t)
         at_an_end = hypothesis.at_bound(t) or problem.out_of_shape(hypothesis, t)
         if likely and not at_an_end and not in_doubt(tested, k):
             continue
@@ -445,3 +458,11 @@ RULES: tuple[Callable[[RefitComparison], Rejections], ...] = (
     wrong_position_dependence,
 )
 """Rules in the order in which they are asked; the first that rejects something decides a round."""
+
+CLOSEST_KNOWN = (
+    negative_mean_friction,
+    at_bound_or_in_doubt,
+    wrong_position_dependence,
+    residual_remains,
+)
+"""Rules that reject an effect as the closest known one: something acts there, but not that."""

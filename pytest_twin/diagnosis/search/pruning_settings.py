@@ -27,6 +27,8 @@ class PruningSettings:
         sure_of_small: confidence from which an effect of a small share stays all the same.
         least_confidence: confidence below which an effect is rejected beside others.
         even: confidence below which alternatives together are more likely than the effect.
+        as_likely: part of the likeliest alternative's confidence from which an effect is as likely:
+            a difference in evidence of 0.5 decides nothing.
         sure: confidence from which the bound ``left_if_sure`` holds.
         left_if_sure, left_if_unsure: greatest share that may remain where an effect acts.
         left_if_far, far: greatest share if the residual is above so many floors: the right law
@@ -48,6 +50,7 @@ class PruningSettings:
     sure_of_small: float = 0.7
     least_confidence: float = 0.02
     even: float = 0.5
+    as_likely: float = 0.6
     sure: float = 0.9
     left_if_sure: float = 0.25
     left_if_unsure: float = 0.2
