@@ -432,7 +432,7 @@ def _compared(
     top = int(np.argmax(values))
     if possible and values[top] <= EQUIVALENT.ahead:
         top = 0
-    top = _as_likely_in_mjcf(everyone, values, top)
+    top = _simplest_of_as_likely(everyone, values, top)
     first = {frozenset(everyone[i].hypothesis.terms): i for i in np.argsort(values, kind="stable")}
     chosen, others = everyone[top], [i for i in first.values() if i != top]
     if top:
@@ -470,10 +470,12 @@ def _decided(
     return value
 
 
-def _as_likely_in_mjcf(rivals: Sequence[ScoredModel], values: FloatArray, top: int) -> int:
-    """Of sets as likely as the likeliest and as large, the one of which MJCF holds most effects.
+def _simplest_of_as_likely(rivals: Sequence[ScoredModel], values: FloatArray, top: int) -> int:
+    """Of sets as likely as the likeliest and as large, the one of which MJCF holds most effects,
+    and of these the one with the fewest parameters.
 
-    Recordings do not decide between them, and a user runs that one with MuJoCo alone.
+    Recordings do not decide between them. A user runs the first with MuJoCo alone, and less has to
+    be true for the second.
     """
 
     def inexpressible(i: int) -> int:
@@ -485,7 +487,7 @@ def _as_likely_in_mjcf(rivals: Sequence[ScoredModel], values: FloatArray, top: i
         for i, r in enumerate(rivals)
         if len(r.hypothesis.terms) == size and values[i] >= values[top] - EQUIVALENT.ahead
     ]
-    return min(alike, key=lambda i: (inexpressible(i), i != top))
+    return min(alike, key=lambda i: (inexpressible(i), rivals[i].hypothesis.free, i != top))
 
 
 def _apart(problem: Problem, one: ScoredModel, other: ScoredModel) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from pytest_twin.diagnosis.alternative_sets import with_alternative_sets, without_alternative_sets
 from pytest_twin.diagnosis.friction_constraint import (
     refit_as_friction_acts,
     search_as_friction_acts,
@@ -313,6 +314,12 @@ def _compare_with_windows(
         notes.append(_IN_WINDOWS)
         return replace(other, whole=found.prepared.problem)
     if other.may_improve(found):
+        # Over whole stick-slip motions sets are not compared: their confidence is that of windows.
+        other, _ = run.attempt(
+            "other sets of effects instead of those of windows",
+            partial(with_alternative_sets, other, run),
+            (without_alternative_sets(other), 0.0),
+        )
         if found.sticks_and_slips:
             with run.budget.apart():
                 whole = refit_with_full_drive(found, other, longer())

@@ -270,8 +270,9 @@ def refit_whole_motions(found: SearchResult, other: SearchResult) -> SearchResul
     end = _deepest(comparison, [start, both], steps)
     best = comparison.scored_without_fit(end, slopes=True)
     selected = SelectedModel(
-        best, comparison.nominal, named.confidence, named.alternatives, tried=comparison.tried
-    )
+        best, comparison.nominal, named.confidence, named.alternatives,
+        sets=named.sets, near=named.near, tried=comparison.tried,
+    )  # fmt: skip
     return _searched(
         found.prepared, found.trials, selected, keep_named(comparison, best), laplace_log_likelihood
     )
@@ -312,7 +313,9 @@ def refit_with_full_drive(
         # The search in windows has compared these effects with alternatives.
         if term in other.selected.confidence:
             named.confidence[term] = other.selected.confidence[term]
-            named.alternatives[term] = other.selected.alternatives[term]
+            named.alternatives[term] = other.selected.alternatives.get(term, [])
+            if term in other.selected.sets:
+                named.sets[term] = other.selected.sets[term]
     return _searched(found.prepared, found.trials, named, pruned, laplace_log_likelihood)
 
 

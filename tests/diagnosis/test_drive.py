@@ -46,7 +46,7 @@ def rubbing_alone(prepared: Prepared, trials: TrialSet) -> SearchResult:
     chosen = SelectedModel(best, selection.comparison.nominal)
     chosen.weigh({((RUBS,), Term("viscous_friction", 0)): -1.0})
     found = conclude(prepared, trials, selection, chosen)
-    return replace(found, explained=Explained((), alone))
+    return replace(found, selected=chosen, explained=Explained((), alone))
 
 
 def test_every_law_of_a_drive_is_added_once_and_at_nothing(tmp_path: Path) -> None:
