@@ -150,13 +150,21 @@ def stamped(
     late = logger.latency * rng.exponential(1.0, len(stamps))
     late += logger.late_by * rng.random(len(stamps)) * (rng.random(len(stamps)) < logger.late_share)
     taken = read_at(stamps, hidden)
-    stamps = np.maximum.accumulate(stamps + late + 1e-6 * np.arange(len(stamps)))
+    stamps = _in_order(stamps + late)
     kept = (taken >= 0.0) & (taken < traces.seconds) & (stamps >= 0.0)
     kept &= rng.random(len(stamps)) >= logger.drop_share
     if holed and logger.hole:
         start = rng.uniform(1.0, traces.seconds - 1.0)
         kept &= (stamps < start) | (stamps >= start + logger.hole)
     return stamps[kept], taken[kept]
+
+
+def _in_order(stamps: np.ndarray) -> np.ndarray:
+    """Stamps that do not go back; those of messages that wait for a late one are 1 us apart."""
+    out = np.maximum.accumulate(stamps)
+    for k in range(1, len(out)):
+        out[k] = max(out[k], out[k - 1] + 1e-6)
+    return out
 
 
 def write(

@@ -21,6 +21,7 @@ import cell_cases
 import cell_friction
 import cell_kernel
 import cell_plant
+import logger
 import pinocchio as pin
 import robots
 import setpoints
@@ -195,3 +196,19 @@ def test_setpoints_of_every_kind_start_near_their_centre() -> None:
         assert out.shape == (6000, 2)
         assert np.abs(out[0] - 0.3).max() < 0.01
         assert np.ptp(out) > 0.1
+
+
+@pytest.mark.parametrize("late_share", [0.0, 0.02])
+def test_a_logger_keeps_the_time_of_the_plant(late_share: float) -> None:
+    """A clock that drifts is hidden on purpose or not at all; stamps go forward all the same."""
+    rng = np.random.default_rng(3)
+    drawn = replace(
+        logger.draw_logger(rng), rate=1000.0, jitter=2e-4, latency=0.0, late_share=late_share,
+        late_by=8e-3, drop_share=0.0, hole=0.0,
+    )  # fmt: skip
+    rows = np.zeros((10_001, 1))
+    traces = logger.Traces(1e-3, rows, rows, rows, rows, 0.01, rows[:1000])
+    stamps, taken = logger.stamped(traces, Hidden(), drawn, False, rng)
+    assert (np.diff(stamps) > 0.0).all()
+    drift = np.polyfit(taken, stamps - taken, 1)[0]
+    assert abs(drift) < 2e-5
