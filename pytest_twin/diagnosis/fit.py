@@ -55,7 +55,6 @@ def fit(
     iterations: int,
     slopes: bool = True,
     jacobians: Sequence[FloatArray] | None = None,
-    secants: bool = False,
 ) -> list[Fitted]:
     """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
 
@@ -66,9 +65,9 @@ def fit(
         segments: fit on these.
         iterations: steps at most; a rival that no longer gains stops earlier.
         slopes: whether the Jacobian at the optimum is wanted.
-        jacobians: of each start, where they are known well enough for a first step.
-        secants: whether later steps take these Jacobians too, corrected by what the steps show
-            (Broyden, Math. Comp. 19, 1965), which costs no simulation.
+        jacobians: of each start, where they are known well enough for a first step. Later steps
+            take them too, corrected by what the steps show (Broyden, Math. Comp. 19, 1965), which
+            costs no simulation.
     """
     current = list(starts)
     residual = problem.residuals(current, segments)
@@ -99,7 +98,7 @@ def fit(
             gained = weighted_cost(tried[best], weights)
             # The slopes of the last step serve on while they bring the cost down fast.
             fast = gained < _FAST * cost[i]
-            if secants:
+            if jacobians is not None:
                 step = trials[best].theta - current[i].theta
                 known[i] = _corrected(known[i], step, residual[i] - tried[best])
                 fresh[i] = True
@@ -110,7 +109,7 @@ def fit(
             elif not fresh[i]:
                 still.append(i)
             fresh[i] = False
-            if not fast and not secants:
+            if not fast and jacobians is None:
                 known[i] = None
         active = still
     if slopes:

@@ -135,7 +135,7 @@ def refit_without_each(
     refitted = fit(
         problem, starts, weights, problem.fit,
         iterations=1 if hurried else SETTINGS.refit_iterations,
-        slopes=False, jacobians=shared, secants=True,
+        slopes=False, jacobians=shared,
     )  # fmt: skip
     each = [fitted.hypothesis, *(f.hypothesis for f in refitted)]
     base, *levels = levels_on(problem, each, problem.tested)
