@@ -116,7 +116,7 @@ class Joint:
         return "N" if self.kind == "slide" else "N*m"
 
     @property
-    def scalar(self) -> bool:
+    def is_scalar(self) -> bool:
         """Whether one number is its position."""
         return self.kind in ("hinge", "slide")
 

@@ -56,7 +56,7 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
         )
     followers = {mimic.follower for mimic in asset.mimics}
     for joint in asset.joints:
-        if joint.name in actuated or joint.name in followers or not joint.scalar:
+        if joint.name in actuated or joint.name in followers or not joint.is_scalar:
             continue
         declared = evidence.commands.get(joint.name)
         element = f"joint '{joint.name}'"

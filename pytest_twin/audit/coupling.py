@@ -46,7 +46,7 @@ def freedom(asset: Asset) -> Freedom:
         total,
         total - sum(asset.joint[name].dof for name in followers),
         followers,
-        tuple(joint.name for joint in asset.joints if joint.scalar and joint.name not in moved),
+        tuple(joint.name for joint in asset.joints if joint.is_scalar and joint.name not in moved),
         tuple(joint.name for joint in asset.joints if joint.name in sensed),
     )
 
@@ -146,7 +146,7 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
         )
         return
     follower, leader = asset.joint.get(mimic.follower), asset.joint[mimic.leader]
-    if follower is None or not follower.scalar or not leader.scalar:
+    if follower is None or not follower.is_scalar or not leader.is_scalar:
         return
     if mimic.multiplier == 0.0:
         yield Finding(

@@ -31,7 +31,7 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
         if asset.kind == "urdf":
             # The other formats normalize by definition.
             yield from _axis(joint)
-        if joint.scalar:
+        if joint.is_scalar:
             yield from _range(asset, joint)
             yield from _bounds(asset, joint, passive=joint.name in followers)
             yield from _friction(joint)

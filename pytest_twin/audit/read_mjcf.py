@@ -484,7 +484,7 @@ class _Compiled:
             pose = {
                 joint.name: float(model.key_qpos[index, address])
                 for joint, address in zip(self.out.joints, model.jnt_qposadr, strict=True)
-                if joint.scalar
+                if joint.is_scalar
             }
             self.out.poses[self.name("key", index)] = pose
 

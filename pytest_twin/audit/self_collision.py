@@ -97,7 +97,7 @@ def base_pose(asset: Asset) -> dict[str, float]:
     """Joint -> rad or m: zeros moved into the ranges, followers where their leaders put them."""
     base = {}
     for joint in asset.joints:
-        if joint.scalar:
+        if joint.is_scalar:
             value = joint.reference
             if joint.limited and joint.lower is not None and joint.upper is not None:
                 value = min(max(value, joint.lower), joint.upper)

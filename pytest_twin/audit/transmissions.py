@@ -19,7 +19,7 @@ def check(asset: Asset) -> Iterator[Finding]:
     driven |= {joint for item in asset.actuators for joint in item.joints}
     followers = {mimic.follower for mimic in asset.mimics}
     for joint in asset.joints:
-        if joint.name in driven or joint.name in followers or not joint.scalar:
+        if joint.name in driven or joint.name in followers or not joint.is_scalar:
             continue
         if asset.kind == "urdf" and joint.effort == 0.0:
             continue

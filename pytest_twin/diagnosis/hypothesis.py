@@ -176,7 +176,7 @@ class Hypothesis:
         return found
 
     @property
-    def rough(self) -> bool:
+    def is_rough(self) -> bool:
         """Whether the motion follows some parameter in leaps."""
         return any(p.step > SMOOTH_STEP for t in self.terms for p in t.parameters)
 

@@ -49,7 +49,7 @@ class Total:
         return self.own + sum(value for _, _, value in self.parts)
 
     @property
-    def impossible(self) -> bool:
+    def is_impossible(self) -> bool:
         """Whether it is below zero by more than corrections are accurate."""
         return self.value < -max(_TOLERANCE * self.own, _OF_TYPICAL * self.typical, 0.0)
 
@@ -103,7 +103,7 @@ def impossible(problem: Problem, hypothesis: Hypothesis) -> dict[Term, str]:
     """Effects that make a total impossible, and why: of several corrections those below zero."""
     out: dict[Term, str] = {}
     for total in totals(problem, hypothesis):
-        if total.impossible:
+        if total.is_impossible:
             why = f"the total {total.name} of the joint would be {total.value:.3g}, below zero"
             out.update({term: why for term, _, value in total.parts if value < 0.0})
     return out

@@ -181,7 +181,7 @@ class Problem:
             (self.simulator, False, 1.0),
             (self.refined or self.simulator, True, 1.0 / REFINE if self.refined else 1.0),
         ):
-            which = [i for i, h in enumerate(hypotheses) if h.rough is rough]
+            which = [i for i, h in enumerate(hypotheses) if h.is_rough is rough]
             if not which:
                 continue
             rows = np.tile(segments, len(which))
@@ -204,7 +204,7 @@ class Problem:
         """
         values = effect_values([hypothesis] * len(segments), len(self.joints), self.scales)
         q, v, read = self.simulator.followed(segments, values)
-        if hypothesis.rough:
+        if hypothesis.is_rough:
             return q, v, self.predict([hypothesis], segments)[0]
         return q, v, [self._corrected(int(s), p, 1.0) for s, p in zip(segments, read, strict=True)]
 

@@ -89,14 +89,14 @@ class JointError:
         return min(left / mismatch, 1.0) if mismatch > 0.0 else 1.0
 
     @property
-    def mismatched(self) -> bool:
+    def is_mismatched(self) -> bool:
         """Whether the nominal model's error is above the floor."""
         return self.before > VERDICT.at_floor * self.floor
 
     @property
-    def inconsequential(self) -> bool:
+    def is_inconsequential(self) -> bool:
         """Whether the nominal model's error is at the floor, or small against the travel."""
-        return not self.mismatched or self.before <= VERDICT.of_travel * self.travel
+        return not self.is_mismatched or self.before <= VERDICT.of_travel * self.travel
 
     @property
     def explained(self) -> bool:
@@ -119,10 +119,10 @@ def verdict(errors: Mapping[str, JointError], findings: Sequence[Reported]) -> V
     With small corrections alone there is no mismatch where the nominal model's errors are at the
     noise floor or, against the travel of the joints, of no consequence.
     """
-    mismatched = any(e.mismatched for e in errors.values())
+    mismatched = any(e.is_mismatched for e in errors.values())
     if not findings:
         return "unexplained" if mismatched else "no_mismatch"
-    if all(f.small for f in findings) and all(e.inconsequential for e in errors.values()):
+    if all(f.small for f in findings) and all(e.is_inconsequential for e in errors.values()):
         return "no_mismatch"
     if all(e.explained for e in errors.values()):
         return "explained"

@@ -38,7 +38,7 @@ def document_of(found: Excitation, written: Mapping[str, Sequence[str]]) -> dict
     approved = found.approved
     reached = {one.mechanism for one in found.predicted}
     without = [name for name in approved.mechanisms if name not in reached]
-    open_ = [one for one in found.predicted if not one.identifiable]
+    open_ = [one for one in found.predicted if not one.is_identifiable]
     complete = not open_ and not without and not found.refused
     return {
         "schema": SCHEMA,
@@ -190,7 +190,7 @@ def _parameter(one: Predicted) -> dict[str, Any]:
         "nominal": one.nominal,
         "std": one.std if finite else None,
         "relative_std": one.relative_std if finite else None,
-        "identifiable": one.identifiable,
+        "identifiable": one.is_identifiable,
         "small": one.small,
         "why": one.why,
     }
@@ -227,7 +227,7 @@ def _summary(found: Excitation) -> dict[str, Any]:
         worst = max(stated, key=lambda one: one.relative_std or 0.0, default=None)
         summary[mechanism] = {
             "parameters": len(own),
-            "identifiable": sum(one.identifiable for one in own),
+            "identifiable": sum(one.is_identifiable for one in own),
             "worst_relative_std": None if worst is None else worst.relative_std,
             "worst": None if worst is None else worst.expression,
         }

@@ -91,12 +91,12 @@ def find_safe(
             scale, seed = attempts[at][round_]
             motion = designs[at].motion(scale, seed)
             verdict = commanded(motion, approved, robots[motion.payload].around)
-            if verdict.safe:
+            if verdict.is_safe:
                 tried[at] = (motion, verdict)
             else:
                 broken[at] = (round_ + 1, tuple(reasons([verdict])))
         for at, one in _simulated(tried, approved, robots).items():
-            if one.verdict.safe:
+            if one.verdict.is_safe:
                 safe[at] = one
             else:
                 broken[at] = (round_ + 1, tuple(reasons([one.verdict])))

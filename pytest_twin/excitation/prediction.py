@@ -61,7 +61,7 @@ class Predicted:
     why: str = ""
 
     @property
-    def identifiable(self) -> bool:
+    def is_identifiable(self) -> bool:
         """Whether the 95 % interval leaves out 0, or holds only values of small effect."""
         if not math.isfinite(self.std):
             return False

@@ -61,7 +61,7 @@ class Verdict:
     notes: tuple[str, ...] = ()
 
     @property
-    def safe(self) -> bool:
+    def is_safe(self) -> bool:
         """Whether every limit is kept."""
         return all(one.holds for one in self.kept)
 

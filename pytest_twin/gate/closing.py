@@ -231,7 +231,7 @@ def _entries(gate: Gate, facts: Facts, diagnoses: Mapping[str, str]) -> Iterator
         golden = task.golden
         outcome = facts.outcomes.get(task.key)
         proof = None
-        if outcome is None and task.proof is not None and not task.stale:
+        if outcome is None and task.proof is not None and not task.is_stale:
             proof = task.proof
             outcome = proof.outcome
         not_run = outcome is None

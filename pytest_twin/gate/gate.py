@@ -219,7 +219,7 @@ class Gate:
             proven={
                 key: task.proof.outcome
                 for key, task in plan.tasks.items()
-                if task.proof is not None and not task.stale
+                if task.proof is not None and not task.is_stale
             },
             outcomes=self.outcomes,
             repeated=frozenset(filter(self._repeated, self.outcomes)),

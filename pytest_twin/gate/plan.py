@@ -40,7 +40,7 @@ class Task:
         return f"{self.golden.id}@{self.realization}"
 
     @property
-    def stale(self) -> bool:
+    def is_stale(self) -> bool:
         """Whether it has to run."""
         return bool(self.reasons)
 
@@ -74,12 +74,12 @@ class Plan:
     @property
     def stale(self) -> tuple[Task, ...]:
         """Tasks that have to run."""
-        return tuple(task for task in self.tasks.values() if task.stale)
+        return tuple(task for task in self.tasks.values() if task.is_stale)
 
     @property
     def fresh(self) -> tuple[Task, ...]:
         """Tasks that the last release still proves."""
-        return tuple(task for task in self.tasks.values() if not task.stale)
+        return tuple(task for task in self.tasks.values() if not task.is_stale)
 
     @property
     def unproven(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ def why_lines(plan: Plan) -> list[str]:
     """For every golden: fresh or stale, and the part that changed with its old and new value."""
     lines = list(plan.notes)
     for task in plan.tasks.values():
-        if not task.stale:
+        if not task.is_stale:
             proven = f"release {task.proof.release:04d}" if task.proof else ""
             lines.append(f"fresh  {task.key}  proven in {proven}")
             continue

@@ -27,7 +27,7 @@ class Paired:
     standard_error: float
 
     @property
-    def significant(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the error falls by more than chance explains (one-sided, 5 %)."""
         return self.fall > ONE_SIDED * self.standard_error
 

@@ -92,7 +92,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "ci95": [scale.value - scale.half_width, scale.value + scale.half_width],
             "prior": 1.0,
             "stage": "drive",
-            "used": scale.significant and "drive" not in rejected,
+            "used": scale.is_significant and "drive" not in rejected,
             "estimator": "least squares of known payloads",
         }
     for reading in result.encoders.readings:

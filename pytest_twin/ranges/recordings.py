@@ -112,7 +112,7 @@ def _trials(
 
 def _dense(trial: Trial) -> Trial:
     """Positions at every stamp: joints in messages of their own are interpolated."""
-    if trial.dense:
+    if trial.is_dense:
         return trial
     position = trial.position.copy()
     for column in position.T:

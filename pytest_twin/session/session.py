@@ -136,7 +136,7 @@ class TwinSession:
     def _stale(self, item: GoldenItem) -> bool:
         if self.is_worker:
             return item.key in self._handed(item.gate)["stale"]
-        return item.gate.plan().tasks[item.key].stale
+        return item.gate.plan().tasks[item.key].is_stale
 
     def pytest_report_collectionfinish(self) -> list[str]:
         """One line per twin: what runs and what does not have to."""
@@ -159,7 +159,7 @@ class TwinSession:
                     "stale": {
                         task.key: [asdict(reason) for reason in task.reasons]
                         for task in gate.plan().tasks.values()
-                        if task.stale
+                        if task.is_stale
                     }
                 }
                 for gate in self.gates.values()

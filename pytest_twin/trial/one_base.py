@@ -19,7 +19,7 @@ def on_one_base(trial: Trial) -> Trial:
     order interval^4), unless they have a sample of that very stamp; a note says so. Stamps at which
     one of them has no neighbour within its usual interval are left out.
     """
-    if trial.dense:
+    if trial.is_dense:
         return trial
     carried = np.isfinite(trial.position)
     slowest = int(np.argmin(carried.sum(axis=0)))

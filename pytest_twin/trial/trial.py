@@ -133,7 +133,7 @@ class Trial:
         return float(self.time[-1])
 
     @property
-    def dense(self) -> bool:
+    def is_dense(self) -> bool:
         """Whether every state has the position of every joint."""
         return bool(np.isfinite(self.position).all())
 

@@ -520,7 +520,7 @@ def test_what_is_followed_is_what_is_predicted(mode: str, term: Term, rough: boo
         problem.simulator.segments, problem.joints, threads=1, refine=REFINE
     )
     hypothesis = EMPTY.with_term(term, np.array([p.starts[0] for p in term.parameters]))
-    assert hypothesis.rough is rough
+    assert hypothesis.is_rough is rough
     problem.refine_at(hypothesis)
     assert problem.defect
     _, _, followed = problem.followed(hypothesis, problem.fit)

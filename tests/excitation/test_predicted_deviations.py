@@ -90,12 +90,12 @@ def test_poses_at_rest_are_reached_from_both_sides(found: Excitation) -> None:
 def test_a_joint_that_may_hardly_move_is_not_identifiable(
     tmp_path: Path, found: Excitation
 ) -> None:
-    assert all(one.identifiable for one in found.predicted)
+    assert all(one.is_identifiable for one in found.predicted)
     section = approved_for_arm(mechanisms=["inertia"])
     section["joints"]["elbow"].update(
         position=[0.25, 0.35], velocity=0.02, acceleration=0.1, effort_noise=1.0
     )
     small = excite(*loaded(write_twin(tmp_path, section)))
-    names = {one.name for one in small.predicted if not one.identifiable}
+    names = {one.name for one in small.predicted if not one.is_identifiable}
     assert [one.motion.name for one in small.safe] == ["fourier_fit", "fourier_held_out"]
     assert {"elbow.viscous_friction", "elbow.coulomb_friction"} <= names

@@ -18,7 +18,7 @@ def correlated(random: np.random.Generator) -> np.ndarray:
 def test_models_that_predict_alike_seldom_differ() -> None:
     random = np.random.default_rng(0)
     claimed = [
-        paired(correlated(random), correlated(random), LENGTHS).significant for _ in range(300)
+        paired(correlated(random), correlated(random), LENGTHS).is_significant for _ in range(300)
     ]
     assert np.mean(claimed) < 0.09
 
@@ -27,11 +27,11 @@ def test_a_gain_below_the_noise_of_either_error_is_found() -> None:
     random = np.random.default_rng(1)
     noise = correlated(random)
     bias = 0.5 * noise.std() * np.sin(np.arange(1000) / 20.0)[:, None]
-    assert paired(noise + bias, noise, LENGTHS).significant
-    assert not paired(noise, noise + bias, LENGTHS).significant
+    assert paired(noise + bias, noise, LENGTHS).is_significant
+    assert not paired(noise, noise + bias, LENGTHS).is_significant
 
 
 def test_a_model_that_diverges_is_worse() -> None:
     error = np.ones((1000, 2))
-    assert paired(np.full_like(error, np.nan), error, LENGTHS).significant
-    assert not paired(error, np.full_like(error, np.inf), LENGTHS).significant
+    assert paired(np.full_like(error, np.nan), error, LENGTHS).is_significant
+    assert not paired(error, np.full_like(error, np.inf), LENGTHS).is_significant

@@ -62,5 +62,5 @@ def test_one_payload_throughout_tells_no_scale(tmp_path: Path) -> None:
 
 def test_a_right_scale_is_left_alone(tmp_path: Path) -> None:
     result = identified(tmp_path, [1.0, 1.0], ["kg3", None, None])
-    assert not any(scale.significant for scale in result.scales.values())
+    assert not any(scale.is_significant for scale in result.scales.values())
     assert result.scales["elbow"].value == pytest.approx(1.0, abs=0.05)

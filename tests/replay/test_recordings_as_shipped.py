@@ -131,7 +131,7 @@ def test_two_recorded_joints_cannot_become_one() -> None:
 def test_joints_of_one_stamp_in_separate_messages_are_taken_together() -> None:
     made = make_trial(recording(separate(states(), 0.0), separate(commands(), 0.0)), structure())
     assert np.array_equal(made.position, MOTION)
-    assert made.dense
+    assert made.is_dense
     assert "800 messages of different joints and one stamp taken together" in note(made, "together")
     assert np.array_equal(made.setpoint.at(made.time), MOTION)
 
@@ -153,7 +153,7 @@ def test_joints_at_stamps_of_their_own_keep_their_samples() -> None:
 def test_a_diagnosis_has_them_at_one_joints_stamps_and_says_so() -> None:
     whole = make_trial(recording(separate(states(), 0.005), commands()), structure())
     made = on_one_base(whole)
-    assert made.dense
+    assert made.is_dense
     at = made.time + 0.005
     assert np.abs(made.position[1:-1, 0] - 0.8 * np.sin(3.0 * at[1:-1])).max() < 2e-5
     assert "interpolated there, from samples at most 5 ms away" in made.notes[-1]

@@ -141,7 +141,7 @@ def _samples(srdf: Srdf) -> list[dict[str, float]]:
     """The same poses at every run, evenly within the ranges; rad and m."""
     ranges = {}
     for joint in srdf.asset.joints:
-        if not joint.scalar:
+        if not joint.is_scalar:
             continue
         if joint.limited and joint.lower is not None and joint.upper is not None:
             ranges[joint.name] = joint.lower, joint.upper

@@ -44,7 +44,7 @@ def _values(srdf: Srdf, state: Node) -> dict[str, float]:
     for node in state.all("joint"):
         joint = srdf.asset.joint.get(node.attributes.get("name", ""))
         numbers = _numbers(node)
-        if joint is not None and joint.scalar and numbers is not None and len(numbers) == 1:
+        if joint is not None and joint.is_scalar and numbers is not None and len(numbers) == 1:
             values[joint.name] = numbers[0]
     return values
 
@@ -63,7 +63,7 @@ def _value(srdf: Srdf, state: Node, node: Node) -> Iterator[Finding]:
     numbers = _numbers(node)
     count = None if joint is None else _variables(joint)
     if numbers is None or (count is not None and len(numbers) != count):
-        unit = "" if joint is None or not joint.scalar else f" in {joint.unit}"
+        unit = "" if joint is None or not joint.is_scalar else f" in {joint.unit}"
         yield Finding(
             "planning.state_value",
             "critical",
@@ -81,7 +81,7 @@ def _value(srdf: Srdf, state: Node, node: Node) -> Iterator[Finding]:
         if name in srdf.child_of:
             yield _pointless(node, element, "the joint is fixed", "a joint that moves")
         return
-    if joint.scalar:
+    if joint.is_scalar:
         yield from _range(joint, numbers[0], node, element)
 
 

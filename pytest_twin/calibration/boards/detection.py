@@ -76,7 +76,7 @@ class Detection:
     rejected: str = ""
 
     @property
-    def usable(self) -> bool:
+    def is_usable(self) -> bool:
         """Whether corners of this image can be used."""
         return not self.rejected
 
@@ -141,7 +141,7 @@ def detect(image: Grey, target: Target, name: str = "") -> Detection:
 
 def compared(detections: Sequence[Detection]) -> list[Detection]:
     """The detections, where those with far more blur than the others are rejected."""
-    blurs = [d.sharpness for d in detections if d.usable]
+    blurs = [d.sharpness for d in detections if d.is_usable]
     if len(blurs) < 3:
         return list(detections)
     usual = float(np.nanmedian(blurs))
@@ -152,7 +152,7 @@ def compared(detections: Sequence[Detection]) -> list[Detection]:
             rejected=f"blurred: the edges' blur is {d.sharpness:.1f} px, "
             f"in the other images {usual:.1f} px",
         )
-        if d.usable and d.sharpness > most
+        if d.is_usable and d.sharpness > most
         else d
         for d in detections
     ]

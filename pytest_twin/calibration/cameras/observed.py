@@ -185,8 +185,8 @@ def read_images(
     names = [one for one, image in zip(observations.ids, observations.images, strict=True) if image]
     paths = _paths(plan, observations, folder)
     found = detect_files(paths, target, names)
-    usable = {one.image: one for one in found if one.usable}
-    rejected = tuple(one for one in found if not one.usable)
+    usable = {one.image: one for one in found if one.is_usable}
+    rejected = tuple(one for one in found if not one.is_usable)
     if not usable:
         raise plan.error(
             "target",

@@ -220,7 +220,7 @@ class ModelComparison:
 
     def _settled(self, rival: ScoredModel) -> ScoredModel:
         # Where impacts fall between steps depends on the parameters themselves.
-        for _ in range(COMPARISON.rough_rounds if rival.hypothesis.rough else 1):
+        for _ in range(COMPARISON.rough_rounds if rival.hypothesis.is_rough else 1):
             self.problem.refine_at(rival.hypothesis)
             settled = self.rivals([rival.hypothesis], self.weights(rival), LONG, slopes=True)[0]
             if not np.isfinite(settled.held_residual).all():

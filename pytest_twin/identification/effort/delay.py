@@ -27,7 +27,7 @@ class Delay:
     half_width: float
 
     @property
-    def significant(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether it differs from zero."""
         return abs(self.value) * Z95 >= SIGNIFICANT * self.half_width
 

@@ -148,7 +148,7 @@ def _with_delay(
     late: Delay | None,
 ) -> tuple[MeasuredSet, EffortResult, Stage]:
     """The stage of the delay: the efforts are moved where that lowers the held-out error."""
-    if late is None or not late.significant:
+    if late is None or not late.is_significant:
         why = "the efforts are not stamped later than the motion, as far as the motion shows"
         stage = Stage("delay", "not_observable", why, (), None, EXCLUDES["delay"])
         return measured, found, stage
@@ -235,7 +235,7 @@ def _with_scales(
 ) -> EffortResult:
     """The drive's scales, where known payloads tell them: efforts are divided by them."""
     scales = payload_scales(realization, measured.fit, found.regressor, found.filter)
-    off = {joint: scale for joint, scale in scales.items() if scale.significant}
+    off = {joint: scale for joint, scale in scales.items() if scale.is_significant}
     found = replace(found, scales=scales)
     if not off:
         return found

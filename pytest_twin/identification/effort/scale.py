@@ -35,7 +35,7 @@ class Scale:
     half_width: float
 
     @property
-    def significant(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether it differs from 1."""
         return abs(self.value - 1.0) * Z95 >= SIGNIFICANT * self.half_width
 

@@ -95,12 +95,12 @@ def where_better(problem: Problem, before: Hypothesis, after: Hypothesis) -> Hyp
     """
     errors = [_in_floors(problem, h) for h in (before, after)]
     lengths = problem.lengths(problem.tested)
-    whole = paired(errors[0], errors[1], lengths).significant
+    whole = paired(errors[0], errors[1], lengths).is_significant
     chosen: dict[Term, FloatArray] = {}
     for joint in range(-1, len(problem.joints)):
         columns = slice(None) if joint < 0 else slice(joint, joint + 1)
         own = paired(errors[0][:, columns], errors[1][:, columns], lengths)
-        source = after if (whole if joint < 0 else own.significant) else before
+        source = after if (whole if joint < 0 else own.is_significant) else before
         for term in source.terms:
             if term.joint == joint:
                 chosen[term] = source.theta[source.slice_of(term)]

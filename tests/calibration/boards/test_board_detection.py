@@ -103,7 +103,7 @@ def test_damaged_and_missing_files_are_rejected_detections(tmp_path: Path):
     (tmp_path / "whole.png").write_bytes(whole)
     paths = [tmp_path / name for name in ("text.png", "half.png", "gone.png", "whole.png")]
     found = detect_files(paths, charuco())
-    assert [d.usable for d in found] == [False, False, False, True]
+    assert [d.is_usable for d in found] == [False, False, False, True]
     assert "no readable image" in found[0].rejected
     assert "no readable image" in found[1].rejected
     assert "gone.png" in found[2].rejected

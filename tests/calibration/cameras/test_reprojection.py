@@ -189,7 +189,7 @@ def test_a_recorded_cell_is_calibrated_better_than_by_any_algebraic_solver():
     start = make_intrinsics({"fx": 1352.03, "fy": 1356.14, "cx": 789.67, "cy": 627.30})
     found = detect_files([folder / "images" / f"{i}.jpg" for i in range(16)], target)
     assert [d.image for d in found if d.rejected] == ["2.jpg"]
-    used = [i for i, d in enumerate(found) if d.usable]
+    used = [i for i, d in enumerate(found) if d.is_usable]
     flange = np.tile(np.eye(4), (len(used), 1, 1))
     for at, i in enumerate(used):
         pose = yaml.safe_load((folder / "poses" / f"{i}.yaml").read_text())
