@@ -14,7 +14,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import motions
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
-from pytest_twin.diagnosis.windows import segments_of
+from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.effects.memory_warmup import LEAD
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.formats.recording import JointSeries
@@ -104,8 +104,8 @@ def test_a_part_that_is_too_short_is_left_out_and_said(bench: Bench) -> None:
 
 def test_a_part_begins_amid_its_motion_once_the_lost_commands_have_died_away(bench: Bench) -> None:
     first, second = bench.read(bench.put("a.mcap", bench.seen, (150, 180))).fit
-    (from_rest,) = segments_of(bench.realization, first, 0, ("j1",), commanded=True)
-    (amid,) = segments_of(bench.realization, second, 1, ("j1",), commanded=True)
+    (from_rest,) = segments_of(bench.realization, first, 0, ("j1",), Cutting(commanded=True))
+    (amid,) = segments_of(bench.realization, second, 1, ("j1",), Cutting(commanded=True))
     assert not from_rest.amid
     assert amid.amid
     assert amid.start == pytest.approx(LEAD, abs=0.1)

@@ -15,7 +15,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
 from pytest_twin.realization import Realization, load
 from pytest_twin.setup import inspection
-from pytest_twin.setup.writing import write_twin_file
+from pytest_twin.setup.writing import FirstTwin, write_twin_file
 from pytest_twin.twin import load_twin
 from pytest_twin.units import parse_quantity
 
@@ -259,10 +259,11 @@ def test_a_robot_with_no_moving_joint_gets_reasons(tmp_path: Path) -> None:
 def test_the_servo_lines_of_twin_yaml_load_once_the_gains_are_in(tmp_path: Path) -> None:
     robot = arm(tmp_path)
     look = inspection.look(str(robot.path))
-    written = write_twin_file(
-        tmp_path, name="arm", model=robot.path, source=[robot.path], roots={}, tcp=None,
+    first_twin = FirstTwin(
+        name="arm", model=robot.path, source=[robot.path], roots={}, tcp=None,
         inertia_repairs={}, motors=look["motors"], reading={},
     )  # fmt: skip
+    written = write_twin_file(tmp_path, first_twin)
     lines = written.read_text().splitlines()
     begin = lines.index("# fit:")
     end = next(i for i, line in enumerate(lines) if line.startswith("# What no file shows"))

@@ -44,7 +44,7 @@ class Reading:
     half_width: float
 
     @property
-    def significant(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether it differs from zero."""
         return abs(self.value) * Z95 >= SIGNIFICANT * self.half_width
 
@@ -64,7 +64,7 @@ class Encoders:
     @property
     def wrong(self) -> tuple[Reading, ...]:
         """Those that differ from zero."""
-        return tuple(one for one in self.readings if one.significant)
+        return tuple(one for one in self.readings if one.is_significant)
 
     def value_of(self, joint: str, kind: str) -> float:
         """Of one reading; 0 where the motion does not determine it."""
