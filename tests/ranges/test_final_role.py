@@ -18,6 +18,7 @@ from pytest_twin.checks.episode import recording_of
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.errors import RecordingError
 from pytest_twin.golden import Golden
+from pytest_twin.identification.contact.roles import TossOptions
 from pytest_twin.identification.contact.roles import read_by_role as tosses_by_role
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.realization import load
@@ -111,4 +112,4 @@ def test_a_contact_identification_refuses_them(tmp_path: Path) -> None:
     )  # fmt: skip
     cube = FreeBody("cube", 1, 0, 0, (1,), (0,))
     with pytest.raises(RecordingError, match="it is not used for an identification"):
-        tosses_by_role([toss], [], np.array([0.0, 0.0, -9.81]), cube, np.zeros(3))
+        tosses_by_role([toss], [], np.array([0.0, 0.0, -9.81]), cube, np.zeros(3), TossOptions())
