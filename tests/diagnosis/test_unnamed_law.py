@@ -8,6 +8,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -36,7 +37,9 @@ from pytest_twin.diagnosis.search_result import (
     residuals_everywhere,
 )
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.diagnosis.unnamed_law import simulated
 from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
+from pytest_twin.diagnosis.unnamed_law.regression import Regression
 from pytest_twin.diagnosis.unnamed_law.tested import laws_left, on_test
 from pytest_twin.effects.segment import Predicted
 from pytest_twin.effects.unnamed_law import KNOTS, POSITION, UnnamedLaw
@@ -152,6 +155,20 @@ def test_a_force_in_time_is_no_law(tmp_path: Path, hidden: Hidden) -> None:
     (note,) = laws.notes
     assert "A push in time or a random torque looks like this" in note
     assert f"({100 * WORTH:.0f} % required)" in note
+
+
+def test_a_linearized_motion_that_runs_away_is_no_law(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows of a slide under effort commands: simulations were finite, slopes were not."""
+    around = simulated._around
+
+    def overflown(*args: Any) -> Regression:
+        sums = around(*args)
+        return replace(sums, gram=np.full_like(sums.gram, np.inf))
+
+    monkeypatch.setattr(simulated, "_around", overflown)
+    assert not found(tmp_path, notch).laws
 
 
 def test_the_curve_is_the_hidden_force_within_its_band(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def with_tables(
 
 
 def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data) -> Fitted | None:
-    """Tables fitted by simulation; None where no simulation with them is finite.
+    """Tables fitted by simulation; None where no simulation with them, or no slope, is finite.
 
     Args:
         problem: what to explain.
@@ -99,8 +99,13 @@ def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data)
             break
     else:
         return None
+    local: Regression | None = None
     for _ in range(_STEPS):
-        local = _around(problem, at(values), data, chosen.tables, residual, values)
+        around = _around(problem, at(values), data, chosen.tables, residual, values)
+        if not np.isfinite(around.gram).all():
+            # The linearized motion runs away, though the simulated one does not.
+            break
+        local = around
         step = local.fitted(chosen.strength) - values
         for _ in range(_HALVINGS):
             tried = values + step
@@ -114,6 +119,8 @@ def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data)
         gained, values, residual, best = best - size, tried, there, size
         if gained < _ENOUGH * best:
             break
+    if local is None:
+        return None
     recordings = np.unique(data.recording)
     # What a recording does to the values, as the last step has it.
     whole = local.fitted(chosen.strength)
