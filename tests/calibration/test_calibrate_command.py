@@ -86,7 +86,10 @@ def test_it_writes_estimates_with_intervals_and_held_out_errors(
         found["held_out"]["translation_rms"]
     )
     page = Path("out/calibration.html").read_text()
-    assert all(f"<h2>{title} " in page for title in ("Estimates", "Workspace", "Next poses"))
+    titles = ("Estimates", "Regions of the workspace", "Workspace", "Next poses", "Not observable")
+    assert all(f"<h2>{title} " in page for title in titles)
+    for one in found["held_out"]["regions"]:
+        assert f"{1e3 * one['translation_rms']:.3f}" in page
     out = capsys.readouterr().out
     assert "Accepted: cell_hand_eye" in out
     assert "fr3_joint4" in out

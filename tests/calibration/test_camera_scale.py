@@ -4,20 +4,30 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cells
+import cv2
 import numpy as np
 import pytest
+import yaml
+
+sys.path.insert(0, str(Path(__file__).parent / "boards"))
+from rendered_boards import charuco, view
 
 from pytest_twin.calibration.closed_form import scale_of_seen
 from pytest_twin.calibration.problem import make_problem
 from pytest_twin.calibration.recorded import held_out_observations, recorded_state
 from pytest_twin.calibration.residual_errors import errors_of
-from pytest_twin.calibration.run import calibrate
+from pytest_twin.calibration.run import calibrate, calibrate_file
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.calibration_record import read_calibration_record
+
+BOARD = {"kind": "charuco", "squares": [5, 7], "square": 0.03, "marker": 0.022,
+         "dictionary": "DICT_5X5_100"}  # fmt: skip
 
 
 def unscaled(
@@ -117,6 +127,42 @@ def test_a_scale_needs_poses_of_a_camera() -> None:
     )
     with pytest.raises(SpecError, match="no pose of a camera"):
         calibrate(cells.plan("tcp", camera={"scale": "estimate"}), points, None)
+
+
+def test_a_scale_is_refused_with_images_whose_target_has_a_size(tmp_path: Path) -> None:
+    (tmp_path / "view.png").write_bytes(
+        cv2.imencode(".png", view(charuco(), [0.3, 0.2, 0.1], [-0.07, -0.1, 0.42]))[1]
+    )
+    header = [
+        "id",
+        "image",
+        *(f"flange.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")),
+    ]
+    rows = [",".join(header), "a,view.png,0,0,0,1,0,0,0"]
+    (tmp_path / "observations.csv").write_text("\n".join(rows))
+    error = refused(tmp_path, {"observations": "observations.csv", "target": BOARD})
+    assert error.problem == "a scale to be estimated, and images of a target whose size is stated"
+    assert error.expected == "no scale, or camera_from_target in place of images"
+
+
+def test_a_scale_is_refused_with_streams_on_two_clocks(tmp_path: Path) -> None:
+    for name in ("hand.csv", "camera.csv"):
+        (tmp_path / name).write_text("0,0,0,0,0,0,0,1")
+    error = refused(tmp_path, {"streams": {"hand": "hand.csv", "camera": "camera.csv"}})
+    assert error.problem == "a scale to be estimated from streams on two clocks"
+    assert error.expected == "observations: poses at rest, or at stamps of one clock"
+
+
+def refused(folder: Path, fields: dict[str, Any]) -> SpecError:
+    """The error of a plan that asks for a scale; it names the field and its line."""
+    stated = {"calibration": "cell", "estimate": ["hand_eye"]} | fields
+    text = yaml.safe_dump(stated) + "camera:\n  mount: hand\n  scale: estimate\n"
+    (folder / "plan.yaml").write_text(text)
+    with pytest.raises(SpecError) as caught:
+        calibrate_file(str(folder / "plan.yaml"))
+    assert (caught.value.where, caught.value.value) == ("camera.scale", "estimate")
+    assert caught.value.line == len(text.splitlines())
+    return caught.value
 
 
 def test_the_closed_form_agrees_on_exact_poses() -> None:
