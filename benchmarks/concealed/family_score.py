@@ -34,6 +34,11 @@ SURE = 0.9
 """Confidence from which a false name counts: a user would act on it."""
 PLAUSIBLE = 3.0
 """Times its true size up to which a background difference is named rightly."""
+STANDS = (
+    (0.0, 2.0, "less than 2"), (2.0, 5.0, "2 to 5"), (5.0, 10.0, "5 to 10"),
+    (10.0, np.inf, "10 or more"),
+)  # fmt: skip
+"""By how much an effect stands out: least, below, in words."""
 BANDS = ((0.5, 0.75), (0.75, 0.9), (0.9, 1.0))
 SHAPES = ("harmonic", "stribeck_velocity", "in_loop", "cosine", "damping_time")
 """Parameters that say nothing of a difference's size."""
@@ -211,6 +216,12 @@ def middle(values: Iterable[float | None]) -> str:
     return f"{np.median(known):.1%} of {len(known)}" if known else "none"
 
 
+def times_background(answer: Answer) -> float:
+    """How far what is hidden stands out of what else differs."""
+    drawn = answer.truth.get("stands_out") or {}
+    return float(drawn.get("factor", answer.hidden[0]["visibility"]))
+
+
 def rows(answers: Sequence[Answer]) -> list[tuple[str, str, str]]:
     """(figure, goal, value) of some cases of a family."""
     ended = [a for a in answers if a.said is not None]
@@ -225,6 +236,11 @@ def rows(answers: Sequence[Answer]) -> list[tuple[str, str, str]]:
          share(first_right(a) for a in hiding)),
         ("the same, of cases with a result", "",
          share(first_right(a) for a in hiding if a.said is not None)),
+        *(
+            (f"the same, of effects that stand out of the background by {words}", "",
+             share(first_right(a) for a in hiding if low <= times_background(a) < high))
+            for low, high, words in STANDS
+        ),
         ("cases with a false name at 0.9 or above, something hidden", "at most 1 in 20",
          share(bool(sure(a, "false")) for a in named)),
         ("cases with a false name at 0.9 or above, background alone", "0",
@@ -269,9 +285,10 @@ def listed(column: dict[str, Answer]) -> list[str]:
     lines = []
     for name, a in column.items():
         t = a.truth
+        unit = "background" if t["family"] == "real" else "noise"
         hidden = ", ".join(
             f"{e['effect']} {e['joint'] or ''}".strip()
-            + f" ({e['visibility']:.3g} times the noise)"
+            + f" ({e['visibility']:.3g} times the {unit})"
             for e in t["effects"]
         )
         hidden = hidden or (t["outside"] or {}).get("kind") or "background alone"
