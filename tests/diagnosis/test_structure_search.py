@@ -9,11 +9,15 @@ import pytest
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.hypothesis import EMPTY
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.structure_search.proposals import removals
+from pytest_twin.diagnosis.structure_search.proposals import (
+    Proposal,
+    best_of_each_size,
+    removals,
+)
 from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.diagnosis.trials import read_trials
 
@@ -75,3 +79,15 @@ def test_removals_are_none_each_pairs_and_all_of_a_joint(tmp_path: Path) -> None
     sizes = sorted(len(gone) for gone in removals(own))
     assert sizes[0] == 0
     assert sizes[-1] == len([t for t in terms if t.joint in (terms[0].joint, -1)])
+
+
+def test_the_best_of_each_number_of_effects_are_fitted_on() -> None:
+    """Sets of three that follow the residual a little better crowd out no single effect."""
+    one, two = (Hypothesis((Term(e, 0),), np.zeros(1)) for e in ("armature", "viscous_friction"))
+    three = one.with_term(Term("cogging", 0), np.zeros(3)).with_term(
+        Term("encoder_bias", 0), np.zeros(2)
+    )
+    ranked = [Proposal(h, g) for h, g in ((three, 9.0), (three, 8.0), (one, 7.0), (two, 6.0))]
+    kept, others = best_of_each_size(ranked, 1)
+    assert [p.gain for p in kept] == [9.0, 7.0]
+    assert [p.gain for p in others] == [8.0, 6.0]

@@ -9,6 +9,7 @@ its special case, one law of the whole robot for several joints) are proposals l
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -68,12 +69,37 @@ def proposals(
     starts = list(pool.values())
     if look.linear is None:
         return [Proposal(h, 0.0) for h in starts]
-    fitted = fit_linearized(look.linear, look.view, starts, _ITERATIONS)
     incumbent = LinearizedFit(own, look.view.residual)
-    worth = linearized_evidence(look.view, [incumbent, *fitted], scorer.name_price)
-    gains = np.nan_to_num(worth[1:] - worth[0], nan=-np.inf)
-    found = [Proposal(p.hypothesis, float(g)) for p, g in zip(fitted, gains, strict=True)]
-    return sorted(found, key=lambda p: -p.gain)
+
+    def fitted(models: Sequence[Hypothesis], iterations: int) -> list[Proposal]:
+        fits = fit_linearized(look.linear, look.view, models, iterations)
+        worth = linearized_evidence(look.view, [incumbent, *fits], scorer.name_price)
+        gains = np.nan_to_num(worth[1:] - worth[0], nan=-np.inf)
+        found = [Proposal(f.hypothesis, float(g)) for f, g in zip(fits, gains, strict=True)]
+        return sorted(found, key=lambda p: -p.gain)
+
+    first = fitted(starts, 1)
+    kept, others = best_of_each_size(first, settings.fitted_of_each_count)
+    return sorted(
+        [*fitted([p.hypothesis for p in kept], _ITERATIONS - 1), *others], key=lambda p: -p.gain
+    )
+
+
+def best_of_each_size(
+    ranked: Sequence[Proposal], most: int
+) -> tuple[list[Proposal], list[Proposal]]:
+    """The first so many proposals with each number of effects, and the others.
+
+    Args:
+        ranked: best first.
+        most: of each number of effects.
+    """
+    kept, others, taken = list[Proposal](), list[Proposal](), Counter[int]()
+    for proposal in ranked:
+        count = len(proposal.hypothesis.terms)
+        (kept if taken[count] < most else others).append(proposal)
+        taken[count] += 1
+    return kept, others
 
 
 def _exchanged(

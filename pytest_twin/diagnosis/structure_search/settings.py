@@ -16,6 +16,8 @@ class StructureSearchSettings:
         proposals: models of one step that are simulated.
         of_each_count: of these, the best with each number of effects. A right effect alone can be
             behind three wrong ones along the linearized motion (clock drift of 0.5 %: place 14).
+        fitted_of_each_count: models with each number of effects that are fitted along the motion
+            beyond one iteration: twice what is simulated.
         finalists: of these, models that are fitted.
         corrections: simulations of one fit along the linearized motion.
         refinements: iterations of the final fit by simulated gradients.
@@ -31,6 +33,7 @@ class StructureSearchSettings:
     beam: int = 8
     proposals: int = 12
     of_each_count: int = 4
+    fitted_of_each_count: int = 8
     finalists: int = 5
     corrections: int = 3
     refinements: int = 3
