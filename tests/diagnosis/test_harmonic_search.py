@@ -9,7 +9,7 @@ from test_first_order import ELBOW, SHOULDER, Hidden, problem_of
 from pytest_twin.diagnosis.first_order.beam_search import ResidualView, candidates
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.harmonic_search import _between, search_harmonics
-from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity, linearize
+from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity, linearize
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 
 COGGING = Term("cogging", ELBOW)
@@ -76,3 +76,10 @@ def test_waves_that_are_shorter_than_what_is_left_say_nothing() -> None:
     slots = {"sine": 0.3, "cosine": 0.1, "harmonic": 118.0}
     found, _ = _found({COGGING: slots, Term("command_delay", ELBOW): {"delay": 0.04}})
     assert COGGING not in found or found[COGGING].start[2] < 60.0
+
+
+def test_waves_that_change_nothing_are_no_responses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrist that hardly moves: no wave over its position shows in the prediction."""
+    monkeypatch.setattr(Linear, "at_sizes", lambda self, terms, sizes: [])
+    found, _ = _found({COGGING: {"sine": 0.3, "cosine": 0.1, "harmonic": 33.0}})
+    assert not found

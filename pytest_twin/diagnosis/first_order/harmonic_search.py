@@ -102,6 +102,9 @@ def _best_of(
     best: list[Sensitivity] = []
     for first in range(0, len(sizes), _AT_ONCE):
         found = [*best, *linear.at_sizes([term], sizes[first : first + _AT_ONCE])]
+        if not found:
+            # None of these waves changes the prediction.
+            continue
         answers = CandidateSensitivities(found)
         lens = NormalEquations(view, answers)
         best = [answers.responses[i] for (i,) in lens.children(lens.bare, 1)]
