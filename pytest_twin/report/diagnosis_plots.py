@@ -11,6 +11,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.report.diagnosis_view import JointView, Regime
+from pytest_twin.report.log_axes import logarithmic
 from pytest_twin.report.panels import Line, thin
 from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW, STYLE, finish
 from pytest_twin.report.text import number, printable
@@ -193,7 +194,7 @@ def _spectrum(axes: Axes, view: JointView) -> None:
             axes.plot(f, np.sqrt(power), color=colour, linewidth=1.3, label=name)
     axes.axhline(view.floor * np.sqrt(2.0 / rate), color=GOLDEN, linewidth=0.9,
                  linestyle=(0, (4, 3)), label="noise floor, if white")  # fmt: skip
-    _logarithmic(axes, "x", "y")
+    logarithmic(axes, "x", "y")
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"residual [{view.unit}/\N{SQUARE ROOT}Hz]")
     axes.legend(loc="upper right")
@@ -208,7 +209,7 @@ def _regimes(axes: Axes, view: JointView, shown: Sequence[Regime]) -> None:
     axes.scatter([r.before for r in shown], rows, color=FAIL, s=22, zorder=2)
     axes.scatter([r.after for r in shown], rows, color=NOW, s=22, zorder=3)
     axes.axvline(view.floor, color=GOLDEN, linewidth=0.9, linestyle=(0, (4, 3)))
-    _logarithmic(axes, "x")
+    logarithmic(axes, "x")
     values = [x for r in shown for x in (r.before, r.after)] + [scale]
     axes.set_xlim(0.6 * min(values), 1.6 * max(values))
     axes.set_yticks(rows, [_regime_name(r) for r in shown], color=INK, fontsize=7.5)
@@ -221,18 +222,6 @@ def _regimes(axes: Axes, view: JointView, shown: Sequence[Regime]) -> None:
 
 def _regime_name(regime: Regime) -> str:
     return printable(regime.name)[:46]
-
-
-def _logarithmic(axes: Axes, *which: str) -> None:
-    """Set logarithmic axes with plain numbers at the decades."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    for name in which:
-        (axes.set_xscale if name == "x" else axes.set_yscale)("log")
-        axis = axes.xaxis if name == "x" else axes.yaxis
-        axis.set_major_locator(LogLocator(numticks=6))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
 
 
 def _by_octaves(frequency: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.report.drawn import svg
+from pytest_twin.report.log_axes import logarithmic
 from pytest_twin.report.page import svg_uri
 from pytest_twin.report.plot_style import GOLDEN, NOW
 from pytest_twin.report.text import printable
@@ -75,7 +76,7 @@ def _drawn(one: Mapping[str, Any]) -> bytes:
             axes.set_ylabel(label)
         rows[0].set_title(printable(title))
         rows[0].legend()
-        rows[-1].set_xscale("log")
+        logarithmic(rows[-1], "x")
         rows[-1].set_xlabel("frequency [Hz]")
 
     return svg(draw, 7.0, 5.0)

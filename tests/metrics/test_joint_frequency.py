@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,11 @@ def test_resonance_is_that_of_the_joint_and_of_the_model(tmp_path: Path) -> None
     row, _ = rows_of([said, effort.to_json()])
     assert "Hz, +" in row["resonance"]
     assert "model:" in row["resonance"]
-    assert len(figures_of([said])) == 1
+    ((_, address),) = figures_of([said])
+    drawing = base64.b64decode(address.split(",")[1]).decode()
+    # Frequencies are plain numbers: text of a page is no formula.
+    assert "mathdefault" not in drawing
+    assert ">10</text>" in drawing
 
 
 def test_an_unsigned_effort_has_no_response(tmp_path: Path) -> None:
