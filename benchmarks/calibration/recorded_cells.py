@@ -95,10 +95,11 @@ def streams(name: str, source: Path, folder: Path, draws: int) -> None:
         ours = solvers.pop("least_squares")
         best = min(solvers, key=solvers.__getitem__)
         low, high = offset["ci95"]
+        drift = offset["drift"]["value"]
         print(
             f"{name}, draw {seed}: offset {1e3 * offset['value']:.2f} ms ({1e3 * low:.2f} to "
             f"{1e3 * high:.2f}), correlation alone {1e3 * offset['from_correlation_alone']:.2f} ms;"
-            f" drift {1e6 * offset['drift']['value']:.0f} us/s; "
+            f" drift {'not shown' if drift is None else f'{1e6 * drift:.0f} us/s'}; "
             f"hand-eye {np.round(1e3 * np.array(eye['transform']['xyz']), 1).tolist()} mm; "
             f"held out {1e3 * ours:.2f} mm, {best} {1e3 * solvers[best]:.2f} mm; distances "
             f"{1e3 * found['held_out']['distance_rms']:.2f} mm; {found['seconds']:.1f} s",

@@ -18,7 +18,7 @@ _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _POSES = ("flange", "camera_from_target")
 _MEANING = (
     "id, time, joint.NAME, flange.x y z qw qx qy qz, camera_from_target.x y z qw qx qy qz, "
-    "image, point.NAME.x y z, pivot"
+    "image, point.NAME.x y z, pivot, payload"
 )
 
 
@@ -36,6 +36,7 @@ class Observations:
         images: relative path of each row's image, or None.
         pivots: name of the fixed point that the tool's tip stands in, ``""`` where it stands in
             none; or None.
+        payloads: name of what the flange carried in each row, ``""`` where none is stated; or None.
         notes: columns that were left out.
     """
 
@@ -47,6 +48,7 @@ class Observations:
     points: Mapping[str, FloatArray] = field(default_factory=dict)
     images: tuple[str, ...] | None = None
     pivots: tuple[str, ...] | None = None
+    payloads: tuple[str, ...] | None = None
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -69,6 +71,7 @@ class Observations:
             points={name: values[at] for name, values in self.points.items()},
             images=None if self.images is None else tuple(self.images[i] for i in at),
             pivots=None if self.pivots is None else tuple(self.pivots[i] for i in at),
+            payloads=None if self.payloads is None else tuple(self.payloads[i] for i in at),
         )
 
 
@@ -114,7 +117,7 @@ def from_table(table: ObservationTable) -> Observations:
         _complete(table, f"point.{marker}", ("x", "y", "z"))
         points[marker] = np.stack([table.numbers(f"point.{marker}.{a}") for a in "xyz"], axis=1)
     poses = {name: _poses(table, name) for name in _POSES if any(_of(names, name))}
-    known = {"id", "time", "image", "pivot"}
+    known = {"id", "time", "image", "pivot", "payload"}
     left_out = [
         name
         for name in table.header
@@ -129,6 +132,7 @@ def from_table(table: ObservationTable) -> Observations:
         camera_from_target=poses.get("camera_from_target"),
         images=table.cells.get("image"),
         pivots=table.cells.get("pivot"),
+        payloads=table.cells.get("payload"),
         notes=(f"columns without a meaning are left out: {', '.join(left_out)}",)
         if left_out
         else (),

@@ -1,4 +1,4 @@
-"""Errors of a state on observations: how large, where in the workspace, and of what pattern."""
+"""Errors of a state on observations: how large, and where in the workspace."""
 
 from __future__ import annotations
 
@@ -9,18 +9,16 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.parameters import State
+from pytest_twin.calibration.parameters import State, Variables
 from pytest_twin.calibration.problem import Problem, predicted_poses
-from pytest_twin.calibration.terms import PoseTerm
+from pytest_twin.calibration.residual_patterns import Residuals, pattern_of
+from pytest_twin.calibration.terms import PointTerm, PoseTerm, Term
 
 _REGIONS = ("near", "middle", "far")
 _LEAST_IN_REGION = 3
 
-CONSTANT_SHARE = 0.5
-"""Part of the squared error that one constant vector must explain to be called a bias."""
-
-REACH_CORRELATION = 0.5
-"""Rank correlation between error and reach from which a report says that errors grow with reach."""
+LONGEST_STEP_S = 0.1
+"""Observations further apart in time than this are no samples of one motion."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +31,9 @@ class Errors:
         translation: (m, 3) vectors, m.
         rotation: (m, 3) rotation vectors, rad; NaN where points are measured.
         reach: (m,) distance of the flange from the base, m.
+        in_base: (m, 3) ``translation`` in the axes of the base, m.
+        rate: (m, 3) rate of the prediction in the axes of ``translation``, m/s; NaN where the
+            observations are not samples of a motion.
     """
 
     ids: tuple[str, ...]
@@ -40,12 +41,20 @@ class Errors:
     translation: FloatArray
     rotation: FloatArray
     reach: FloatArray
+    in_base: FloatArray
+    rate: FloatArray
 
     def only(self, kept: np.ndarray) -> Errors:
         """Those of some measurements, (m,) truth values."""
         ids = tuple(name for name, there in zip(self.ids, kept, strict=True) if there)
         return Errors(
-            ids, self.rows[kept], self.translation[kept], self.rotation[kept], self.reach[kept]
+            ids,
+            self.rows[kept],
+            self.translation[kept],
+            self.rotation[kept],
+            self.reach[kept],
+            self.in_base[kept],
+            self.rate[kept],
         )
 
     @property
@@ -102,37 +111,15 @@ class Errors:
             found.append(one)
         return found
 
-    def pattern(self) -> dict[str, Any] | None:
-        """What the errors look like: a constant bias, or growth with reach; None for neither."""
-        if len(self.ids) < 2 * _LEAST_IN_REGION:
-            return None
-        mean = self.translation.mean(axis=0)
-        share = float(mean @ mean / max(np.mean(self.distance**2), 1e-300))
-        if share > CONSTANT_SHARE:
-            return {
-                "kind": "constant",
-                "bias": mean.tolist(),
-                "words": f"a constant bias of {1e3 * np.linalg.norm(mean):.2f} mm makes "
-                f"{100 * share:.0f} % of the squared error: a frame is off, not the arm",
-            }
-        if np.ptp(self.reach) > 1e-6:
-            correlation = _rank_correlation(self.reach, self.distance)
-            if correlation > REACH_CORRELATION:
-                return {
-                    "kind": "grows_with_reach",
-                    "correlation": correlation,
-                    "words": "the error grows with reach (rank correlation "
-                    f"{correlation:.2f}): a joint's zero or a link's geometry is off",
-                }
-        return None
-
 
 def errors_of(problem: Problem, state: State, kept: Sequence[np.ndarray] | None = None) -> Errors:
     """Errors of all measurements, or of those that ``kept`` has for each term."""
     found = problem.residuals(state, np.zeros(problem.layout.count))
-    flange = predicted_poses(problem, state)[:, :3, 3]
+    flange = predicted_poses(problem, state)
     ids: list[str] = []
-    rows, translations, rotations = [], [], []
+    # Empty arrays, for a problem without terms.
+    rows = [np.zeros(0, dtype=int)]
+    translations, rotations, in_base, rates = ([np.zeros((0, 3))] for _ in range(4))
     for at, (term, (residual, _)) in enumerate(zip(problem.terms, found, strict=True)):
         chosen = np.ones(len(term.rows), dtype=bool) if kept is None else kept[at]
         mine = term.rows[chosen]
@@ -141,15 +128,73 @@ def errors_of(problem: Problem, state: State, kept: Sequence[np.ndarray] | None 
         translations.append(residual[chosen, :3])
         turned = residual[chosen, 3:] if isinstance(term, PoseTerm) else None
         rotations.append(np.full((len(mine), 3), np.nan) if turned is None else turned)
-    all_rows = np.concatenate(rows) if rows else np.zeros(0, dtype=int)
-    reach = np.linalg.norm(flange[all_rows], axis=1)
+        to_base = _axes_in_base(term, state, flange)[chosen]
+        in_base.append(np.einsum("nij,nj->ni", to_base, residual[chosen, :3]))
+        rates.append(_rates(term, problem, state)[chosen])
+    all_rows = np.concatenate(rows)
     return Errors(
         tuple(ids),
         all_rows,
-        np.concatenate(translations) if translations else np.zeros((0, 3)),
-        np.concatenate(rotations) if rotations else np.zeros((0, 3)),
-        reach,
+        np.concatenate(translations),
+        np.concatenate(rotations),
+        np.linalg.norm(flange[all_rows, :3, 3], axis=1),
+        np.concatenate(in_base),
+        np.concatenate(rates),
     )
+
+
+def pattern(errors: Errors, payloads: Sequence[str] | None) -> dict[str, Any] | None:
+    """What the errors look like (:func:`pattern_of`), one vector for each observation.
+
+    Args:
+        errors: of some observations; several markers of one share the error of the arm's pose.
+        payloads: name of each row's payload, or None.
+    """
+    rows, first, place = np.unique(errors.rows, return_index=True, return_inverse=True)
+    count = np.bincount(place, minlength=len(rows))[:, None]
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = np.zeros((len(rows), 3))
+        np.add.at(sums, place, values)
+        return np.asarray(sums / count)
+
+    return pattern_of(
+        Residuals(
+            mean(errors.translation),
+            mean(errors.in_base),
+            errors.reach[first],
+            mean(errors.rate),
+            [payloads[row] for row in rows] if payloads else [""] * len(rows),
+        )
+    )
+
+
+def _axes_in_base(term: Term, state: State, flange: FloatArray) -> FloatArray:
+    """(m, 3, 3) from the axes that a term's errors are in to those of the base."""
+    if isinstance(term, PoseTerm):
+        if term.mount == "hand":
+            return np.asarray(flange[term.rows, :3, :3] @ state.poses[term.mounted][:3, :3])
+        return np.tile(state.poses[term.world][:3, :3], (len(term.rows), 1, 1))
+    if isinstance(term, PointTerm):
+        return np.tile(state.poses[term.world][:3, :3], (len(term.rows), 1, 1))
+    return np.tile(np.eye(3), (len(term.rows), 1, 1))
+
+
+def _rates(term: Term, problem: Problem, state: State) -> FloatArray:
+    """(m, 3) rate of a term's prediction by central differences between neighbours, m/s."""
+    rates = np.full((len(term.rows), 3), np.nan)
+    time = problem.observations.time
+    if time is None or len(term.rows) < 3 or not isinstance(term, PoseTerm | PointTerm):
+        return rates
+    variables = Variables(problem.layout, state, np.zeros(problem.layout.count))
+    place = term.predicted(problem.flange(variables), variables)
+    place = place[:, :3, 3] if isinstance(term, PoseTerm) else place
+    stamp = time[term.rows]
+    step = np.diff(stamp)
+    near = (step > 0.0) & (step <= LONGEST_STEP_S)
+    both = np.flatnonzero(near[:-1] & near[1:]) + 1
+    rates[both] = (place[both + 1] - place[both - 1]) / (stamp[both + 1] - stamp[both - 1])[:, None]
+    return rates
 
 
 def accepted(summary: Mapping[str, Any], bounds: Mapping[str, float | None]) -> list[str]:
@@ -171,8 +216,3 @@ def accepted(summary: Mapping[str, Any], bounds: Mapping[str, float | None]) -> 
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
-
-
-def _rank_correlation(first: FloatArray, second: FloatArray) -> float:
-    ranks = [np.argsort(np.argsort(values)).astype(float) for values in (first, second)]
-    return float(np.corrcoef(ranks[0], ranks[1])[0, 1])

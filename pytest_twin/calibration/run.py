@@ -32,7 +32,7 @@ from pytest_twin.calibration.records import (
     records,
     with_directions,
 )
-from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of
+from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of, pattern
 from pytest_twin.calibration.scene import scene
 from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
@@ -201,12 +201,14 @@ def calibrate(
         "verdict": "degenerate",
         "records": records(solved.estimate),
     }
-    of_all = errors_of(held, fit.state)
+    # Rates come from neighbours in time, whether or not those are held out.
+    everywhere = errors_of(problem, fit.state)
+    of_all = everywhere.only(np.isin(everywhere.rows, held_rows))
     errors, gross = without_gross(of_all)
     fitted = errors_of(fit.problem, fit.state, fit.kept)
     degenerate = bool(solved.estimate.directions)
     held_ids = [problem.observations.ids[row] for row in held_rows]
-    document["held_out"] = {**_errors_json(errors), "ids": held_ids}
+    document["held_out"] = {**_errors_json(errors, observations.payloads), "ids": held_ids}
     if gross:
         document["held_out"]["with_excluded"] = of_all.summary()
     document["fitted"] = fitted.summary()
@@ -248,7 +250,7 @@ def calibrate(
     document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
     document["covariance"] = full_covariance(solved.estimate)
     document["scene"] = scene(
-        problem, fit.state, {"held_out": (held, errors), "fitted": (fit.problem, fitted)}
+        problem, fit.state, {"held_out": (problem, errors), "fitted": (fit.problem, fitted)}
     )
     document["pose_diversity"] = pose_diversity(fit.problem, solved.estimate)
     document["next_poses"] = next_poses(solved.estimate)
@@ -301,12 +303,12 @@ def without_gross(errors: Errors) -> tuple[Errors, tuple[LeftOut, ...]]:
     return errors.only(~gross), left_out
 
 
-def _errors_json(errors: Errors) -> dict[str, Any]:
+def _errors_json(errors: Errors, payloads: Sequence[str] | None) -> dict[str, Any]:
     found = errors.summary()
     if errors.ids:
         found["worst"] = errors.worst()
         found["regions"] = errors.regions()
-        found["pattern"] = errors.pattern()
+        found["pattern"] = pattern(errors, payloads)
     return found
 
 

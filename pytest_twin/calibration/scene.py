@@ -13,7 +13,6 @@ from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.problem import Problem, predicted_poses, words_of
 from pytest_twin.calibration.residual_errors import Errors
-from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
 
 MOST_ARROWS = 400
 
@@ -80,32 +79,10 @@ def _frame(name: str, pose: FloatArray) -> dict[str, Any]:
 def _arrows(kind: str, problem: Problem, state: State, errors: Errors) -> list[dict[str, Any]]:
     """Where the flange was, and by how much the prediction was off in the base's axes, m."""
     flange = predicted_poses(problem, state)
-    turns = [_turns(term, state, flange) for term in problem.terms]
-    if not len(errors.ids) or not turns:
-        return []
-    of_row = {int(r): turn for term, part in zip(problem.terms, turns, strict=True)
-              for r, turn in zip(term.rows, part, strict=True)}  # fmt: skip
     step = max(1, -(-len(errors.ids) // MOST_ARROWS))
     return [
-        {
-            "id": name,
-            "kind": kind,
-            "at": flange[row, :3, 3].tolist(),
-            "error": (of_row[int(row)] @ error).tolist(),
-        }
-        for name, row, error in list(zip(errors.ids, errors.rows, errors.translation, strict=True))[
+        {"id": name, "kind": kind, "at": flange[row, :3, 3].tolist(), "error": error.tolist()}
+        for name, row, error in list(zip(errors.ids, errors.rows, errors.in_base, strict=True))[
             ::step
         ]
     ]
-
-
-def _turns(term: object, state: State, flange: FloatArray) -> FloatArray:
-    """(m, 3, 3) from the axes that a term's errors are in to those of the base."""
-    if isinstance(term, PoseTerm):
-        if term.mount == "hand":
-            return flange[term.rows, :3, :3] @ state.poses[term.mounted][:3, :3]
-        return np.tile(state.poses[term.world][:3, :3], (len(term.rows), 1, 1))
-    if isinstance(term, PointTerm):
-        return np.tile(state.poses[term.world][:3, :3], (len(term.rows), 1, 1))
-    assert isinstance(term, PivotTerm)
-    return np.tile(np.eye(3), (len(term.rows), 1, 1))

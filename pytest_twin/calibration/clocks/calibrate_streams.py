@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,13 @@ from pytest_twin.calibration.clocks.correlation import (
     correlate_speeds,
 )
 from pytest_twin.calibration.clocks.offset import ClockFit, errors_at, fit_clocks
+from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import INVERTED_RECORDS, records_of
 from pytest_twin.calibration.records import inverse_with_covariance
 from pytest_twin.calibration.residual_errors import accepted
+from pytest_twin.calibration.residual_patterns import pattern_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
 from pytest_twin.metrics.pose import quaternion_of
 
@@ -141,29 +143,31 @@ def _solve(
         document["notes"].append(
             "the camera's stream holds poses of the camera in the target's frame; it was inverted"
         )
-    if abs(drifting.drift) > SURE_DRIFT * drifting.interval(1):
+    drift = _drift(drifting, fit, camera)
+    if drift.get("value") is not None and abs(drifting.drift) > SURE_DRIFT * drifting.interval(1):
         fit = drifting
         document["notes"].append(
             f"the clocks drift apart by {1e6 * drifting.drift:.0f} us each second; the offset is "
             "that in the middle of the camera's stream"
         )
+    if drift.get("value") is None:
+        document["notes"].append(drift["why"])
     document["unobservable"] = _undetermined(fit)
-    document["records"] = _records(plan, fit, drifting, found)
+    document["records"] = _records(plan, fit, drift, found)
     document["covariance"] = _together(fit)
     document["fitted"] = _summary(fit.translation, fit.rotation)
     if len(held_out):
         document["held_out"] = _summary(*errors_at(hand, theirs, seen[held_out], fit, middle))
         for name, one in start.solved.items():
             if not one.failed:
-                alone = ClockFit(
-                    found.offset, 0.0, one, fit.covariance, 2.0, np.zeros(0), np.zeros(0)
-                )
+                alone = replace(fit, offset=found.offset, drift=0.0, solved=one)
                 errors = _summary(*errors_at(hand, theirs, seen[held_out], alone, middle))
                 kept = ("translation_rms", "rotation_rms")
                 document["solvers"][name] = {key: errors[key] for key in kept if key in errors}
         document["solvers"]["least_squares"] = {
             key: document["held_out"][key] for key in ("translation_rms", "rotation_rms")
         }
+    document["held_out"]["pattern"] = pattern_of(residuals_of(hand, camera, seen, fit, middle))
     document["reasons"] = accepted(document["held_out"], asdict(plan.accept))
     document["verdict"] = "rejected" if document["reasons"] else "accepted"
 
@@ -217,7 +221,38 @@ def _undetermined(fit: ClockFit) -> list[str]:
     return found
 
 
-def _records(plan: Plan, fit: ClockFit, drifting: ClockFit, found: Correlated) -> dict[str, Any]:
+def _drift(drifting: ClockFit, fit: ClockFit, camera: PoseStream) -> dict[str, Any]:
+    """The drift with its interval, or why the motion does not show one.
+
+    What matters of a drift is how much the offset changes from one end of the stream to the
+    other. Where the interval of this change is wider than the camera's sampling period and than
+    the offset's own interval, a drift within it cannot be distinguished from none, nor from one
+    that shifts samples against one another. A drift that is larger than its interval is shown.
+    """
+    span = float(camera.time[-1] - camera.time[0])
+    period = float(np.median(np.diff(camera.time)))
+    width = drifting.interval(1)
+    change, useful = 2.0 * width * span, max(period, 2.0 * fit.interval(0))
+    # Not a number, where the fit is singular, is refused too.
+    if not (change <= useful or abs(drifting.drift) > SURE_DRIFT * width):
+        return {
+            "value": None,
+            "unit": "s/s",
+            "ci95": None,
+            "why": "the motion does not show a drift of the clocks, and none is used: the 95 % "
+            f"interval of what the offset changes by over {span:.0f} s is {1e3 * change:.1f} ms "
+            f"wide. The sampling period is {1e3 * period:.1f} ms, the interval of the offset "
+            f"itself {2e3 * fit.interval(0):.1f} ms wide. Record for longer, with fast motion at "
+            "both ends",
+        }
+    return {
+        "value": drifting.drift,
+        "unit": "s/s",
+        "ci95": [drifting.drift - width, drifting.drift + width],
+    }
+
+
+def _records(plan: Plan, fit: ClockFit, drift: dict[str, Any], found: Correlated) -> dict[str, Any]:
     width = fit.interval(0)
     records: dict[str, Any] = {
         "time_offset": {
@@ -228,14 +263,7 @@ def _records(plan: Plan, fit: ClockFit, drifting: ClockFit, found: Correlated) -
             "correlation": found.correlation,
             "from_correlation_alone": found.offset,
             "meaning": "time of the hand's clock = stamp of the camera's clock + value",
-            "drift": {
-                "value": drifting.drift,
-                "unit": "s/s",
-                "ci95": [
-                    drifting.drift - drifting.interval(1),
-                    drifting.drift + drifting.interval(1),
-                ],
-            },
+            "drift": drift,
         }
     }
     flange = plan.flange or "hand"
@@ -284,7 +312,8 @@ def _pose(
         pose, covariance = inverse_with_covariance(pose, covariance)
         parent, child = "world", parent
     middle = [*pose[:3, 3], 0.0, 0.0, 0.0]
-    width = fit.quantile * np.sqrt(np.diag(covariance))
+    # The pose's axes are turned: the widest of its quantiles holds for each of them.
+    width = fit.quantile[place : place + 6].max() * np.sqrt(np.diag(covariance))
     return {
         "parent": parent,
         "child": child,

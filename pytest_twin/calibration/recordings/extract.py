@@ -133,6 +133,8 @@ def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
     for number in chosen:
         row = {"id": _name(path, number), "time": repr(float(stamps[number]))}
         row |= robot.cells(float(stamps[number]))
+        if recording.metadata.get("payload"):
+            row["payload"] = recording.metadata["payload"]
         if seen is None:
             if number not in files:
                 left_out.append(LeftOut(row["id"], "an image that cannot be decoded"))

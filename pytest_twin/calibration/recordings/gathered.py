@@ -110,5 +110,6 @@ def joined(parts: Sequence[Observations], tables: Sequence[Path]) -> Observation
         points={n: numbers(lambda part, n=n: part.points.get(n), (3,)) for n in points},  # type: ignore[misc]
         images=words(lambda part: part.images),
         pivots=words(lambda part: part.pivots),
+        payloads=words(lambda part: part.payloads),
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )

@@ -22,8 +22,11 @@ HAND_EYE = changed(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
 TARGET = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
 
 
-def motion(seed: int, slow: float = 1.0):
-    """Poses of a hand at any time: sums of sines without a common period."""
+def motion(seed: int, slow: float = 1.0, burst: float | None = None):
+    """Poses of a hand at any time: sums of sines without a common period.
+
+    With a burst, the hand moves for about so many seconds in the middle of 40 s.
+    """
     rng = np.random.default_rng(seed)
     rate = slow * rng.uniform(0.5, 3.0, (6, 5))
     phase = rng.uniform(0, 2 * np.pi, (6, 5))
@@ -31,6 +34,8 @@ def motion(seed: int, slow: float = 1.0):
 
     def at(time: np.ndarray) -> np.ndarray:
         waves = np.sin(time[:, None, None] * rate + phase).mean(axis=2) * size
+        if burst is not None:
+            waves = waves * np.exp(-(((time[:, None] - 20.0) / burst) ** 2))
         return changed(np.tile(np.eye(4), (len(time), 1, 1)), waves)
 
     return at
@@ -58,15 +63,22 @@ def streams(
     slow=1.0,
     inverted=False,
     other_motion=False,
+    burst=None,
+    sway=0.0,
 ) -> None:
     rng = np.random.default_rng(seed)
-    hand = motion(seed, slow)
+    hand = motion(seed, slow, burst)
     time = np.arange(0.0, 40.0, 0.01)
     poses = changed(hand(time), 0.2 * noise * rng.normal(size=(len(time), 6)))
     write(folder / "hand.csv", time, poses, header=True)
     stamps = np.arange(2.0, 38.0, 0.04) + rng.uniform(0, 0.01, 900)
     true = stamps + offset + drift * (stamps - stamps.mean())
     seen = inverse((motion(seed + 50) if other_motion else hand)(true) @ HAND_EYE) @ TARGET
+    if sway:
+        # The camera's mount yields with the square of the speed, in any direction.
+        before, after = (inverse(hand(true + d) @ HAND_EYE) @ TARGET for d in (-0.01, 0.01))
+        speed = np.linalg.norm((after - before)[:, :3, 3], axis=1) / 0.02
+        seen[:, :3, 3] += sway * speed[:, None] ** 2 * rng.normal(size=(len(true), 3))
     seen = changed(seen, noise * rng.normal(size=(len(stamps), 6)))
     write(folder / "camera.csv.gz", stamps, inverse(seen) if inverted else seen)
     plan = {
@@ -138,6 +150,23 @@ def test_a_drift_of_the_clocks_is_found_and_said(tmp_path):
     drift = found["records"]["time_offset"]["drift"]
     assert drift["ci95"][0] < 1e-3 < drift["ci95"][1]
     assert any("the clocks drift apart" in note for note in found["notes"])
+
+
+def test_a_drift_that_the_motion_does_not_show_has_no_number(tmp_path):
+    streams(tmp_path, burst=0.7, noise=2e-3)
+    _, found = calibrated(tmp_path)
+    record = found["records"]["time_offset"]
+    assert record["ci95"][0] < 0.037 < record["ci95"][1]
+    assert (record["drift"]["value"], record["drift"]["ci95"]) == (None, None)
+    assert record["drift"]["why"].startswith("the motion does not show a drift of the clocks")
+    assert record["drift"]["why"] in found["notes"]
+
+
+def test_errors_that_grow_with_speed_are_read_as_compliance(tmp_path):
+    streams(tmp_path, sway=0.05, noise=2e-4)
+    pattern = calibrated(tmp_path)[1]["held_out"]["pattern"]
+    assert pattern["kind"] == "grows_with_speed"
+    assert "compliance" in pattern["words"]
 
 
 def test_streams_of_two_motions_have_no_offset(tmp_path):

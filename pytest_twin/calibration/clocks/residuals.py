@@ -1,0 +1,44 @@
+"""Errors of two streams with what they may depend on: speed and reach."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.cameras.increments import inverse
+from pytest_twin.calibration.clocks.offset import SLOPE_S, ClockFit, hand_times
+from pytest_twin.calibration.clocks.streams import PoseStream
+from pytest_twin.calibration.residual_patterns import Residuals
+
+_APART_S = 1.0
+"""Errors of poses nearer in time than this are correlated; one of them is used."""
+
+
+def residuals_of(
+    hand: PoseStream, camera: PoseStream, seen: FloatArray, fit: ClockFit, middle: float
+) -> Residuals:
+    """Errors of the target's position in the base, one a second.
+
+    Args:
+        hand, camera: the streams.
+        seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
+        fit: offset and transforms.
+        middle: time of the camera's clock at which the offset holds, s.
+    """
+    time = hand_times(camera, fit.offset, fit.drift, middle)
+    inside = np.flatnonzero((time - SLOPE_S >= hand.time[0]) & (time + SLOPE_S <= hand.time[-1]))
+    _, first = np.unique(np.floor(time[inside] / _APART_S), return_index=True)
+    chosen = inside[first]
+    time, back = time[chosen], fit.solved.hand_eye @ inverse(seen[chosen])
+
+    def place(at: FloatArray) -> FloatArray:
+        return np.asarray((hand.at(at) @ back)[:, :3, 3])
+
+    error = place(time) - fit.solved.robot_world[:3, 3]
+    return Residuals(
+        error,
+        error,
+        np.linalg.norm(hand.at(time)[:, :3, 3], axis=1),
+        (place(time + SLOPE_S) - place(time - SLOPE_S)) / (2.0 * SLOPE_S),
+        [""] * len(time),
+    )

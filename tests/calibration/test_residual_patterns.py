@@ -1,0 +1,145 @@
+"""Patterns of errors: each is named where it was put in, and none where errors are random."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import cells
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.calibration.closed_form import rigid
+from pytest_twin.calibration.observations import load_observations
+from pytest_twin.calibration.plan import HoldOut
+from pytest_twin.calibration.residual_patterns import Residuals, pattern_of
+from pytest_twin.calibration.run import calibrate
+
+NOISE_M = 1e-3
+
+
+def drawn(rng: np.random.Generator, count: int = 30) -> Residuals:
+    """Random errors of 1 mm at poses of any reach, on the move, with two payloads."""
+    error = NOISE_M * rng.normal(size=(count, 3))
+    turns = Rotation.random(count, random_state=int(rng.integers(2**31))).as_matrix()
+    return Residuals(
+        error,
+        np.einsum("nij,nj->ni", turns, error),
+        rng.uniform(0.3, 0.9, count),
+        rng.uniform(0.0, 0.5, (count, 1)) * rng.normal(size=(count, 3)),
+        ["empty", "2 kg"] * (count // 2),
+    )
+
+
+def test_random_errors_have_no_pattern() -> None:
+    rng = np.random.default_rng(1)
+    found = [pattern_of(drawn(rng, int(rng.choice([6, 12, 30])))) for _ in range(300)]
+    # Four tests at one in a thousand each.
+    assert sum(one is not None for one in found) <= 4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_constant_bias_points_at_a_frame(seed: int) -> None:
+    random = drawn(np.random.default_rng(seed))
+    bias = np.array([2e-3, -1e-3, 2e-3])
+    found = pattern_of(replace(random, error=random.error + bias))
+    assert found is not None
+    assert found["kind"] == "constant"
+    np.testing.assert_allclose(found["bias"], bias, atol=4 * NOISE_M / np.sqrt(30))
+    assert "a frame is off" in found["words"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_growth_with_reach_points_at_a_joint_or_link(seed: int) -> None:
+    random = drawn(np.random.default_rng(seed))
+    grown = random.error * (random.reach[:, None] / 0.4) ** 4
+    found = pattern_of(replace(random, error=grown, rate=np.full((30, 3), np.nan)))
+    assert found is not None
+    assert found["kind"] == "grows_with_reach"
+    assert "a joint's zero or a link's geometry" in found["words"]
+
+
+@pytest.mark.parametrize("late", [0.02, -0.02])
+def test_errors_along_the_motion_are_a_time_offset(late: float) -> None:
+    random = drawn(np.random.default_rng(5))
+    found = pattern_of(replace(random, error=random.error + late * random.rate))
+    assert found is not None
+    assert found["kind"] == "grows_with_speed"
+    assert found["time_offset"] == pytest.approx(late, rel=0.15)
+    assert f"ms {'later' if late > 0 else 'earlier'} than what was measured" in found["words"]
+
+
+def test_errors_across_the_motion_that_grow_with_speed_are_compliance() -> None:
+    random = drawn(np.random.default_rng(6))
+    speed = np.linalg.norm(random.rate, axis=1, keepdims=True)
+    found = pattern_of(replace(random, error=random.error * (0.1 + 10.0 * speed)))
+    assert found is not None
+    assert found["kind"] == "grows_with_speed"
+    assert "time_offset" not in found
+    assert "compliance" in found["words"]
+
+
+def cell_with_payloads(direction: list[float]):
+    """A hand-eye cell whose flange is 2 mm off, in the base, with the second payload."""
+    rng = np.random.default_rng(3)
+    turns = Rotation.random(60, random_state=3).as_matrix()
+    flange = np.array([rigid(turn, rng.uniform(-0.3, 0.3, 3)) for turn in turns])
+    moved = flange.copy()
+    moved[::2, :3, 3] += 2e-3 * np.array(direction)
+    cell = cells.flange_cell(rng, moved, translation=3e-4, rotation=3e-4)
+    return replace(cell.observations, flange=flange, payloads=("2 kg", "empty") * 30)
+
+
+def test_payloads_apart_along_gravity_are_elasticity() -> None:
+    plan = cells.plan("hand_eye", "base_world", hold_out=HoldOut(0.5, 1))
+    found = calibrate(plan, cell_with_payloads([0.0, 0.0, -1.0]), None)["held_out"]["pattern"]
+    assert found["kind"] == "payloads_apart"
+    assert set(found["payloads"]) == {"2 kg", "empty"}
+    low, high = sorted(abs(value) for value in found["ci95"])
+    assert low < 2e-3 < high
+    assert "elasticity" in found["words"]
+
+
+def test_payloads_apart_across_gravity_are_no_elasticity() -> None:
+    plan = cells.plan("hand_eye", "base_world", hold_out=HoldOut(0.5, 1))
+    found = calibrate(plan, cell_with_payloads([1.0, 0.0, 0.0]), None)["held_out"]["pattern"]
+    assert found is None or found["kind"] != "payloads_apart"
+
+
+def test_stamps_that_lag_behind_a_motion_are_found_from_the_observations() -> None:
+    """Poses sampled at 50 Hz on the move, the camera's 20 ms late."""
+    rng = np.random.default_rng(8)
+    phase = rng.uniform(0.0, 2.0 * np.pi, 6)
+    rate = rng.uniform(1.0, 2.0, 6)
+
+    def flange(time: np.ndarray) -> np.ndarray:
+        waves = np.sin(time[:, None] * rate + phase) * np.array([0.2, 0.2, 0.2, 0.8, 0.8, 0.8])
+        return np.array([rigid(Rotation.from_rotvec(w[3:]).as_matrix(), w[:3]) for w in waves])
+
+    time = np.arange(0.0, 4.0, 0.02)
+    # Slower and faster in turn.
+    warped = time + 0.45 * np.sin(2.0 * time)
+    later = time + 0.02
+    cell = cells.flange_cell(
+        rng, flange(later + 0.45 * np.sin(2.0 * later)), translation=1e-4, rotation=1e-4
+    )
+    observations = replace(cell.observations, flange=flange(warped), time=time)
+    plan = cells.plan("base_world", given={"hand_eye": cell.mounted}, hold_out=HoldOut(0.3, 1))
+    found = calibrate(plan, observations, None)["held_out"]["pattern"]
+    assert found["kind"] == "grows_with_speed"
+    # The base, which is fitted too, takes a part of the offset up.
+    assert -0.02 < found["time_offset"] < -0.01
+
+
+def test_a_column_names_the_payload_of_each_row(tmp_path: Path) -> None:
+    table = tmp_path / "observations.csv"
+    with table.open("w", newline="") as file:
+        csv.writer(file).writerows(
+            [["id", "joint.j1", "payload"], ["a", "0.1", "empty"], ["b", "0.2", ""]]
+        )
+    found = load_observations(table)
+    assert found.payloads == ("empty", "")
+    assert found.rows([1]).payloads == ("",)
+    assert found.notes == ()
