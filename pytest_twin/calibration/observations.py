@@ -14,11 +14,14 @@ from pytest_twin.calibration.plan import QUATERNION_TOLERANCE
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.observations import ObservationTable, read_observations
 
+SIDES = ("+", "-")
+"""How a pose was approached: with rising or with falling positions of the joints."""
+
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _POSES = ("flange", "camera_from_target")
 _MEANING = (
     "id, time, joint.NAME, flange.x y z qw qx qy qz, camera_from_target.x y z qw qx qy qz, "
-    "image, point.NAME.x y z, pivot, payload"
+    "image, point.NAME.x y z, pivot, payload, pose, approach"
 )
 
 
@@ -37,6 +40,9 @@ class Observations:
         pivots: name of the fixed point that the tool's tip stands in, ``""`` where it stands in
             none; or None.
         payloads: name of what the flange carried in each row, ``""`` where none is stated; or None.
+        poses: name of the pose that the robot returned to, ``""`` where none is stated; or None.
+        approaches: ``+`` or ``-``, the side from which it was approached, ``""`` where none is
+            stated; or None.
         notes: columns that were left out.
     """
 
@@ -49,6 +55,8 @@ class Observations:
     images: tuple[str, ...] | None = None
     pivots: tuple[str, ...] | None = None
     payloads: tuple[str, ...] | None = None
+    poses: tuple[str, ...] | None = None
+    approaches: tuple[str, ...] | None = None
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -61,6 +69,9 @@ class Observations:
         def cut(array: FloatArray | None) -> FloatArray | None:
             return None if array is None else array[at]
 
+        def words(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+            return None if names is None else tuple(names[i] for i in at)
+
         return replace(
             self,
             ids=tuple(self.ids[i] for i in at),
@@ -69,9 +80,11 @@ class Observations:
             flange=cut(self.flange),
             camera_from_target=cut(self.camera_from_target),
             points={name: values[at] for name, values in self.points.items()},
-            images=None if self.images is None else tuple(self.images[i] for i in at),
-            pivots=None if self.pivots is None else tuple(self.pivots[i] for i in at),
-            payloads=None if self.payloads is None else tuple(self.payloads[i] for i in at),
+            images=words(self.images),
+            pivots=words(self.pivots),
+            payloads=words(self.payloads),
+            poses=words(self.poses),
+            approaches=words(self.approaches),
         )
 
 
@@ -117,7 +130,7 @@ def from_table(table: ObservationTable) -> Observations:
         _complete(table, f"point.{marker}", ("x", "y", "z"))
         points[marker] = np.stack([table.numbers(f"point.{marker}.{a}") for a in "xyz"], axis=1)
     poses = {name: _poses(table, name) for name in _POSES if any(_of(names, name))}
-    known = {"id", "time", "image", "pivot", "payload"}
+    known = {"id", "time", "image", "pivot", "payload", "pose", "approach"}
     left_out = [
         name
         for name in table.header
@@ -133,6 +146,8 @@ def from_table(table: ObservationTable) -> Observations:
         images=table.cells.get("image"),
         pivots=table.cells.get("pivot"),
         payloads=table.cells.get("payload"),
+        poses=table.cells.get("pose"),
+        approaches=_approaches(table),
         notes=(f"columns without a meaning are left out: {', '.join(left_out)}",)
         if left_out
         else (),
@@ -145,6 +160,20 @@ def from_table(table: ObservationTable) -> Observations:
             value=", ".join(table.header),
             expected=_MEANING,
         )
+    return found
+
+
+def _approaches(table: ObservationTable) -> tuple[str, ...] | None:
+    found = table.cells.get("approach")
+    for row, side in enumerate(found or ()):
+        if side and side not in SIDES:
+            raise table.error(
+                row,
+                "approach",
+                "no side of approach",
+                value=side,
+                expected="+ (rising position) or - (falling position)",
+            )
     return found
 
 

@@ -88,6 +88,7 @@ class Plan:
         camera, target: as written.
         points: marker -> (3,) place in the tool's frame, m, where that is known.
         given: name of a record -> (4, 4) transform that is held.
+        references: pose -> joint -> its position at a hard stop or an index mark, rad or m.
         topics, frames: of recordings: what is observed -> topic, or frame in ``/tf``.
         lines: dotted field -> 1-based line.
     """
@@ -107,6 +108,7 @@ class Plan:
     priors: Priors
     hold_out: HoldOut
     accept: Accept
+    references: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=dict)
     frames: Mapping[str, str] = field(default_factory=dict)
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
@@ -183,6 +185,7 @@ def load_plan(path: Path) -> Plan:
             tuple(str(one) for one in hold_out["ids"]) if "ids" in hold_out else None,
         ),
         accept=Accept(**data.get("accept", {})),
+        references=data.get("references", {}),
         topics=data.get("recordings", {}).get("topics", {}),
         frames=data.get("recordings", {}).get("frames", {}),
         lines=document.lines,

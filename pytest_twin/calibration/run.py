@@ -17,6 +17,7 @@ from pytest_twin.calibration.cameras.observed import Images, read_images
 from pytest_twin.calibration.cameras.seen import Seen, calibrate_intrinsics
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident import LeftOut, without_coincident
+from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
 from pytest_twin.calibration.error_sources import weighed_by_source
 from pytest_twin.calibration.next_poses import next_poses, pose_diversity
 from pytest_twin.calibration.observability import Gauge, hold_gauges, undetermined, unsure
@@ -24,7 +25,7 @@ from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
 from pytest_twin.calibration.problem import Problem, make_problem, reported_flange
-from pytest_twin.calibration.recordings.gathered import gather
+from pytest_twin.calibration.recordings.gathered import Gathered, gather
 from pytest_twin.calibration.records import (
     Estimate,
     estimate,
@@ -109,6 +110,10 @@ def _calibrate_observations(
     chain = None
     if found.robot is not None and observations.joints:
         chain = load_serial_chain(found.robot, found.flange)
+    if ENCODERS in found.estimate:
+        document = calibrate_encoders(found, observations, chain)
+        document["inputs"] = _inputs(found, _read_files(found, gathered, folder))
+        return document
     observations, images, rejected = read_images(found, observations, folder)
     rejected = (*gathered.left_out, *rejected)
     told(0.4 if images else 0.1)
@@ -116,13 +121,17 @@ def _calibrate_observations(
         document = calibrate_intrinsics(found, observations, images, rejected)
     else:
         document = calibrate(found, observations, chain, told, images, rejected)
-    robot = [found.robot] if found.robot else []
-    files = [found.path, *_files(found.observations), *robot]
-    files += [one for one in gathered.tables if one not in files and folder.is_dir()]
+    files = _read_files(found, gathered, folder)
     if images is not None:
         files += images.paths
     document["inputs"] = _inputs(found, files)
     return document
+
+
+def _read_files(plan: Plan, gathered: Gathered, folder: Path) -> list[Path]:
+    robot = [plan.robot] if plan.robot else []
+    files = [plan.path, *_files(plan.observations), *robot]
+    return files + [one for one in gathered.tables if one not in files and folder.is_dir()]
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:

@@ -111,5 +111,7 @@ def joined(parts: Sequence[Observations], tables: Sequence[Path]) -> Observation
         images=words(lambda part: part.images),
         pivots=words(lambda part: part.pivots),
         payloads=words(lambda part: part.payloads),
+        poses=words(lambda part: part.poses),
+        approaches=words(lambda part: part.approaches),
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )

@@ -1,0 +1,236 @@
+"""Repeatability, hysteresis and home of encoders, from poses that the robot returned to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from pytest_twin import __version__
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.observations import SIDES, Observations
+from pytest_twin.calibration.plan import Plan
+from pytest_twin.realization.serial_chain import SerialChain
+
+ENCODERS = "encoder_repeatability"
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Readings of one joint in one pose that was approached from one side, rad or m."""
+
+    pose: str
+    side: str
+    readings: FloatArray
+
+
+@dataclass(frozen=True)
+class _Pooled:
+    """Standard deviation of readings about the mean of their group, with degrees of freedom."""
+
+    std: float
+    degrees: int
+
+    def scalar(self, value: float, variances: float, unit: str) -> dict[str, Any]:
+        """A mean with its interval by Student's distribution.
+
+        Args:
+            value: of the mean, rad or m.
+            variances: its variance, as a multiple of that of one reading.
+            unit: of the value.
+        """
+        std = self.std * np.sqrt(variances)
+        width = float(stats.t.ppf(0.5 + _LEVEL / 2.0, self.degrees)) * std
+        return {
+            "value": value,
+            "unit": unit,
+            "std": float(std),
+            "ci95": [value - width, value + width],
+        }
+
+    def repeatability(self, unit: str) -> dict[str, Any]:
+        """The standard deviation with its interval by the chi-squared distribution."""
+        tails = stats.chi2.ppf([0.5 + _LEVEL / 2.0, 0.5 - _LEVEL / 2.0], self.degrees)
+        low, high = self.std * np.sqrt(self.degrees / tails)
+        return {
+            "value": self.std,
+            "unit": unit,
+            "degrees_of_freedom": self.degrees,
+            "ci95": [float(low), float(high)],
+        }
+
+
+def calibrate_encoders(
+    plan: Plan, observations: Observations, chain: SerialChain | None
+) -> dict[str, Any]:
+    """The content of ``calibration.json`` where the repeatability of encoders is asked for.
+
+    Raises:
+        SpecError: other estimates beside it, or a reference of a pose or joint that is not there.
+    """
+    _check(plan, observations)
+    poses = observations.poses or ("",) * len(observations)
+    sides = observations.approaches or ("",) * len(observations)
+    repeated: dict[str, Any] = {}
+    hysteresis: dict[str, Any] = {}
+    home: dict[str, Any] = {}
+    unobservable: list[str] = []
+    notes: list[str] = []
+    for joint, readings in observations.joints.items():
+        unit = "rad"
+        if chain is not None and joint in chain.joints:
+            unit = "rad" if chain.revolute[chain.joints.index(joint)] else "m"
+        groups = _groups(readings, poses, sides)
+        pooled = _pooled(groups)
+        if isinstance(pooled, str):
+            unobservable.append(f"the repeatability of {joint}: {pooled}")
+            continue
+        repeated[joint] = pooled.repeatability(unit)
+        apart = _hysteresis(groups, pooled, unit)
+        if apart is None:
+            notes.append(
+                f"{joint}: no pose was approached from both sides (column approach, + and -), "
+                "so that its hysteresis is not measured"
+            )
+        else:
+            hysteresis[joint] = apart
+        reference = {
+            pose: stated[joint] for pose, stated in plan.references.items() if joint in stated
+        }
+        if reference:
+            home[joint] = _home(groups, pooled, reference, unit)
+            if any(len(_sides_of(groups, pose)) < 2 for pose in reference):
+                notes.append(
+                    f"{joint}: its reference position was approached from one side, so that half "
+                    "of the hysteresis is in its home"
+                )
+    notes.append("the plan has no bound for encoders: their figures are stated, not judged")
+    records = {
+        ENCODERS: (repeated, "standard deviation of the readings in one pose, from one side"),
+        "encoder_hysteresis": (hysteresis, "reading after approach from + minus that from -"),
+        "encoder_home": (home, "position = reading + value"),
+    }
+    return {
+        "schema": 1,
+        "calibration": plan.id,
+        "verdict": "degenerate" if unobservable else "accepted",
+        "records": {
+            name: {"values": values, "meaning": meaning}
+            for name, (values, meaning) in records.items()
+            if values
+        },
+        "held_out": {"count": 0},
+        "fitted": {"count": len(observations)},
+        "solvers": {},
+        "excluded": [],
+        "unobservable": unobservable,
+        "reasons": list(unobservable),
+        "notes": [*observations.notes, *notes],
+        "software": {"pytest-twin": __version__},
+    }
+
+
+def _check(plan: Plan, observations: Observations) -> None:
+    if len(plan.estimate) > 1:
+        raise plan.error(
+            "estimate",
+            f"{ENCODERS} beside other estimates",
+            value=", ".join(plan.estimate),
+            expected=f"a plan of its own for {ENCODERS}: it compares readings of the same pose",
+        )
+    poses = set(observations.poses or ())
+    for pose, stated in plan.references.items():
+        if pose not in poses:
+            raise plan.error(
+                f"references.{pose}",
+                "a reference of a pose that no observation has",
+                value=pose,
+                expected="a name in the column pose of the observations",
+            )
+        for joint in stated:
+            if joint not in observations.joints:
+                raise plan.error(
+                    f"references.{pose}.{joint}",
+                    "a reference of a joint that no column has",
+                    value=joint,
+                    expected=", ".join(observations.joints) or "a column joint.NAME",
+                )
+            there = np.isfinite(observations.joints[joint])
+            if not any(
+                name == pose and there[i] for i, name in enumerate(observations.poses or ())
+            ):
+                raise plan.error(
+                    f"references.{pose}.{joint}",
+                    "a reference of a joint without a reading in that pose",
+                    value=joint,
+                    expected=f"a number in joint.{joint} of a row of pose {pose}",
+                )
+
+
+def _groups(
+    readings: FloatArray, poses: tuple[str, ...], sides: tuple[str, ...]
+) -> tuple[_Group, ...]:
+    places: dict[tuple[str, str], list[int]] = {}
+    for row, key in enumerate(zip(poses, sides, strict=True)):
+        if key[0] and np.isfinite(readings[row]):
+            places.setdefault(key, []).append(row)
+    return tuple(_Group(pose, side, readings[rows]) for (pose, side), rows in places.items())
+
+
+def _pooled(groups: tuple[_Group, ...]) -> _Pooled | str:
+    """The spread of readings within groups, or why there is none."""
+    degrees = sum(len(group.readings) - 1 for group in groups)
+    if degrees < 1:
+        return (
+            "no pose repeats. Return to the same pose at least twice from the same side, and name "
+            "it in the column pose"
+        )
+    squares = sum(float(np.sum((g.readings - g.readings.mean()) ** 2)) for g in groups)
+    largest = max(float(np.abs(group.readings).max()) for group in groups)
+    std = float(np.sqrt(squares / degrees))
+    # Sums of equal numbers differ in their last digits only.
+    if std <= 1e-14 * largest or std == 0.0:
+        return (
+            "its readings are equal in each pose, so that their resolution hides it. Record more "
+            "digits, or use an external measurement"
+        )
+    return _Pooled(std, degrees)
+
+
+def _sides_of(groups: tuple[_Group, ...], pose: str) -> Mapping[str, _Group]:
+    found = {group.side: group for group in groups if group.pose == pose}
+    return {side: found[side] for side in SIDES if side in found}
+
+
+def _hysteresis(groups: tuple[_Group, ...], pooled: _Pooled, unit: str) -> dict[str, Any] | None:
+    """Difference of both sides, each pose weighed by its variance; the same in all poses."""
+    differences, variances = [], []
+    for pose in dict.fromkeys(group.pose for group in groups):
+        sides = _sides_of(groups, pose)
+        if len(sides) == 2:
+            first, second = (sides[side].readings for side in SIDES)
+            differences.append(float(first.mean() - second.mean()))
+            variances.append(1.0 / len(first) + 1.0 / len(second))
+    if not differences:
+        return None
+    weights = 1.0 / np.array(variances)
+    mean = float(weights @ np.array(differences) / weights.sum())
+    return pooled.scalar(mean, float(1.0 / weights.sum()), unit)
+
+
+def _home(
+    groups: tuple[_Group, ...], pooled: _Pooled, reference: Mapping[str, float], unit: str
+) -> dict[str, Any]:
+    """What is added to the reading, from the middle of both sides in each reference pose."""
+    offsets, variances = [], []
+    for pose, position in reference.items():
+        both = _sides_of(groups, pose)
+        mine = list(both.values()) if len(both) == 2 else [g for g in groups if g.pose == pose]
+        offsets.append(position - float(np.mean([g.readings.mean() for g in mine])))
+        variances.append(sum(1.0 / len(g.readings) for g in mine) / len(mine) ** 2)
+    count = len(offsets)
+    return pooled.scalar(float(np.mean(offsets)), float(sum(variances)) / count**2, unit)

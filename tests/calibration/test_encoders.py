@@ -1,0 +1,119 @@
+"""Repeatability, hysteresis and home of encoders against figures that were put in."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from pytest_twin import cli
+from pytest_twin.calibration.encoders import calibrate_encoders
+from pytest_twin.calibration.observations import load_observations
+from pytest_twin.calibration.plan import load_plan
+from pytest_twin.errors import FormatError, SpecError
+
+NOISE, GAP, HOME = 2e-4, 1e-3, 0.031
+STOP = -1.5
+
+
+def write(
+    folder: Path, seed: int = 0, *, times: int = 4, noise: float = NOISE, sides: str = "+-"
+) -> Path:
+    """A joint that returned to a stop and two poses, from each side some times."""
+    rng = np.random.default_rng(seed)
+    rows = [["id", "joint.elbow", "pose", "approach"]]
+    for name, position in (("stop", STOP), ("a", 0.3), ("b", 1.1)):
+        for side in sides:
+            for _ in range(times):
+                half = GAP / 2 if side == "+" else -GAP / 2
+                reading = position - HOME + half + noise * rng.normal()
+                rows.append([str(len(rows)), repr(float(reading)), name, side])
+    with (folder / "observations.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    plan = {
+        "calibration": "encoders",
+        "observations": "observations.csv",
+        "estimate": ["encoder_repeatability"],
+        "references": {"stop": {"elbow": STOP}},
+    }
+    (folder / "plan.yaml").write_text(yaml.safe_dump(plan))
+    return folder / "plan.yaml"
+
+
+def calibrated(plan: Path) -> dict:
+    return calibrate_encoders(
+        load_plan(plan), load_observations(plan.with_name("observations.csv")), None
+    )
+
+
+def test_the_command_states_repeatability_hysteresis_and_home(tmp_path, capsys):
+    plan = write(tmp_path, times=20)
+    assert cli.main(["calibrate", str(plan), "--out", str(tmp_path / "out")]) == 0
+    records = json.loads((tmp_path / "out" / "calibration.json").read_text())["records"]
+    values = {name: record["values"]["elbow"] for name, record in records.items()}
+    assert values["encoder_repeatability"]["value"] == pytest.approx(NOISE, rel=0.2)
+    assert values["encoder_hysteresis"]["value"] == pytest.approx(GAP, rel=0.2)
+    assert values["encoder_home"]["value"] == pytest.approx(HOME, rel=0.01)
+    assert "encoder_hysteresis:" in capsys.readouterr().out
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(tmp_path):
+    truth = {
+        "encoder_repeatability": NOISE, "encoder_hysteresis": GAP, "encoder_home": HOME,
+    }  # fmt: skip
+    inside: dict[str, list[bool]] = {name: [] for name in truth}
+    for seed in range(200):
+        records = calibrated(write(tmp_path, seed, times=3))["records"]
+        for name, value in truth.items():
+            low, high = records[name]["values"]["elbow"]["ci95"]
+            inside[name].append(low < value < high)
+    for name, held in inside.items():
+        assert 0.90 <= np.mean(held) <= 0.99, name
+
+
+def test_poses_that_do_not_repeat_are_refused(tmp_path):
+    found = calibrated(write(tmp_path, times=1))
+    assert (found["verdict"], found["records"]) == ("degenerate", {})
+    assert found["reasons"][0].startswith("the repeatability of elbow: no pose repeats. Return to")
+
+
+def test_equal_readings_show_no_repeatability(tmp_path):
+    found = calibrated(write(tmp_path, noise=0.0))
+    assert found["verdict"] == "degenerate"
+    assert "their resolution hides it" in found["reasons"][0]
+
+
+def test_one_side_has_no_hysteresis_and_a_note(tmp_path):
+    found = calibrated(write(tmp_path, sides="+"))
+    assert set(found["records"]) == {"encoder_repeatability", "encoder_home"}
+    assert any("no pose was approached from both sides" in note for note in found["notes"])
+    assert any("half of the hysteresis is in its home" in note for note in found["notes"])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"references": {"other": {"elbow": 0.0}}}, "a pose that no observation has"),
+        ({"references": {"stop": {"wrist": 0.0}}}, "a joint that no column has"),
+        ({"estimate": ["encoder_repeatability", "hand_eye"]}, "beside other estimates"),
+    ],
+)
+def test_what_the_plan_names_wrongly_is_an_error(tmp_path, change, words):
+    plan = write(tmp_path)
+    plan.write_text(yaml.safe_dump(yaml.safe_load(plan.read_text()) | change))
+    with pytest.raises(SpecError, match=words) as error:
+        calibrated(plan)
+    assert error.value.line is not None
+
+
+def test_another_word_for_a_side_is_an_error_with_its_line(tmp_path):
+    plan = write(tmp_path)
+    table = plan.with_name("observations.csv")
+    table.write_text(table.read_text().replace("stop,+", "stop,up", 1))
+    with pytest.raises(FormatError, match="no side of approach") as error:
+        load_observations(table)
+    assert error.value.line == 2
