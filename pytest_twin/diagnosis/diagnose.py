@@ -52,19 +52,20 @@ class Diagnosis:
     """Result of a diagnosis.
 
     Attributes:
-        verdict: one word.
+        verdict: the conclusion in one word.
         explained: findings.
-        errors: joint -> prediction error on held-out recordings, or on all if none is held out.
+        errors: joint -> prediction error on held-out recordings, or on all recordings if none is
+            held out.
         left: joint -> unexplained residual, only for joints that cause it.
         notes: one line each, for the reader.
-        prepared, selected: problem of the final parameters, and model selection.
-        tested: problem, recordings and residuals behind the errors.
-        free: laws without a name for a part of the residual.
+        prepared, selected: estimation problem at the final parameters, and model selection.
+        tested: problem, recordings and residuals from which the errors were computed.
+        free: laws without a name that explain a part of the residual.
         roles: which recordings were fitted, validated, and held out.
         trace: every step of the search.
         cost: computing time.
-        settled: what the recordings are.
-        untried: what was not done because time or simulations ran out, one line each.
+        settled: meaning of the recorded commands, velocities and efforts.
+        untried: searches that were skipped because time or simulations ran out, one line each.
     """
 
     verdict: Verdict
@@ -88,7 +89,11 @@ class Diagnosis:
         return bool(len(self.tested.prepared.problem.held_out))
 
     def to_json(self, *, realization: str) -> dict[str, Any]:
-        """``diagnosis.json``, schema 1."""
+        """Content of ``diagnosis.json``, schema 1; errors in rad or m.
+
+        Args:
+            realization: name of the nominal model.
+        """
         tested = self.tested.prepared
         return {
             "schema": 1,
@@ -132,7 +137,7 @@ class Diagnosis:
         }
 
     def _modelled(self, joint: str) -> dict[str, float]:
-        """What laws without a name remove of the unexplained error of a joint."""
+        """Share of the unexplained error of a joint that laws without a name remove."""
         removed = self.free.removed(joint)
         return {} if removed is None else {"unnamed_law_removes": round(removed, 5)}
 
@@ -161,17 +166,15 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose a model: locate errors, identify effects, fit them, and test them.
 
-    Effects are chosen and fitted without the held-out recordings, which are opened once, at the
-    end.
+    Effects are chosen and fitted without the held-out recordings. These are used once, at the end.
 
     Args:
         realization: the nominal model.
         trials: the recordings.
         inherited: effects of an earlier diagnosis that the MJCF of ``realization`` cannot hold.
         threads: threads of batch simulations, 0 for all cores.
-        run: the time that it may take, and who is told of its steps; by default as long as it
-            takes.
-        progress: called with the fraction done.
+        run: the limits of time and simulations, and the trace; without limits by default.
+        progress: called with the fraction done, 0 to 1.
 
     Raises:
         RecordingError: model and recordings share no joint, or angles are not in rad.
@@ -185,14 +188,14 @@ def diagnose(
             "what the commands and efforts of the recordings are",
             lambda: settle(given, known), Settled(),
         )  # fmt: skip
-    read, trials = trials, settled.applied(trials)
+    as_read, trials = trials, settled.applied(trials)
     roles = roles_of(trials)
     open_ = settled.doubted(roles.of_search.fit)
     for i, trial in enumerate(roles.test):
-        # What a recording asks of the model is missing now, not after a search of minutes.
+        # A test recording that the model cannot replay is reported before the search of minutes.
         joints = shared_joints(realization, [trial])
         segments_of(realization, trial, i, joints, Cutting(commanded=True))
-    # Diverging candidates overflow; values that are not finite are ranked last.
+    # Simulations of candidates may diverge and overflow; such candidates are ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
         structure = find_structure(
             realization, roles.of_search,
@@ -201,10 +204,10 @@ def diagnose(
         )  # fmt: skip
         if open_ is not None and structure.between is not None:
             settled = settled.decided(open_, structure.between)
-            trials, open_ = settled.applied(read), None
+            trials, open_ = settled.applied(as_read), None
             roles = roles_of(trials)
         progress(0.85)
-        laws = _laws_left(structure, run)
+        laws = _laws_of_residual(structure, run)
         progress(0.88)
         assessed = assess(structure, trials, roles.test)
         tested, left = assessed.tested, dict[str, UnexplainedResidual]()
@@ -228,7 +231,7 @@ def diagnose(
     )  # fmt: skip
 
 
-def _laws_left(structure: ChosenModel, run: Run) -> FreeLaws:
+def _laws_of_residual(structure: ChosenModel, run: Run) -> FreeLaws:
     """Laws without a name for the residual, if time remains."""
     try:
         with run.budget.fitting():
@@ -248,13 +251,17 @@ def find_structure(
     progress: Callable[[float], None] = lambda fraction: None,
     possible: Sequence[CommandBetween] = (),
 ) -> ChosenModel:
-    """Choose effects and fit them; no test recording is known here.
+    """Choose effects and fit them, without the test recordings.
 
     Args:
         realization: the nominal model.
-        trials: the fit recordings, and as held out the validation recordings.
-        inherited, threads, run, progress, errors: as :func:`diagnose`.
-        possible: what commands may do between stamps, where the recordings do not tell.
+        trials: the fit recordings; the validation recordings are in the place of held-out ones.
+        inherited, threads, run, progress: as :func:`diagnose`.
+        possible: possible interpolations of the commands between their stamps, if the recordings
+            do not determine it.
+
+    Raises:
+        RecordingError, SpecError: as :func:`diagnose`.
     """
     run = Run() if run is None else run
     notes: list[str] = []
@@ -268,15 +275,15 @@ def find_structure(
     run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
     given, prepared, trials = as_simulated_before(given, prepared, trials, run)
     with run.budget.searching():
-        sought = search_recordings(given, prepared, trials, run)
-    given, notes = sought.given, [*notes, *sought.notes]
+        searches = search_recordings(given, prepared, trials, run)
+    given, notes = searches.given, [*notes, *searches.notes]
     progress(0.82)
     with run.budget.searching():
-        fewer = run.attempt(
-            "other commands between their stamps",
-            lambda: with_fewer_effects(sought.found, given, possible, run), None,
+        reconsidered = run.attempt(
+            "another interpolation of the commands between their stamps",
+            lambda: with_fewer_effects(searches.found, given, possible, run), None,
         )  # fmt: skip
-        likeliest, between = (sought.found, None) if fewer is None else fewer
+        likeliest, between = (searches.found, None) if reconsidered is None else reconsidered
         found, simulations = run.attempt(
             "other sets of effects instead of the final one",
             lambda: with_alternative_sets(likeliest, run),
@@ -288,12 +295,13 @@ def find_structure(
     if given.substeps:
         notes.append(describe_integrator(found.prepared))
     notes += found.explained.notes
-    return ChosenModel(given, found, sought.near, tuple(notes), simulations, between)
+    return ChosenModel(given, found, searches.near, tuple(notes), simulations, between)
 
 
 def _left_out_joints(
     realization: Realization, trials: tuple[Trial, ...], joints: tuple[str, ...]
 ) -> list[str]:
+    """Notes on the joints of the model that are not in every recording."""
     notes = []
     for joint in realization.joints:
         if joint in joints:

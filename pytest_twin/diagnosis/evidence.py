@@ -1,4 +1,4 @@
-"""Evidence of residuals for one hypothesis against another."""
+"""Likelihoods of residuals, by which hypotheses are compared."""
 
 from __future__ import annotations
 
@@ -10,19 +10,24 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 
 Likelihood = Callable[[FloatArray, FloatArray, FloatArray], float]
-"""Of a residual (samples, signals), its floor and effective samples (signals,)."""
+"""Log-likelihood of a residual (samples, signals), given noise floor and effective samples, both
+(signals,)."""
 NOISE_FLOORS = 1.5
-"""Residuals of up to this many floors are taken for noise alone: the floor is an estimate, and a
+"""Residuals up to this number of noise floors count as noise, because the floor is an estimate. A
 signal below this level contains no identifiable effect (``VERDICT.stands_out``)."""
 _OF_NOISE = math.sqrt(2.0 / math.pi)
 """Mean absolute deviation of Gaussian noise, in standard deviations."""
 
 
 def effective_samples(residual: FloatArray, lengths: Sequence[int]) -> FloatArray:
-    """(signals,) how many independent samples correlated residuals are worth.
+    """(signals,) effective sample size of correlated residuals.
 
-    n / (1 + 2 sum of autocorrelations up to the first that is not positive) (Geyer, Statistical
-    Science 7, 1992), segment by segment.
+    For each segment it is n / (1 + 2 sum of autocorrelations). The sum ends before the first
+    autocorrelation that is not positive (Geyer, Statistical Science 7, 1992).
+
+    Args:
+        residual: (samples, signals), segments stacked.
+        lengths: number of samples of each segment.
     """
     total = np.zeros(residual.shape[1])
     ends = np.cumsum(lengths)
@@ -30,17 +35,17 @@ def effective_samples(residual: FloatArray, lengths: Sequence[int]) -> FloatArra
     for end, n in zip(ends, lengths, strict=True):
         by_length.setdefault(n, []).append(end - n)
     for n, starts in by_length.items():
-        # (segments, samples, signals): those of one length together.
+        # (segments, samples, signals) of all segments with this length.
         part = residual[np.array(starts)[:, None] + np.arange(n)]
         centered = np.nan_to_num(part - part.mean(axis=1, keepdims=True))
         size = 1 << (2 * n - 1).bit_length()
         spectrum = np.fft.rfft(centered, size, axis=1)
         covariance = np.fft.irfft(np.abs(spectrum) ** 2, size, axis=1)[:, :n]
         rho = covariance / np.maximum(covariance[:, :1], 1e-300)
-        # Positive up to the first that is not.
+        # Autocorrelations before the first that is not positive.
         counts = np.logical_and.accumulate(rho[:, 1:] > 0.0, axis=1)
         time = 1.0 + 2.0 * np.sum(rho[:, 1:], axis=1, where=counts)
-        # A segment is never worth less than one sample, a constant one no more than that.
+        # A segment counts as at least one sample; a constant residual as exactly one.
         total += np.maximum(n / time, 1.0).sum(axis=0)
     return total
 
@@ -52,22 +57,22 @@ def tempered_samples(
     recordings: int,
     joints: int,
 ) -> FloatArray:
-    """(signals,) effective samples where a part of the residual is error of the model.
+    """(signals,) effective sample size if a part of the residual is model error.
 
-    Noise averages out within a recording; what the model does wrong does not. A recording of m
-    effective samples, of whose variance the share rho is model error, is worth
-    m / (1 + (m - 1) rho) of them: the design effect of a cluster (Kish, Survey Sampling, 1965).
-    Model error is what the best set of effects leaves above ``NOISE_FLOORS`` floors. A force that
-    the model lacks changes position and effort of its joint, so that the larger share of a joint's
-    signals applies to all of them.
+    Noise averages out within a recording; model error does not. Let a recording have m effective
+    samples, and let model error be the share rho of the residual variance. It then counts as
+    m / (1 + (m - 1) rho) samples: the design effect of a cluster (Kish, Survey Sampling, 1965).
+    Model error is the residual of the best set of effects above ``NOISE_FLOORS`` noise floors. A
+    missing force changes position and effort of its joint. The largest share of a joint's signals
+    therefore applies to all its signals.
 
     Args:
-        effective: (signals,) of all recordings, as :func:`effective_samples` has them. The signals
-            are the positions of all joints, then their efforts where these are measured.
-        mean_square: (signals,) that the best set of effects leaves.
+        effective: (signals,) effective samples of all recordings, of :func:`effective_samples`.
+            Signals are the positions of all joints, then their efforts if these are fitted.
+        mean_square: (signals,) mean squared residuals of the best set of effects.
         floor: (signals,) noise floor.
-        recordings: how many there are.
-        joints: how many there are.
+        recordings: number of recordings.
+        joints: number of joints.
     """
     share = np.clip(1.0 - (NOISE_FLOORS * floor) ** 2 / np.maximum(mean_square, 1e-300), 0.0, 1.0)
     by_quantity = share.reshape(-1, joints)
@@ -80,17 +85,19 @@ def tempered_samples(
 def supported_by_windows(
     one: FloatArray, other: FloatArray, lengths: Sequence[int], floor: FloatArray
 ) -> float:
-    """The most evidence that segments bear out, most of them alike, for one residual over another.
+    """Upper bound of a log-likelihood ratio that is consistent across segments.
 
-    What is gained in each has a mean and a spread between segments; where both are what Gaussian
-    noise makes of two laws of which one is right, the evidence is twice the square of the mean in
-    its standard errors (Vuong, Econometrica 57, 1989). A few segments that gain all of it, against
-    others that lose, have gained it by chance.
+    The gain of ``one`` over ``other`` is computed for each segment. The bound is twice the squared
+    ratio of their mean to its standard error (Vuong, Econometrica 57, 1989). If few segments gain
+    and the others lose, the bound is low: the gain may be chance.
 
     Args:
-        one, other: (samples, signals).
-        lengths: samples of each segment.
-        floor: (signals,) no variance is less.
+        one, other: (samples, signals) residuals of the two hypotheses.
+        lengths: number of samples of each segment.
+        floor: (signals,) noise floor; no variance is smaller than its square.
+
+    Returns:
+        The bound; infinite if all segments gain the same.
     """
     variance = np.maximum(np.minimum(np.mean(one**2, axis=0), np.mean(other**2, axis=0)), floor**2)
     gained = np.sum((other**2 - one**2) / variance, axis=1)
@@ -102,7 +109,15 @@ def supported_by_windows(
 def log_likelihood(residual: FloatArray, floor: FloatArray, effective: FloatArray) -> float:
     """Gaussian log-likelihood with each signal's variance profiled out, not below its floor.
 
-    Every signal counts by its ``effective`` samples; what lies under the floor earns nothing.
+    A reduction of the residual below the floor does not increase the likelihood.
+
+    Args:
+        residual: (samples, signals).
+        floor: (signals,) noise floor, in the units of the residual.
+        effective: (signals,) effective samples.
+
+    Returns:
+        The log-likelihood up to a constant; minus infinity if the residual is not finite.
     """
     mean_square = np.mean(residual**2, axis=0)
     if not np.isfinite(mean_square).all():
@@ -111,10 +126,10 @@ def log_likelihood(residual: FloatArray, floor: FloatArray, effective: FloatArra
 
 
 def laplace_log_likelihood(residual: FloatArray, floor: FloatArray, effective: FloatArray) -> float:
-    """The same of a Laplace distribution: by mean absolute deviations, not squared ones.
+    """Laplace log-likelihood with each signal's mean absolute deviation profiled out.
 
-    Where a joint sticks and slips, one slide that ends elsewhere is most of a squared error, and
-    says little of what is followed well.
+    It suits stick-slip motion, where one slide of the wrong length dominates a squared error.
+    Arguments and result are as in :func:`log_likelihood`.
     """
     mean_deviation = np.mean(np.abs(residual), axis=0)
     if not np.isfinite(mean_deviation).all():

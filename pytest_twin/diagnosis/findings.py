@@ -28,7 +28,7 @@ from pytest_twin.trial import Trial
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter: value in ``unit`` (SI) and the 95 % interval."""
+    """Estimate of one parameter: value, and 95 % interval from ``low`` to ``high``, in ``unit``."""
 
     value: float
     unit: str
@@ -64,17 +64,16 @@ class Finding:
         effect, joint: id and joint name; joint None for an effect of the whole robot.
         confidence: posterior share against its alternatives.
         parameters: name -> estimate.
-        where: when and in which regime it shows.
-        held_out_gain: share of the squared held-out error that disappears when the
-            finding is added to the others, which were refitted without it.
-        stands: largest change of a predicted position without the finding, in noise floors (of a
-            measured effort where no position changes); findings are ordered by it.
+        where: times and regime of motion in which its influence is largest.
+        held_out_gain: share of the squared held-out error that the finding removes when it is added
+            to the other findings, which were refitted without it.
+        stands: largest change of a predicted position without the finding, in noise floors. If no
+            position changes, it is that of a measured effort. Findings are ordered by it.
         alternatives: other effects, most likely first.
         next_test: the experiment that separates it from the most likely alternative.
         correlated: parameters of which only a combination is identifiable, one line each.
-        term: effect and joint in the problem's numbering.
-        small: why it is a small correction of the model and no missing physics; empty for a
-            finding.
+        term: effect and column of the joint in the problem.
+        small: reason why it is a small correction instead of missing physics; empty for a finding.
     """
 
     effect: str
@@ -93,14 +92,14 @@ class Finding:
 
 @dataclass(slots=True)
 class Explained:
-    """Findings, and the hypothesis and covariance behind them.
+    """Findings, with their hypothesis and the covariance of its parameters.
 
     Attributes:
-        findings: ordered by how much of the error each explains.
-        hypothesis: all of them together.
-        spread: intervals and correlations of its parameters.
+        findings: the one with the largest influence first.
+        hypothesis: all terms with their parameters.
+        parameter_spread: intervals and correlations of the parameters.
         notes: one line each, for the reader.
-        rests: term -> the others refitted without it.
+        rests: term -> hypothesis of the other terms, refitted without it.
     """
 
     findings: tuple[Finding, ...]
@@ -122,7 +121,10 @@ def explain(
         prepared: the problem.
         selected: result of the model selection.
         pruned: the terms that remain after pruning.
-        trials: fitted, then held-out, as ``prepared`` numbers them.
+        trials: fitted trials, then held-out trials, in the numbering of ``prepared``.
+
+    Raises:
+        OutOfTime: the time of the search is over.
     """
     problem = prepared.problem
     hypothesis = pruned.fitted.hypothesis
@@ -130,9 +132,9 @@ def explain(
         return Explained((), hypothesis, notes=pruned.notes)
     width = parameter_spread(problem, pruned.fitted, selected.near)
     problem.refine_at(hypothesis)
-    gone = [hypothesis.without(t) for t in hypothesis.terms]
+    without_each = [hypothesis.without(t) for t in hypothesis.terms]
     residuals = problem.residuals([hypothesis, *pruned.rests], problem.everywhere)
-    changes = _changes(problem, [hypothesis, *gone])
+    changes = _changes(problem, [hypothesis, *without_each])
     stands = [c.height for c in changes]
     small = small_corrections(
         problem, hypothesis, np.array([c.positions for c in changes]), _nominal_error(problem)
@@ -149,7 +151,7 @@ def explain(
         others = selected.alternatives_to(term)
         confidence = selected.confidence.get(term, 1.0)
         if not np.isfinite(confidence):
-            # The selected model itself could not be compared: no support.
+            # The selected model diverges, so it has no likelihood.
             confidence = 0.0
         if term.joint >= 0 and problem.floor[term.joint] >= UNSEEN:
             confidence = min(confidence, FINDINGS.most_in_doubt)
@@ -187,8 +189,9 @@ def explain(
 
 
 def _worth_listing(rival: Rivalling) -> bool:
-    """Whether a reader needs to know of an alternative: it is likely enough, or predicts the same
-    to within the noise, however unlikely so many effects are.
+    """Whether an alternative is reported: it is likely enough, or its prediction is the same.
+
+    The second kind is reported even if its number of effects makes it unlikely.
     """
     same = rival.apart is not None and rival.apart <= FINDINGS.same_prediction
     return rival.confidence > FINDINGS.least_listed or same
@@ -196,25 +199,29 @@ def _worth_listing(rival: Rivalling) -> bool:
 
 def _alternative(problem: Problem, rival: Rivalling) -> Alternative:
     places = [(t.effect, joint_name(problem, t)) for t in rival.new]
-    gone = tuple((t.effect, joint_name(problem, t)) for t in rival.gone)
+    replaced = tuple((t.effect, joint_name(problem, t)) for t in rival.gone)
     (effect, joint), *more = places
-    return Alternative(
-        effect, joint, rival.confidence, tuple(more), gone if len(gone) > 1 else (), rival.apart
-    )
+    instead_of = replaced if len(replaced) > 1 else ()
+    return Alternative(effect, joint, rival.confidence, tuple(more), instead_of, rival.apart)
 
 
 def with_gains(explained: Explained, gains: Mapping[Term, float]) -> Explained:
-    """The same findings with gains that were measured elsewhere."""
+    """The same findings with other held-out gains.
+
+    Args:
+        explained: the findings.
+        gains: term -> share of the squared held-out error that it removes.
+    """
     findings = tuple(replace(f, held_out_gain=gains[f.term]) for f in explained.findings)
     return replace(explained, findings=findings)
 
 
 def doubted_by_the_test(explained: Explained, notes: list[str]) -> Explained:
-    """The same findings; one that makes the held-out error larger has at most 50 % confidence.
+    """The same findings, with at most 50 % confidence if one increases the held-out error.
 
     Args:
         explained: findings with their gains on held-out recordings.
-        notes: gets a line for each of them.
+        notes: receives a line for each such finding.
     """
     findings = []
     for f in explained.findings:
@@ -230,7 +237,7 @@ def doubted_by_the_test(explained: Explained, notes: list[str]) -> Explained:
 
 
 def untested(explained: Explained) -> Explained:
-    """The same findings where no recording was held out: confidence is at most 80 %."""
+    """The same findings with at most 80 % confidence, because no recording was held out."""
     findings = tuple(
         replace(f, confidence=min(f.confidence, FINDINGS.most_without_held_out))
         for f in explained.findings
@@ -242,8 +249,8 @@ def held_out_gains(problem: Problem, explained: Explained) -> dict[Term, float]:
     """Term -> share of the squared error on the held-out recordings that it removes.
 
     Args:
-        problem: any problem of the same joints and scales.
-        explained: findings, and the others refitted without each.
+        problem: a problem with the same joints and scales.
+        explained: findings, with the hypotheses that were refitted without each.
     """
     terms = explained.hypothesis.terms
     each = [explained.hypothesis, *(explained.rests[t] for t in terms)]
@@ -268,35 +275,34 @@ def _gains(problem: Problem, residuals: Sequence[FloatArray]) -> list[float]:
 
 
 def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
-    """Findings of short windows, reordered by their effect on whole motions of ``problem``.
+    """Findings of short windows, reordered by their influence on whole motions of ``problem``.
 
-    An integrated velocity or an oscillating servo changes whole motions more than any window. The
-    order stays where a prediction diverges. Findings that change whole motions less than twice the
-    residual keep their order behind the others: such motions have diverged, and their differences
-    carry no information.
+    An integrated velocity or an oscillating servo changes whole motions more than any window. If a
+    prediction diverges, the order is kept. Findings that change whole motions by less than
+    ``FINDINGS.moves_motions`` times the residual keep their order behind the others: such motions
+    have diverged, and their differences carry no information.
     """
     hypothesis = explained.hypothesis
-    gone = [hypothesis.without(f.term) for f in explained.findings]
-    stands = _heights(problem, [hypothesis, *gone])
+    without_each = [hypothesis.without(f.term) for f in explained.findings]
+    stands = _heights(problem, [hypothesis, *without_each])
     (errors,) = problem.errors([hypothesis], problem.tested)
-    off = float(in_noise_floors(errors[:, : len(problem.joints)], problem.floor).max())
-    if not np.isfinite([*stands, off]).all():
+    residual = float(in_noise_floors(errors[:, : len(problem.joints)], problem.floor).max())
+    if not np.isfinite([*stands, residual]).all():
         return explained
     moved = [replace(f, stands=s) for f, s in zip(explained.findings, stands, strict=True)]
-    order = sorted(
-        moved, key=lambda f: -f.stands if f.stands > FINDINGS.moves_motions * off else 0.0
-    )
+    least = FINDINGS.moves_motions * residual
+    order = sorted(moved, key=lambda f: -f.stands if f.stands > least else 0.0)
     return replace(explained, findings=tuple(order))
 
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """How far predictions differ.
+    """Difference between two predictions.
 
     Attributes:
-        positions: (joints,) RMS of positions, rad or m.
-        height: of the joint that differs most, in floors; of measured efforts where no position
-            differs.
+        positions: (joints,) RMS difference of positions, rad or m.
+        height: largest RMS difference of a joint, in noise floors. It is that of efforts if no
+            position differs.
     """
 
     positions: FloatArray
@@ -347,7 +353,7 @@ def _nominal_error(problem: Problem) -> FloatArray:
 
 
 def _gain(without: float, with_it: float) -> float:
-    """Share of a squared error that a finding removes; 1 where the simulation diverges without."""
+    """Share of a squared error that a finding removes; 1 if the simulation diverges without it."""
     if not np.isfinite(without):
         return 1.0
     return float(np.clip((without - with_it) / without, -1.0, 1.0)) if without > 0.0 else 0.0
@@ -366,14 +372,14 @@ def _blame(problem: Problem, term: Term, best: FloatArray, without: FloatArray) 
 
 
 def joint_type(problem: Problem, joint: int) -> str:
-    """``hinge`` or ``slide``; for the whole robot (-1) the first joint's."""
+    """Type of a joint, ``hinge`` or ``slide``; for the whole robot (-1) that of the first joint."""
     model = problem.simulator.segments[0].model
     kind = int(model.jnt_type[problem.simulator.layout.joint_ids[max(joint, 0)]])
     return "slide" if kind == int(mujoco.mjtJoint.mjJNT_SLIDE) else "hinge"
 
 
 def joint_unit(problem: Problem, joint: int) -> str:
-    """``rad`` or ``m``."""
+    """Unit of a joint's position, ``rad`` or ``m``."""
     return "m" if joint_type(problem, joint) == "slide" else "rad"
 
 
@@ -396,12 +402,12 @@ def _estimates(
 
 
 def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -> Estimate:
-    """The reported value and interval of a parameter: finite and within its physical bounds.
+    """The reported value and 95 % interval of a parameter, finite and within its bounds.
 
     Args:
         p: the parameter.
-        theta, half: value and half width of the interval, in multiples of ``scale``; an unknown
-            width gives the whole range of the bounds.
+        theta, half: value and half width of the interval, in multiples of ``scale``. If the width
+            is not finite, the interval is the whole range of the bounds.
         scale: reference scale in SI units.
         unit: unit of the reported value.
     """
@@ -410,7 +416,7 @@ def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -
     value = theta * scale
     if p.reciprocal_of is None:
         return Estimate(value, unit, low, high)
-    # The reciprocal of zero is infinite: report an end far beyond the known one.
+    # The reciprocal of zero is infinite: report a finite end far beyond the other one.
     far = max(high, p.upper * scale / FINDINGS.unbounded) / FINDINGS.unbounded
     value = value if value > far / FINDINGS.unbounded else far
     high = max(high, value)
@@ -422,7 +428,14 @@ def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -
 def trade_offs(
     problem: Problem, hypothesis: Hypothesis, term: Term, width: Spread
 ) -> tuple[str, ...]:
-    """One line for each pair of strongly correlated parameters: the combination that is known."""
+    """One line for each pair of strongly correlated parameters: the combination that is known.
+
+    Args:
+        problem: the problem.
+        hypothesis: all terms with their parameters.
+        term: the term whose parameters are described.
+        width: covariance and correlation of the parameters.
+    """
     owner = [(t, p) for t in hypothesis.terms for p in t.parameters]
     place = hypothesis.slice_of(term)
     lines = []
@@ -434,12 +447,13 @@ def trade_offs(
             if k == i or not abs(rho) >= FINDINGS.correlated or (other == term and k < i):
                 continue
             p = owner[i][1]
-            mine, its = (problem.scales.value(x, t.joint) for x, t in ((p, term), (q, other)))
+            p_scale = problem.scales.value(p, term.joint)
+            q_scale = problem.scales.value(q, other.joint)
             sd = np.sqrt(np.diag(width.covariance).clip(1e-300))
             # This combination is constant along the correlated direction.
-            slope = -rho * sd[i] * mine / (sd[k] * its)
-            value = hypothesis.theta[i] * mine + slope * hypothesis.theta[k] * its
-            narrow = width.quantile * sd[i] * mine * np.sqrt(max(1.0 - rho * rho, 0.0))
+            slope = -rho * sd[i] * p_scale / (sd[k] * q_scale)
+            value = hypothesis.theta[i] * p_scale + slope * hypothesis.theta[k] * q_scale
+            narrow = width.quantile * sd[i] * p_scale * np.sqrt(max(1.0 - rho * rho, 0.0))
             name = _parameter_name(problem, other, q, term)
             lines.append(
                 f"{p.name} and {name} are strongly correlated ({rho:+.2f}); better known is "
@@ -449,8 +463,9 @@ def trade_offs(
     return tuple(lines)
 
 
-def _parameter_name(problem: Problem, term: Term, p: Parameter, beside: Term) -> str:
-    if term == beside:
+def _parameter_name(problem: Problem, term: Term, p: Parameter, described: Term) -> str:
+    """Name of a parameter, with its effect and joint unless it belongs to the described term."""
+    if term == described:
         return p.name
     joint = joint_name(problem, term)
     return f"{p.name} of {term.effect}" + ("" if joint is None else f" at {joint}")

@@ -1,4 +1,4 @@
-"""Fit rival hypotheses together: every perturbation of every rival is a row of one batch."""
+"""Nonlinear least squares for several hypotheses at once; all simulations share one batch."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 
+# Levenberg-Marquardt damping factors, relative to the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)
-_FAST, _ENOUGH = 0.5, 1e-4
-_TINY = 1e-6
-# A parameter that moves the prediction by less than this share of the whole residual has a slope of
-# rounding errors only: a roll of the base where all axes are level.
-_MUTE = 1e-4
-# Parts of its reach by which a parameter is tried beside its slope.
+# A step that reduces the cost below this share of it keeps the Jacobian for the next step.
+_FAST = 0.5
+# A fit stops when a step reduces the cost by less than this share.
+_CONVERGED = 1e-4
+# Finite-difference step of the coordinates.
+_COORDINATE_STEP = 1e-6
+# A parameter is not fitted if a change by its own size moves the prediction by less than this share
+# of the residual: its slope is rounding error. Example: the roll of a base with level axes only.
+_NEGLIGIBLE_CHANGE = 1e-4
+# Shares of a parameter's reach that are tried in addition to the step along the slope.
 _REACHED = (-1.0, -0.25, 0.25, 1.0)
 
 
@@ -28,10 +33,10 @@ class Fitted:
 
     Attributes:
         hypothesis: with the fitted parameters.
-        residual: (samples, signals) on the fit segments.
-        jacobian: (samples, signals, parameters) of the prediction, per scaled parameter; empty
-            where it was not wanted.
-        cost: weighted mean square on the fit segments.
+        residual: (samples, signals) weighted residual on the fit segments.
+        jacobian: (samples, signals, parameters) derivative of the prediction with respect to the
+            scaled parameters; without parameters if it was not requested.
+        cost: weighted mean square of the residual.
     """
 
     hypothesis: Hypothesis
@@ -41,7 +46,7 @@ class Fitted:
 
     @property
     def mean_square(self) -> FloatArray:
-        """(signals,) of the residual."""
+        """(signals,) mean square of the residual."""
         mean_square: FloatArray = np.mean(self.residual**2, axis=0)
         return mean_square
 
@@ -59,15 +64,20 @@ def fit(
     """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
 
     Args:
-        problem: what to explain.
-        starts: rival hypotheses with starting values.
-        weights: (signals,) reciprocal deviations.
-        segments: fit on these.
-        iterations: steps at most; a rival that no longer gains stops earlier.
-        slopes: whether the Jacobian at the optimum is wanted.
-        jacobians: of each start, where they are known well enough for a first step. Later steps
-            take them too, corrected by what the steps show (Broyden, Math. Comp. 19, 1965), which
-            costs no simulation.
+        problem: the problem.
+        starts: hypotheses with starting values.
+        weights: (signals,) reciprocal standard deviations.
+        segments: indices of the segments that are fitted.
+        iterations: largest number of steps; a fit that has converged stops earlier.
+        slopes: whether the Jacobian at the optimum is needed.
+        jacobians: an approximate Jacobian of each start. All steps then use it with Broyden's
+            rank-one update (Math. Comp. 19, 1965), which needs no further simulation.
+
+    Returns:
+        The optimum of each start, in the same order.
+
+    Raises:
+        OutOfTime: the time of the search is over.
     """
     current = list(starts)
     residual = problem.residuals(current, segments)
@@ -96,14 +106,14 @@ def fit(
             options = range(ends[k], ends[k + 1])
             best = min(options, key=lambda o: weighted_cost(tried[o], weights))
             gained = weighted_cost(tried[best], weights)
-            # The slopes of the last step serve on while they bring the cost down fast.
+            # The Jacobian is kept as long as it reduces the cost fast.
             fast = gained < _FAST * cost[i]
             if jacobians is not None:
                 step = trials[best].theta - current[i].theta
                 known[i] = _corrected(known[i], step, residual[i] - tried[best])
                 fresh[i] = True
             if gained < cost[i]:
-                if gained < cost[i] * (1.0 - _ENOUGH) or not fresh[i]:
+                if gained < cost[i] * (1.0 - _CONVERGED) or not fresh[i]:
                     still.append(i)
                 current[i], residual[i], cost[i] = trials[best], tried[best], gained
             elif not fresh[i]:
@@ -127,7 +137,7 @@ def fit(
 
 
 def _corrected(jacobian: FloatArray | None, step: FloatArray, change: FloatArray) -> FloatArray:
-    """A Jacobian that predicts the change of the prediction that a step has shown."""
+    """Broyden's rank-one update: the Jacobian then reproduces ``change`` for ``step``."""
     assert jacobian is not None
     length = float(step @ step)
     if length == 0.0 or not np.isfinite(change).all():
@@ -150,6 +160,7 @@ def _fill_jacobians(
     which: Sequence[int],
     into: list[FloatArray | None],
 ) -> None:
+    """Jacobians of the hypotheses ``which`` by finite differences, written to ``into``."""
     moved: list[Hypothesis] = []
     steps: list[float] = []
     for i in which:
@@ -167,8 +178,12 @@ def _fill_jacobians(
 
 
 def finite_differences(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
-    """A hypothesis with each parameter that a fit moves moved by its finite difference, inside its
-    bounds, and these differences.
+    """One hypothesis for each estimated parameter, perturbed by its finite-difference step.
+
+    Perturbed parameters stay within their bounds.
+
+    Returns:
+        The perturbed hypotheses, and the steps in multiples of the scales.
     """
     _, upper = h.bounds
     parameters = [p for t in h.terms for p in t.parameters]
@@ -191,13 +206,24 @@ def proposals(
     weights: FloatArray,
     dampings: Sequence[float],
 ) -> list[Hypothesis]:
-    """What one step of a fit tries: along the slope under each damping, and beside it."""
-    along = [propose(h, residual, jacobian, weights, d) for d in dampings]
-    return along + distant_steps(h)
+    """Candidates of one fit step: a damped step for each damping, and the distant steps.
+
+    Args:
+        h: the hypothesis.
+        residual: (samples, signals).
+        jacobian: (samples, signals, parameters).
+        weights: (signals,) reciprocal standard deviations.
+        dampings: relative to the diagonal of the normal matrix.
+    """
+    damped_steps = [propose(h, residual, jacobian, weights, d) for d in dampings]
+    return damped_steps + distant_steps(h)
 
 
 def distant_steps(h: Hypothesis) -> list[Hypothesis]:
-    """A hypothesis with one parameter at a time where its slope would not lead."""
+    """The hypothesis with one parameter at a time changed by shares of its reach.
+
+    The slope of such a parameter is valid only near its value.
+    """
     parameters = [p for t in h.terms for p in t.parameters]
     rows = []
     for k, p in enumerate(parameters):
@@ -213,9 +239,10 @@ def distant_steps(h: Hypothesis) -> list[Hypothesis]:
 def propose(
     h: Hypothesis, residual: FloatArray, jacobian: FloatArray, weights: FloatArray, damping: float
 ) -> Hypothesis:
-    """A damped Gauss-Newton step inside the bounds; parameters at a bound that pull out stay.
+    """A damped Gauss-Newton step within the bounds, in the coordinates of each law.
 
-    It is taken in the coordinates of each law. Where slopes overflow it goes nowhere.
+    A parameter at a bound stays there if its step points outwards. The hypothesis is unchanged if
+    the normal matrix overflows. Arguments are as in :func:`proposals`.
     """
     lower, upper = h.bounds
     slopes = (jacobian * weights[:, None]).reshape(-1, h.theta.size)
@@ -223,8 +250,8 @@ def propose(
     b = np.nan_to_num(residual * weights).ravel()
     normal, gradient = a.T @ a, a.T @ b
     moves = np.sqrt(np.mean(slopes**2, axis=0)) * h.sizes
-    # Of a choice rounding has a slope all the same.
-    free = h.movable & (moves > _MUTE * np.sqrt(np.mean(b**2)))
+    # The Jacobian of a discrete choice is rounding error too.
+    free = h.movable & (moves > _NEGLIGIBLE_CHANGE * np.sqrt(np.mean(b**2)))
     if not np.isfinite(normal).all() or not free.any():
         return h
     theta = h.theta.copy()
@@ -248,7 +275,7 @@ def propose(
 
 
 def _chart(h: Hypothesis) -> FloatArray:
-    """(parameters, parameters) change of the parameters per change of their coordinates."""
+    """(parameters, parameters) Jacobian of the parameters with respect to their coordinates."""
     here = h.coordinates
-    moved = [h.from_coordinates(here + _TINY * e) for e in np.eye(h.theta.size)]
-    return np.array(moved).T / _TINY - h.theta[:, None] / _TINY
+    moved = [h.from_coordinates(here + _COORDINATE_STEP * e) for e in np.eye(h.theta.size)]
+    return np.array(moved).T / _COORDINATE_STEP - h.theta[:, None] / _COORDINATE_STEP

@@ -1,4 +1,4 @@
-"""A hypothesis: which effects act where, and with what parameters."""
+"""A hypothesis: a set of effects, the joint of each, and their parameters."""
 
 from __future__ import annotations
 
@@ -16,82 +16,98 @@ from pytest_twin.effects.base import SMOOTH_STEP, Effect, Parameter
 
 @dataclass(frozen=True, slots=True, order=True)
 class Term:
-    """One effect at one place: a joint's column, or -1 where it is the whole robot's."""
+    """One effect at one joint.
+
+    Attributes:
+        effect: id of the effect.
+        joint: column of the joint; -1 for an effect of the whole robot.
+    """
 
     effect: str
     joint: int
 
     @property
     def law(self) -> Effect:
-        """The effect itself."""
+        """The effect's class in the catalogue."""
         return catalogue()[self.effect]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Of its law."""
+        """Parameters of the effect."""
         return self.law.parameters
 
     def movable(self, theta: FloatArray) -> NDArray[np.bool_]:
-        """(parameters,) which of them a fit moves: no choices, and what the law has under these."""
+        """(parameters,) whether a fit estimates each of them.
+
+        Discrete choices are not estimated, nor parameters that the chosen form lacks.
+        """
         choices = np.array([p.choice for p in self.parameters])
         return np.asarray(self.law.has(theta) & ~choices)
 
     def lone(self, theta: FloatArray) -> int | None:
-        """Number of the only parameter that a fit moves in this form, None where there are more."""
+        """Index of the only estimated parameter of this form; None if there are several."""
         (which,) = np.nonzero(self.movable(theta))
         return int(which[0]) if len(which) == 1 else None
 
     @property
     def dry_level(self) -> int | None:
-        """Number of the parameter that is a level of dry friction, None without one."""
+        """Index of the parameter that is a constant level of dry friction; None without one."""
         name = self.law.dry_friction_level
         return next((k for k, p in enumerate(self.parameters) if p.name == name), None)
 
     def switches(self, theta: FloatArray) -> tuple[int, ...]:
-        """Which of them switch the effect on, in the form that its choices have."""
+        """Indices of parameters that switch the effect on, in the form that ``theta`` selects."""
         has = self.law.has(theta)
         return tuple(i for i, p in enumerate(self.parameters) if p.neutral is not None and has[i])
 
 
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """What a joint's parameters are multiples of: reference name -> (joints,) values, SI units."""
+    """Reference scales of the parameters: reference name -> (joints,) values, SI units."""
 
     of: Mapping[str, FloatArray]
 
     def value(self, parameter: Parameter, joint: int) -> float:
-        """The unit step of a parameter at a joint; of the whole robot, the first joint's."""
+        """Reference scale of a parameter at a joint, SI units.
+
+        An effect of the whole robot (-1) uses the scale of the first joint.
+        """
         return float(self.of[parameter.reference][max(joint, 0)])
 
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """Terms and one parameter vector, in multiples of each parameter's scale."""
+    """A set of terms with one parameter vector.
+
+    Attributes:
+        terms: effects and their joints.
+        theta: (parameters,) parameters of all terms in order, in multiples of their scales.
+    """
 
     terms: tuple[Term, ...]
     theta: FloatArray
 
     def with_theta(self, theta: FloatArray) -> Hypothesis:
-        """The same terms elsewhere."""
+        """The same terms with other parameters."""
         return Hypothesis(self.terms, theta)
 
     def with_term(self, term: Term, start: FloatArray) -> Hypothesis:
-        """One more term, starting at ``start``."""
+        """The hypothesis with one more term; ``start`` holds its parameters."""
         return Hypothesis((*self.terms, term), np.concatenate([self.theta, start]))
 
     def with_term_of(self, other: Hypothesis, term: Term) -> Hypothesis:
-        """One more term, as another has it."""
+        """The hypothesis with one more term and its parameters, both taken from ``other``."""
         return self.with_term(term, other.theta[other.slice_of(term)])
 
     def with_terms(self, starts: Mapping[Term, FloatArray]) -> Hypothesis:
-        """Several more terms, each at its start."""
+        """The hypothesis with several more terms, each with its parameters."""
         added = self
         for term, start in starts.items():
             added = added.with_term(term, start)
         return added
 
     def with_values_of(self, other: Hypothesis) -> Hypothesis:
-        """The same terms, with another's values of those that both have."""
+        """The same terms; the parameters of shared terms are taken from ``other``."""
         theta = self.theta.copy()
         for t in self.terms:
             if t in other.terms:
@@ -99,21 +115,23 @@ class Hypothesis:
         return self.with_theta(theta)
 
     def more_terms(self, than: Hypothesis) -> int:
-        """How many terms it has more than another."""
+        """Number of terms minus the number of terms of ``than``."""
         return len(self.terms) - len(than.terms)
 
-    def without(self, *gone: Term) -> Hypothesis:
-        """These terms fewer."""
-        kept = tuple(t for t in self.terms if t not in gone)
-        return Hypothesis(kept, self.theta[self.parameters_without(*gone)])
+    def without(self, *removed: Term) -> Hypothesis:
+        """The hypothesis without these terms."""
+        kept = tuple(t for t in self.terms if t not in removed)
+        return Hypothesis(kept, self.theta[self.parameters_without(*removed)])
 
-    def parameters_without(self, *gone: Term) -> NDArray[np.bool_]:
-        """(parameters,) which of them belong to other terms."""
-        return np.array([t not in gone for t in self.terms for _ in t.parameters], dtype=bool)
+    def parameters_without(self, *removed: Term) -> NDArray[np.bool_]:
+        """(parameters,) whether each parameter belongs to a term that is not in ``removed``."""
+        return np.array([t not in removed for t in self.terms for _ in t.parameters], dtype=bool)
 
     def absorbed(self, gone: Term, into: Term) -> Hypothesis | None:
-        """Without ``gone``, where ``into`` does the same physics as well, as far as its bounds go;
-        None where it cannot.
+        """The hypothesis without ``gone``, whose effect ``into`` represents in addition.
+
+        Parameters of ``into`` are clipped to their bounds. None if its law cannot represent the
+        other effect.
         """
         own = self._named(into)
         changed = into.law.with_other(own, gone.effect, self._named(gone))
@@ -130,23 +148,22 @@ class Hypothesis:
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper, in multiples of the scales."""
+        """Lower and upper bounds, (parameters,) each, in multiples of the scales."""
         parameters = [p for t in self.terms for p in t.parameters]
         return np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
 
     def at_bound(self, term: Term) -> bool:
-        """Whether a parameter that switches the effect on stands at its physical bound."""
+        """Whether a parameter that switches the effect on is at its physical bound."""
         return any(
             p.neutral is not None and value != p.neutral and not p.lower < value < p.upper
             for p, value in zip(term.parameters, self.theta[self.slice_of(term)], strict=True)
         )
 
     def out_of_shape(self, term: Term) -> bool:
-        """Whether a parameter that shapes the effect stands at a physical bound: the law
-        compensates for another effect.
+        """Whether a shape parameter of the effect is at a physical bound.
 
-        At zero it is a special case (rigid teeth, no damping), and an edge in time may lie at
-        either end of the trial.
+        The law then probably compensates for another effect. Zero is accepted as a special case
+        (rigid teeth, no damping). Start and end times may be at either end of the trial.
         """
         return any(
             p.neutral is None and not p.choice and p.reference != "twelfth"
@@ -156,33 +173,33 @@ class Hypothesis:
 
     @property
     def free(self) -> int:
-        """How many parameters a fit moves."""
+        """Number of parameters that a fit estimates."""
         return int(self.movable.sum())
 
     @property
     def movable(self) -> NDArray[np.bool_]:
-        """(parameters,) which of them a fit moves."""
+        """(parameters,) whether a fit estimates each of them."""
         parts = [t.movable(self.theta[self.slice_of(t)]) for t in self.terms]
         return np.concatenate([np.empty(0, dtype=bool), *parts])
 
     @property
     def sizes(self) -> FloatArray:
-        """(parameters,) what each is, or the least size that its law is asked at."""
-        least = [
+        """(parameters,) absolute values, at least the smallest nonzero start of each parameter."""
+        smallest_start = [
             min((abs(s) for s in p.starts if s != 0.0), default=1.0)
             for t in self.terms for p in t.parameters
         ]  # fmt: skip
-        found: FloatArray = np.maximum(np.abs(self.theta), least)
-        return found
+        sizes: FloatArray = np.maximum(np.abs(self.theta), smallest_start)
+        return sizes
 
     @property
     def is_rough(self) -> bool:
-        """Whether the motion follows some parameter in leaps."""
+        """Whether the motion is discontinuous in some parameter."""
         return any(p.step > SMOOTH_STEP for t in self.terms for p in t.parameters)
 
     @property
     def coordinates(self) -> FloatArray:
-        """The parameters, as their laws would have a fit step in them."""
+        """(parameters,) coordinates in which the laws are closer to linear; a fit steps in them."""
         parts = [t.law.coordinates(self.theta[self.slice_of(t)]) for t in self.terms]
         return np.concatenate([np.empty(0), *parts])
 
@@ -192,7 +209,11 @@ class Hypothesis:
         return np.concatenate([np.empty(0), *parts])
 
     def slice_of(self, term: Term) -> slice:
-        """Where a term's parameters stand in ``theta``."""
+        """Slice of a term's parameters in ``theta``.
+
+        Raises:
+            KeyError: the hypothesis lacks the term.
+        """
         at = 0
         for t in self.terms:
             if t == term:
@@ -205,7 +226,16 @@ EMPTY = Hypothesis((), np.empty(0))
 
 
 def effect_values(rows: Sequence[Hypothesis], joints: int, scales: Scales) -> EffectValues:
-    """Parameters of every row's hypothesis as arrays; neutral where a row lacks the effect."""
+    """Parameters of every row's hypothesis as arrays; neutral where a row lacks the effect.
+
+    Args:
+        rows: one hypothesis for each simulation.
+        joints: number of joints.
+        scales: reference scales of the parameters.
+
+    Returns:
+        Effect id -> parameter name -> (rows, joints), SI units.
+    """
     effects = sorted({t.effect for h in rows for t in h.terms})
     values: dict[str, dict[str, FloatArray]] = {}
     for effect in effects:

@@ -1,4 +1,4 @@
-"""The mismatch as numbers: segments to simulate, what is measured, and how well it can be known."""
+"""The estimation problem: segments to simulate, measurements, noise floors and weights."""
 
 from __future__ import annotations
 
@@ -17,16 +17,21 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 
-_REMEMBERED = 16
+# Hypotheses whose discretization errors are kept in memory.
+_CACHED_HYPOTHESES = 16
 REFINE = 4
-"""How much finer the step is by which the error of the model's own is measured."""
+"""Ratio of the model's time step to the finer one that measures its discretization error."""
 
 
 def step_error(coarse: Predicted, fine: Predicted) -> Predicted:
-    """What the model's own step leaves out of a prediction.
+    """Discretization error of a prediction: exact solution minus coarse prediction.
 
-    Richardson's extrapolation from the step to one ``REFINE`` times finer, for an integrator of
-    first order.
+    Richardson extrapolation from two time steps, for an integrator of first order (Hairer, Norsett,
+    Wanner 1993, sec. II.4).
+
+    Args:
+        coarse: prediction with the model's time step.
+        fine: prediction with a step that is ``REFINE`` times finer.
     """
     whole = REFINE / (REFINE - 1.0)
     return Predicted(
@@ -37,13 +42,13 @@ def step_error(coarse: Predicted, fine: Predicted) -> Predicted:
 
 
 def step_errors(coarse: Sequence[Predicted], fine: Sequence[Predicted]) -> dict[int, Predicted]:
-    """Segment -> what the model's own step leaves out of its prediction, where that is finite."""
+    """Segment -> discretization error of its prediction; only segments where it is finite."""
     errors = (step_error(c, f) for c, f in zip(coarse, fine, strict=True))
     return {i: add for i, add in enumerate(errors) if np.isfinite(add.position).all()}
 
 
 def corrected(coarse: Predicted, error: Predicted, share: float = 1.0) -> Predicted:
-    """A prediction with the error of its step, or a share of it, taken out."""
+    """A prediction plus ``share`` (0 to 1) of its discretization error."""
     return Predicted(
         coarse.position + share * error.position,
         coarse.velocity + share * error.velocity,
@@ -53,31 +58,32 @@ def corrected(coarse: Predicted, error: Predicted, share: float = 1.0) -> Predic
 
 @dataclass(slots=True)
 class Problem:
-    """What has to be explained.
+    """The least-squares problem of a diagnosis: measurements, simulator, noise and weights.
 
     Attributes:
-        simulator: over all segments, fit and held-out.
-        fit, held_out: indices of segments. While effects are chosen, the validation recordings are
-            held out; once they are, the test recordings.
-        floor: (joints,) standard deviation of what no model can explain, rad or m.
-        scales: of the joints' parameters.
-        effort_floor: the same of measured efforts, where these take part.
-        trust: segment -> (joints,) weights of its positions, whose mean square is 1, less where dry
-            friction may do otherwise before it slides; all residuals and responses of positions are
-            multiplied by it.
-        effort_trust: segment -> (samples, joints) weights, 1 where a measured effort has its own
-            noise alone and less where the model's step leaves more than that; all residuals and
-            responses of efforts are multiplied by it.
-        refined: the same segments with a finer step, to measure what the model's own step costs.
-        defect: segment -> what the finer step adds to a prediction of the current best
-            hypothesis; every prediction is corrected by it (defect correction, Stetter 1978).
-        in_starts: steps that were simulated to find them.
-        step_left: share of the step's error that the correction leaves, at most an eighth as
-            measured on arms in the air.
-        family: of the effects that compete; all where it is None.
-        starts: segment -> its free initial state, where errors of it would grow.
-        free: gives ``starts`` around a hypothesis, where there are any.
-        start_noise: (joints,) what their priors rest on, as :func:`free_starts` takes it.
+        simulator: simulates all segments, fit and held-out.
+        fit, held_out: indices of segments. During the search the validation recordings are held
+            out; after it, the test recordings.
+        floor: (joints,) noise floor of positions: the standard deviation that no model can
+            explain, rad or m.
+        scales: typical sizes of the joints' parameters.
+        effort_floor: (joints,) noise floor of efforts, N m or N; None if efforts are not fitted.
+        trust: segment -> (joints,) weights of positions, with mean square 1. The weight is lower
+            where stiction makes the motion unpredictable. It multiplies residuals and Jacobians.
+        effort_trust: segment -> (samples, joints) weights of efforts. It is 1 where the error of an
+            effort is sensor noise only, and lower where the discretization error is larger. It
+            multiplies residuals and Jacobians.
+        refined: simulates the same segments with a finer step, to measure the discretization error.
+        defect: segment -> discretization error of the current best hypothesis. Every prediction is
+            corrected by it (defect correction, Stetter 1978).
+        in_starts: number of simulated steps that free initial states have cost.
+        step_left: share of the discretization error that remains after the correction. It is at
+            most 1/8 on simulated arms that move without contact.
+        family: only effects of this family are candidates; None for all.
+        starts: segment -> free initial state, if an error of the initial state would grow.
+        free: computes ``starts`` for a hypothesis; None if all initial states are fixed.
+        start_noise: (joints,) RMS noise of a position sample, rad or m; it gives the prior of the
+            initial states.
     """
 
     simulator: BatchSimulator
@@ -102,22 +108,22 @@ class Problem:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names, in the order of columns."""
+        """Names of the joints, in the order of columns."""
         return self.simulator.joints
 
     @property
     def stepped(self) -> int:
-        """Steps of simulations that were asked for so far."""
+        """Simulated steps so far, those from the cache included."""
         return sum(simulator.stepped for simulator in self._simulators)
 
     @property
     def once(self) -> int:
-        """Steps of one simulation of all segments."""
+        """Number of steps in one simulation of all segments."""
         return int(self.simulator.steps.sum())
 
     @property
     def repeated(self) -> int:
-        """Of these, what had been simulated before."""
+        """Steps of :attr:`stepped` that came from the cache."""
         return sum(simulator.repeated for simulator in self._simulators)
 
     @property
@@ -125,27 +131,31 @@ class Problem:
         return [s for s in (self.simulator, self.refined) if s is not None]
 
     def acted_on(self, terms: Sequence[Term]) -> NDArray[np.bool_]:
-        """(signals,) whether some of the terms act there; all where one is the whole robot's."""
+        """(signals,) whether a term acts on the signal's joint; all if one acts on the robot."""
         joints = [t.joint for t in terms]
         at = np.isin(np.arange(len(self.joints)), joints) | (-1 in joints)
         return np.tile(at, len(self.signal_floor) // len(self.joints))
 
     def out_of_shape(self, hypothesis: Hypothesis, term: Term) -> bool:
-        """Whether a law compensates for another effect, as :meth:`Hypothesis.out_of_shape` has it.
+        """Whether a shape parameter of a term is at its bound, as in
+        :meth:`Hypothesis.out_of_shape`.
 
-        Where trials differ in temperature, what depends on it need not warm up within one of them.
+        A warm-up time at its upper bound is accepted if the trials differ in temperature: the
+        robot then need not warm up within one trial.
         """
-        lasts = catalogue()[term.effect].needs_temperature and self.differ_in_temperature
+        constant_within_trial = (
+            catalogue()[term.effect].needs_temperature and self.differ_in_temperature
+        )
         values = hypothesis.theta[hypothesis.slice_of(term)]
         shapes = [v for p, v in zip(term.parameters, values, strict=True) if p.neutral is None]
         longest = [p.upper for p in term.parameters if p.neutral is None]
-        return hypothesis.out_of_shape(term) and not (lasts and shapes == longest)
+        return hypothesis.out_of_shape(term) and not (constant_within_trial and shapes == longest)
 
     def less_than_none(self, hypothesis: Hypothesis, term: Term) -> bool:
-        """Whether a law of dry friction that varies over the turn would leave its joint with less
-        than none on average, all that is dry counted, the model's own too.
+        """Whether the mean dry friction of a joint is negative under a law that varies with angle.
 
-        No gear is like that; cut off at zero such a law is a brake in one place.
+        The mean sums all dry friction terms of the joint and the friction of the model. A negative
+        mean is not physical: cut off at zero, such a law only brakes in one place.
         """
         if not term.law.friction_varies_with_position:
             return False
@@ -161,16 +171,19 @@ class Problem:
 
     @property
     def differ_in_temperature(self) -> bool:
-        """Whether some trials were colder than others, by what they say."""
+        """Whether the recorded temperatures of the trials differ."""
         return len({s.coldness for s in self.simulator.segments}) > 1
 
     def predict(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
     ) -> list[list[Predicted]]:
-        """Predictions of every hypothesis on every segment; all rows of one batch.
+        """Predictions of every hypothesis on every segment, simulated as one batch.
 
-        Where the motion follows parameters in leaps, the error of the step does so too: these are
-        simulated with the finer step, which has a share of it left to correct.
+        A hypothesis whose motion is discontinuous in a parameter has a discontinuous discretization
+        error too. It is simulated with the finer step, of which 1 / ``REFINE`` remains to correct.
+
+        Returns:
+            One list for each hypothesis, with a prediction for each segment.
 
         Raises:
             OutOfTime: the time of the search is over.
@@ -199,8 +212,12 @@ class Problem:
     def followed(
         self, hypothesis: Hypothesis, segments: NDArray[np.int64]
     ) -> tuple[FloatArray, FloatArray, list[Predicted]]:
-        """True positions and velocities at every step of the model's, (segments, steps + 1, joints)
-        under a hypothesis, and its predictions as :meth:`predict` has them.
+        """Simulated positions, velocities and predictions of a hypothesis.
+
+        Returns:
+            Positions (rad or m) and velocities (rad/s or m/s) before sensor effects, at every step
+            of the model, both (segments, steps + 1, joints). Then predictions as of
+            :meth:`predict`.
         """
         values = effect_values([hypothesis] * len(segments), len(self.joints), self.scales)
         q, v, read = self.simulator.followed(segments, values)
@@ -213,7 +230,7 @@ class Problem:
         return p if error is None else corrected(p, error, share)
 
     def as_it_came(self, defect: dict[int, Predicted]) -> None:
-        """Be refined at the nominal model, where the defect of its step was measured before."""
+        """Refine at the nominal model, with a discretization error that is already measured."""
         starts = self._freed(EMPTY)
         if starts.motor_shifts:
             defect = self._defect_at(EMPTY)
@@ -221,13 +238,11 @@ class Problem:
         self.refine_at(EMPTY)
 
     def refine_at(self, hypothesis: Hypothesis) -> None:
-        """Measure at a hypothesis, on every segment, the defect of the model's step and what a
-        shifted start changes.
-        """
+        """Compute discretization errors and free initial states of all segments at a hypothesis."""
         key = _key(hypothesis)
         if key not in self._refined_at:
             check()
-            if len(self._refined_at) >= _REMEMBERED:
+            if len(self._refined_at) >= _CACHED_HYPOTHESES:
                 self._refined_at.pop(next(iter(self._refined_at)))
             starts = self._freed(hypothesis)
             self._refined_at[key] = self._defect_at(hypothesis), starts
@@ -243,7 +258,7 @@ class Problem:
         return step_errors(coarse, self.refined.simulate(rows, values))
 
     def _freed(self, hypothesis: Hypothesis) -> FreeInitialStates:
-        """Let segments start where a hypothesis lets them."""
+        """Compute the free initial states of a hypothesis, and apply them to the segments."""
         starts = FreeInitialStates(self.starts, {}) if self.free is None else self.free(hypothesis)
         self.in_starts += starts.stepped
         self._start_at(starts)
@@ -260,24 +275,25 @@ class Problem:
     def residuals(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
     ) -> list[FloatArray]:
-        """Measured minus predicted, as far as it is trusted: (samples, signals) each."""
+        """Weighted residuals (measured minus predicted) of each hypothesis, (samples, signals)."""
         return [self.weighed(errors, segments) for errors in self.errors(hypotheses, segments)]
 
     def errors(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
     ) -> list[FloatArray]:
-        """Measured minus predicted, stacked over segments: (samples, signals) each.
+        """Measured minus predicted for each hypothesis, (samples, signals), segments stacked.
 
-        Signals are the joints' positions, then their efforts where these take part.
+        Signals are the joints' positions (rad or m), then their efforts (N m or N) if these are
+        fitted. Efforts are weighted by :attr:`effort_trust`, positions are not weighted.
         """
         out = []
         for predictions in self.predict(hypotheses, segments):
             parts = []
             for s, p in zip(segments, predictions, strict=True):
                 segment = self.simulator.segments[s]
-                off = segment.position - p.position
+                error = segment.position - p.position
                 start = self.starts.get(int(s))
-                columns = [off if start is None else start.freed(off)]
+                columns = [error if start is None else start.freed(error)]
                 if self.effort_floor is not None and segment.effort is not None:
                     columns.append(self.trusted(int(s), segment.effort - p.effort))
                 parts.append(np.concatenate(columns, axis=1))
@@ -285,7 +301,7 @@ class Problem:
         return out
 
     def weighed(self, stacked: FloatArray, segments: NDArray[np.int64]) -> FloatArray:
-        """(samples, signals, ...) of segments, positions by how far each segment is trusted."""
+        """(samples, signals, ...) of segments, positions multiplied by :attr:`trust`."""
         if not self.trust:
             return stacked
         weights = self.trust_of(segments, self.lengths(segments))
@@ -294,13 +310,13 @@ class Problem:
         return out
 
     def trust_of(self, segments: NDArray[np.int64], lengths: Sequence[int]) -> FloatArray:
-        """(samples, joints) weights of positions, so many samples of each segment."""
+        """(samples, joints) weights of positions; ``lengths`` are the samples of each segment."""
         each = np.array([self.trust[int(s)] for s in segments])
         weights: FloatArray = np.repeat(each, lengths, axis=0)
         return weights
 
     def trusted(self, segment: int, effort: FloatArray) -> FloatArray:
-        """(samples, joints, ...) differences of efforts, by how far each sample is trusted."""
+        """(samples, joints, ...) differences of efforts, multiplied by :attr:`effort_trust`."""
         trust = self.effort_trust.get(segment)
         if trust is None:
             return effort
@@ -309,36 +325,36 @@ class Problem:
 
     @property
     def signal_floor(self) -> FloatArray:
-        """(signals,) floors, positions then efforts."""
+        """(signals,) noise floors: positions in rad or m, then efforts in N m or N."""
         if self.effort_floor is None:
             return self.floor
         return np.concatenate([self.floor, self.effort_floor])
 
     @property
     def everywhere(self) -> NDArray[np.int64]:
-        """All segments."""
+        """Indices of all segments."""
         return np.arange(len(self.simulator.segments))
 
     @property
     def tested(self) -> NDArray[np.int64]:
-        """Segments that a name is compared with: held out, or all that was fitted."""
+        """Held-out segments, or fit segments if none is held out; effects are compared on them."""
         return self.held_out if len(self.held_out) else self.fit
 
     @property
     def in_test(self) -> NDArray[np.bool_]:
-        """(samples,) of all segments, whether they lie in :attr:`tested` ones."""
+        """(samples,) of all segments: whether the sample belongs to a :attr:`tested` segment."""
         inside: NDArray[np.bool_] = np.repeat(
             np.isin(self.everywhere, self.tested), self.lengths(self.everywhere)
         )
         return inside
 
     def weights(self, left: FloatArray) -> FloatArray:
-        """(signals,) reciprocal deviations of a fit that leaves the mean squares ``left``."""
+        """(signals,) reciprocal standard deviations from mean squared residuals ``left``."""
         weights: FloatArray = 1.0 / np.sqrt(left + self.signal_floor**2)
         return weights
 
     def lengths(self, segments: NDArray[np.int64]) -> list[int]:
-        """Samples of each segment."""
+        """Number of samples of each segment."""
         return [len(self.simulator.segments[s].time) for s in segments]
 
 
@@ -350,14 +366,21 @@ def _key(hypothesis: Hypothesis) -> _Key:
 
 
 def nominal_replay(simulator: BatchSimulator) -> list[Predicted]:
-    """Every segment under the nominal model."""
+    """Predictions of every segment by the nominal model."""
     count = len(simulator.segments)
     values = effect_values([EMPTY] * count, len(simulator.joints), Scales({}))
     return simulator.simulate(np.arange(count), values)
 
 
 def joint_scales(simulator: BatchSimulator, nominal: Sequence[Predicted]) -> Scales:
-    """Typical sizes of a joint's parameters, from the model and its nominal replay."""
+    """Typical sizes of each joint's parameters in SI units.
+
+    They come from the measured motion, the model's inertia and the nominal prediction.
+
+    Args:
+        simulator: the segments.
+        nominal: prediction of each segment by the nominal model.
+    """
     joints, segments = len(simulator.joints), simulator.segments
     model = segments[0].model
 
@@ -384,17 +407,19 @@ def joint_scales(simulator: BatchSimulator, nominal: Sequence[Predicted]) -> Sca
     effort_rate = rms([
         _slope(p.effort, s.time) for s, p in zip(segments, nominal, strict=True)
     ])  # fmt: skip
-    # Where the nominal model diverges no sample may be known.
-    given = np.concatenate([np.abs(p.effort) for p in nominal])
-    peak = np.max(np.where(np.isfinite(given), given, 0.0), axis=0)
+    # If the nominal model diverges, its efforts are not finite.
+    size = np.concatenate([np.abs(p.effort) for p in nominal])
+    peak = np.max(np.where(np.isfinite(size), size, 0.0), axis=0)
     modes = np.array([segments[0].mode_of(j) for j in range(joints)])
     command = np.where(
         modes == "position",
         rms([_tracking_error(s) for s in segments]),
         rms([s.command for s in segments]),
     )
-    # A speed that is asked for, where commands say one.
-    wanted = np.select([modes == "position", modes == "velocity"], [rate, command], velocity)
+    # The commanded velocity, or the measured one if commands are efforts.
+    commanded_velocity = np.select(
+        [modes == "position", modes == "velocity"], [rate, command], velocity
+    )
     ones = np.ones(joints)
     return Scales(
         {
@@ -411,7 +436,7 @@ def joint_scales(simulator: BatchSimulator, nominal: Sequence[Predicted]) -> Sca
             "slowness": 1.0
             / np.maximum(np.nan_to_num(rate), np.where(modes == "effort", effort, velocity)),
             "effort_slowness": 1.0 / np.maximum(np.nan_to_num(effort_rate), effort),
-            "inverse_velocity": 1.0 / np.maximum(np.nan_to_num(wanted), velocity),
+            "inverse_velocity": 1.0 / np.maximum(np.nan_to_num(commanded_velocity), velocity),
             "inverse_effort": 1.0 / np.maximum(peak, 1e-4),
             "command": np.maximum(np.nan_to_num(command), 1e-4),
             "mass": ones * max(simulator.layout.tool_mass, 0.05),
@@ -423,11 +448,12 @@ def joint_scales(simulator: BatchSimulator, nominal: Sequence[Predicted]) -> Sca
 
 
 def _slope(values: FloatArray, time: FloatArray) -> FloatArray:
-    """(n - 1, joints) per s, from sample to sample."""
+    """(samples - 1, joints) difference quotients between samples, per s."""
     slope: FloatArray = np.diff(values, axis=0) / np.maximum(np.diff(time), 1e-4)[:, None]
     return slope
 
 
 def _tracking_error(segment: Segment) -> FloatArray:
+    """(samples, joints) setpoint minus measured position, rad or m."""
     error: FloatArray = segment.setpoint.at(segment.time) - segment.position
     return error

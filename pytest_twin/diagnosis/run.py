@@ -1,4 +1,4 @@
-"""One diagnosis while it runs: what it may spend, what it tried, and what it left untried."""
+"""State of a running diagnosis: its budget, its trace, and the searches that it skipped."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """A hypothesis with its score; None where it has none."""
+    """A hypothesis with its score; the score is None before it is computed."""
 
     hypothesis: Hypothesis = EMPTY
     score: float | None = None
@@ -27,12 +27,12 @@ _NOTHING = Scored()
 
 
 class Run:
-    """What all searches of a diagnosis share.
+    """Budget, trace and skipped searches, shared by all searches of a diagnosis.
 
     Attributes:
-        budget: time and simulations.
-        trace: every step.
-        untried: what was not done because time or simulations ran out, one line each.
+        budget: limits of time and simulations, and what was used.
+        trace: every step of the searches.
+        untried: searches that were skipped because time or simulations ran out, one line each.
     """
 
     def __init__(self, budget: Budget | None = None, trace: Trace | None = None) -> None:
@@ -42,12 +42,12 @@ class Run:
 
     @property
     def over(self) -> bool:
-        """Whether the searches have to end."""
+        """Whether time or simulations ran out, so that all searches must end."""
         return self.budget.out_of_time or self.budget.spent
 
     @property
     def share_done(self) -> float:
-        """Share of the search that is done, 0 to 1: a guess, unless its time is bounded."""
+        """Share of the search that is done, 0 to 1; an estimate if its time is not limited."""
         steps = len(self.trace.steps) + self.trace.left_out
         # The number of steps is unknown: each one advances by a fixed part of the remainder.
         done = 1.0 - 0.98**steps
@@ -56,7 +56,7 @@ class Run:
         return min(max(done, self.budget.elapsed / (0.8 * self.budget.seconds)), 1.0)
 
     def begin(self, stage: str, problem: Problem) -> None:
-        """Search a problem next; steps that follow belong to ``stage``."""
+        """Start a search of ``problem``; the steps that follow belong to ``stage``."""
         self.budget.add(problem)
         self.trace.stage = stage
 
@@ -69,7 +69,15 @@ class Run:
         proposed: Scored = _NOTHING,
         best: Scored = _NOTHING,
     ) -> None:
-        """Record a step; arguments as :class:`~pytest_twin.diagnosis.trace.Step` has them."""
+        """Add a step to the trace.
+
+        Args:
+            problem: the problem that is searched.
+            move: kind of the step, as in :class:`~pytest_twin.diagnosis.trace.Step`.
+            decision: whether the proposed hypothesis was accepted.
+            reason: why, for the reader.
+            proposed, best: the proposed hypothesis, and the best one before this step.
+        """
         joints = problem.joints
         self.trace.add(
             Step(
@@ -87,12 +95,12 @@ class Run:
         )
 
     def attempt(self, what: str, work: Callable[[], Result], otherwise: Result) -> Result:
-        """The result of some work, or ``otherwise`` where time or simulations do not last.
+        """Result of ``work``, or ``otherwise`` if time or simulations run out.
 
         Args:
-            what: the work in words, for the reader.
-            work: what is done.
-            otherwise: the best so far.
+            what: name of the work, for the reader.
+            work: function that does it.
+            otherwise: the best result so far.
         """
         if self.over:
             self.skip(what)
@@ -104,13 +112,20 @@ class Run:
             return otherwise
 
     def skip(self, what: str) -> None:
-        """Note that something was not tried, once."""
+        """Note once that a search was skipped.
+
+        Args:
+            what: name of the search, for the reader.
+        """
         if what not in self.untried:
             self.untried.append(what)
 
 
 def not_tried(run: Run) -> list[str]:
-    """Notes of what a diagnosis left out, and what more time could change; empty if nothing."""
+    """Note on the searches that were skipped, why, and what more time could change.
+
+    Empty if none was skipped.
+    """
     if not run.untried:
         return []
     budget = run.budget

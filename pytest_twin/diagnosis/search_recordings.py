@@ -42,8 +42,8 @@ from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
 
-# Greatest share of the squared mismatch that the linearized shortlist may leave for a search in
-# windows.
+# Windows are searched only if the linearized shortlist leaves at most this share of the nominal
+# model's squared error.
 _LEFT_BY_CATALOGUE = 0.1
 _OF_WHOLE = 0.5
 """Share of the simulations for whole recordings if windows are searched too."""
@@ -70,11 +70,11 @@ class Searched:
     """Result of all searches of a diagnosis.
 
     Attributes:
-        given: how the model is simulated with this result.
+        given: the model with the simulation settings of this result.
         found: the best result.
-        near: s, length of the windows in which the unexplained residual is located; None if whole
-            recordings serve.
-        notes: for the reader.
+        near: length in s of the windows in which the unexplained residual is located; None for
+            whole recordings.
+        notes: one line each, for the reader.
     """
 
     given: ModelSetup
@@ -88,18 +88,18 @@ def search_recordings(
 ) -> Searched:
     """Search for effects over whole recordings, and over windows of them if these explain more.
 
-    When time runs out, the result of the last finished search stays.
+    If time runs out, the result of the last finished search is returned.
 
     Args:
-        given: the model, and how it is simulated.
-        prepared, trials: its problem over whole recordings.
-        run: the diagnosis.
+        given: the model with its simulation settings.
+        prepared, trials: the problem over whole recordings, and its trials.
+        run: the running diagnosis.
     """
     notes: list[str] = []
     problem = prepared.problem
     run.budget.add(problem)
     contact = problem.simulator.models.contact
-    clear, start = EMPTY, EMPTY
+    clear, start = EMPTY, EMPTY  # ``clear``: effects found away from contact
     if contact.world.size:
         away = run.attempt(
             "the search for effects far from contact",
@@ -128,33 +128,33 @@ def search_recordings(
             found,
         )
     given, found = run.attempt(
-        "dry friction that creeps otherwise",
+        "another model of creep under dry friction",
         partial(refit_as_friction_acts, found, given, run),
         (given, found),
     )
-    other = run.attempt(
+    of_simulation = run.attempt(
         "recordings of a simulation",
         partial(_search_with_detected_integrator, found, given, run),
         None,
     )
-    if other is not None:
-        return other
-    simulated = run.attempt(
+    if of_simulation is not None:
+        return of_simulation
+    with_timestep = run.attempt(
         "the integration error of a simulation",
         partial(with_detected_timestep, found, given, run),
         None,
     )
-    if simulated is not None:
-        given, found = simulated
+    if with_timestep is not None:
+        given, found = with_timestep
     near: float | None = None
     if found.diverges_from_recordings and (clear.terms or not contact.world.size):
         near = WINDOW
-        found, said = run.attempt(
+        found, window_notes = run.attempt(
             f"windows of {WINDOW:g} s",
             partial(_search_windows, found, given, trials, clear, run),
             (found, list[str]()),
         )
-        notes += said
+        notes += window_notes
     return Searched(given, found, near, tuple(notes))
 
 
@@ -224,7 +224,8 @@ def _search_away_from_contact(
 ) -> Hypothesis | None:
     """Effects that explain the motion away from contact; None if the robot is always in contact.
 
-    Away from contact the linearization holds for every law. In contact each must be simulated.
+    Away from contact the linearization is valid for every law. In contact every candidate must be
+    simulated.
     """
     away = _problem_away_from_contact(given, trials, contact)
     if away is None:
@@ -235,7 +236,7 @@ def _search_away_from_contact(
 
 
 def _add_contact_effects(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
-    """The effects that were found without contact, and contact effects in addition."""
+    """The effects that were found away from contact, with contact effects added."""
     run.begin("contact effects over whole recordings", problem)
     problem.family = _CONTACT
     try:
@@ -246,7 +247,7 @@ def _add_contact_effects(problem: Problem, clear: Hypothesis, run: Run) -> Hypot
 
 
 def add_contact_effects_again(found: SearchResult, run: Run) -> SearchResult:
-    """Add contact effects to a result, and search on from there.
+    """Add contact effects to a result, and continue the search from it.
 
     The error of a surface may be hidden by other effects that act in contact as well (a late clock,
     a saturated drive).
@@ -268,9 +269,10 @@ def _continue_from(found: SearchResult, start: Hypothesis, run: Run) -> SearchRe
 
 
 def search_shorter_windows(found: SearchResult, given: ModelSetup, run: Run) -> SearchResult:
-    """Search in windows that the nominal model follows, then search on from that result.
+    """Search in windows that the nominal model follows, then continue from that result.
 
-    The better one of this result and the present one is returned.
+    Windows are halved until the nominal model follows the recordings within each. The better one of
+    the new and the present result is returned.
     """
     window = typical_window_length(found.prepared.problem)
     while True:
@@ -307,14 +309,16 @@ def _compare_with_windows(
     """
     other = confirm(cut, kept, found, run)
     if other is None:
-        # Without contact no search begins whose linearized shortlist leaves too large a residual.
+        # Without contact effects, windows are searched only if the linearized shortlist explains
+        # most of the error.
         share_left = 1.0 if clear.terms else _LEFT_BY_CATALOGUE
         other = search(cut, kept, StepwiseSelection(cut.problem, run, share_left), clear)
     if other.explains_more_than(found):
         notes.append(_IN_WINDOWS)
         return replace(other, whole=found.prepared.problem)
     if other.may_improve(found):
-        # Over whole stick-slip motions sets are not compared: their confidence is that of windows.
+        # Sets of effects are not compared over whole stick-slip motions; their confidence comes
+        # from the windows.
         other, _ = run.attempt(
             "other sets of effects instead of those of windows",
             partial(with_alternative_sets, other, run),

@@ -29,29 +29,29 @@ def worth_a_name(
         whole: (signals,) mean squared residuals of the nominal model.
     """
     square = floor**2
-    gone = before - after
-    rest = np.maximum(before - square, 0.2 * square)
-    all_of_it = np.clip(whole - square, 0.2 * square, VERDICT.most_floors**2 * square)
-    alone = (VERDICT.stands_out**2 - 1.0) * square
-    least = np.maximum.reduce(
-        [alone, VERDICT.share_of_rest * rest, VERDICT.share_of_all * all_of_it]
+    reduction = before - after
+    remaining = np.maximum(before - square, 0.2 * square)
+    nominal = np.clip(whole - square, 0.2 * square, VERDICT.most_floors**2 * square)
+    above_noise = (VERDICT.stands_out**2 - 1.0) * square
+    required = np.maximum.reduce(
+        [above_noise, VERDICT.share_of_rest * remaining, VERDICT.share_of_all * nominal]
     )
-    return bool((gone >= least).any())
+    return bool((reduction >= required).any())
 
 
 def own_mismatch(
     floor: FloatArray, whole: FloatArray, left: FloatArray, acting: NDArray[np.bool_]
 ) -> FloatArray:
-    """(signals,) part of the nominal squared error of which an inexact effect may leave a residual.
+    """(signals,) part of the nominal squared error that may remain because an effect is inexact.
 
-    An inexact effect leaves a residual where it acts. At other joints it leaves at most the same
-    share of the error, because it reaches them only through the mechanism.
+    An inexact effect causes a residual at the joints on which it acts. At other joints at most the
+    same share of the error can remain, because the effect reaches them only through the mechanism.
 
     Args:
         floor: (signals,) noise floor.
         whole: (signals,) mean squared residuals of the nominal model.
         left: (signals,) mean squared residuals with all accepted effects.
-        acting: (signals,) whether an accepted effect acts there.
+        acting: (signals,) whether an accepted effect acts on the joint of the signal.
     """
     if not acting.any():
         return whole
@@ -106,7 +106,7 @@ class JointError:
 
 
 class Reported(Protocol):
-    """What a verdict reads of a finding."""
+    """The part of a finding that the verdict needs."""
 
     @property
     def small(self) -> str:
@@ -116,8 +116,12 @@ class Reported(Protocol):
 def verdict(errors: Mapping[str, JointError], findings: Sequence[Reported]) -> Verdict:
     """The verdict from held-out errors and findings.
 
-    With small corrections alone there is no mismatch where the nominal model's errors are at the
-    noise floor or, against the travel of the joints, of no consequence.
+    If all findings are small corrections, the verdict can be ``no_mismatch``. This requires that
+    every error of the nominal model is at the noise floor, or small against the joint's travel.
+
+    Args:
+        errors: joint -> held-out errors before and after the findings.
+        findings: the findings.
     """
     mismatched = any(e.is_mismatched for e in errors.values())
     if not findings:

@@ -1,8 +1,8 @@
-"""The interface of an effect: one piece of physics that a model can have or lack.
+"""The interface of an effect: one physical effect that a model can have or lack.
 
-An effect states its law, its parameters, where it acts, which other effects it is confused with,
-and the experiment that separates them. Its hooks change a :class:`World`: the state of many
-simulations at one time step. Every array is (rows, joints), one row per simulation.
+An effect states its law, its parameters and its scope. It also names the effects that it is
+confused with, and the experiment that separates them. Its hooks change a :class:`World`: the state
+of many simulations at one time step. Every array is (rows, joints), one row per simulation.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ PATHS: Mapping[str, str] = {
     "contact": "contact",
     "environment": "surroundings",
 }
-"""Family -> part of the signal path of its effects; effects on the command sit in ``command``."""
+"""Family -> part of the signal path of its effects; effects on the command are in ``command``."""
 SMOOTH_STEP = 1e-3
 """Finite-difference step for a parameter on which the motion depends smoothly."""
 
@@ -79,7 +79,7 @@ _COMMANDED: Mapping[tuple[str, str], tuple[str, str]] = {
 }
 
 REFERENCES: Mapping[str, str] = {
-    # of a parameter that is a reciprocal: that of the reported value
+    # For a parameter that is fitted as a reciprocal: the scale of the reported value.
     "one": "",
     "twelfth": "1/12 of the longest recording",
     "effort": "the drive's RMS effort",
@@ -268,7 +268,11 @@ class World:
             self.motor.drag += damping
 
     def asked(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """(rows, joints) effort that the control law requests at a motor state, without limits."""
+        """(rows, joints) effort of the control law before its limits, N*m or N.
+
+        Args:
+            position, velocity: (rows, joints) state of the motors, converted to the joint side.
+        """
         return (
             self.gain * self.setpoint
             - self.stiffness * position
@@ -285,7 +289,7 @@ class Effect:
     ``sample_time`` and ``sense`` run on whole trajectories. A hook must change nothing where every
     parameter is neutral. A hook that is not overridden costs no time.
 
-    The search of a diagnosis treats an effect as its traits say, whatever its id. Traits are class
+    The search of a diagnosis depends only on an effect's traits, not on its id. Traits are class
     attributes too.
 
     Class attributes:
@@ -370,7 +374,7 @@ class Effect:
         return any(getattr(type(self), h) is not getattr(Effect, h) for h in hooks)
 
     def has(self, parameters: FloatArray) -> NDArray[np.bool_]:
-        """(parameters,) which of them the law has in the form that these values select."""
+        """(parameters,) whether the law has each parameter, in the form that the values select."""
         chosen = dict(zip((p.name for p in self.parameters), parameters, strict=True))
         return np.array(
             [p.under is None or chosen[p.under[0]] in p.under[1] for p in self.parameters]
@@ -419,11 +423,16 @@ class Effect:
     def compensated_starts(
         self, own: Mapping[str, float], servo_compliance: float
     ) -> Sequence[tuple[Mapping[str, float], str, Mapping[str, float]]]:
-        """Changes of this effect together with another one that cancel to first order, which no
-        small step of a fit finds: pairs of own parameters and the other effect's id and parameters.
+        """Changes of this effect and of another one whose influence cancels to first order.
+
+        A fit with small steps does not find them.
+
+        Returns:
+            Tuples of own parameters, id of the other effect, and its parameters, all in multiples
+            of references.
 
         Args:
-            own: its parameters, in multiples of references, as all others here.
+            own: the effect's present parameters, in multiples of references.
             servo_compliance: reciprocal of the servo's stiffness, in multiples of the reference
                 ``compliance``; 0 without a servo.
         """
@@ -436,14 +445,16 @@ class Effect:
     def with_other(
         self, own: Mapping[str, float], effect: str, other: Mapping[str, float]
     ) -> Mapping[str, float]:
-        """Changed parameters where this law also represents another effect; empty where it cannot.
+        """Changed parameters with which this law also represents another effect.
+
+        Empty if it cannot represent the other effect.
 
         Args:
-            own: its parameters, in multiples of references.
+            own: parameters of this effect, in multiples of references.
             effect: id of the other effect.
             other: the other's parameters, in multiples of the same references.
         """
-        return {mine: own[mine] + other[theirs] for theirs, mine in self.holds(effect).items()}
+        return {here: own[here] + other[there] for there, here in self.holds(effect).items()}
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:
         """Coordinates in which the motion is closer to linear; a fit steps in them.
@@ -513,7 +524,7 @@ class Effect:
     def unsense(
         self, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
-        """True (rows, joints) state of a measured one: the inverse of ``sense``."""
+        """True (rows, joints) state from the measured state: the inverse of ``sense``."""
         return position, velocity
 
     def sense_effort(self, effort: FloatArray, values: Values) -> FloatArray:
@@ -527,9 +538,9 @@ def moving_apart(
     """(rows, joints) where the transmission is not rigid."""
     apart = np.zeros(shape, dtype=bool)
     for effect, v in effects:
-        given = effect.separates(v)
-        if given is not None:
-            apart |= given
+        elastic = effect.separates(v)
+        if elastic is not None:
+            apart |= elastic
     return apart
 
 
@@ -608,7 +619,12 @@ class ModelFields:
         return bool((scaled | self.center_moves | (self.added_mass != 0.0)).any())
 
     def split_force(self, apart: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-        """Constant forces on links and on motors; a motor is part of its link unless ``apart``."""
+        """(rows, joints) constant forces on links and on motors, N*m or N.
+
+        Args:
+            apart: (rows, joints) whether the transmission is elastic; otherwise a force on the
+                motor acts on the link.
+        """
         link: FloatArray = self.constant_force + np.where(apart, 0.0, self.motor_force)
         motor: FloatArray = np.where(apart, self.motor_force, 0.0)
         return link, motor

@@ -1,8 +1,8 @@
-"""Simulate segments of trials under effects: trials, perturbations and rivals as rows of one batch.
+"""Simulate segments of trials under effects; each simulation is a row of one batch.
 
-What MuJoCo has natively (damping, dry friction, armature, springs, masses, gravity, gains, force
-ranges) is written into the rows' model fields and runs at the engine's speed; the rest acts between
-steps on arrays of all rows.
+Effects that MuJoCo has natively are written into the model fields of each row and run at the
+engine's speed: damping, dry friction, armature, springs, masses, gravity, gains, force ranges. All
+other effects act between steps, on arrays of all rows.
 """
 
 from __future__ import annotations
@@ -53,15 +53,16 @@ Motion = tuple[FloatArray, FloatArray, FloatArray]
 
 
 class BatchSimulator:
-    """Steps segments under effects.
+    """Simulates segments of trials under effects.
 
     Args:
-        segments: all of one layout of model and of the same joints.
-        joints: hinges and slides, in the order of the segments' columns.
-        threads: of the batch, or forks in their place, 0 for all cores that the process may use.
-        refine: substeps per model step, to measure the discretization.
-        fixed: effects under every row: parameters as (1, joints) arrays.
-        sparing: whether engine features that change nothing are disabled.
+        segments: pieces of trials; their models have the same layout and the same joints.
+        joints: names of hinges and slides, in the order of the segments' columns.
+        threads: number of threads, or of processes instead; 0 for all cores that the process may
+            use.
+        refine: substeps per model step, to measure the discretization error.
+        fixed: effects that act in every row: parameters as (1, joints) arrays.
+        sparing: whether engine features without influence on the result are disabled.
     """
 
     def __init__(
@@ -87,26 +88,33 @@ class BatchSimulator:
         )
         self.fixed: EffectValues = fixed or {}
         self.stepped = 0
-        """Rows times steps that were asked for so far: what the engine alone would have stepped."""
+        """Simulated steps of all rows so far, those from the cache included."""
         self.repeated = 0
-        """Of these, what had been simulated before."""
+        """Steps of :attr:`stepped` that came from the cache."""
         self._known = SimulationCache()
         idle = np.array([self._holding(s) for s in self.segments])
         heeded = self.models.heeded(np.arange(len(self.segments)))
         self._held = CommandsOverSteps(self.segments, self.timestep, idle, *heeded)
 
     def _holding(self, segment: Segment) -> FloatArray:
-        """(joints,) commands by which position servos hold what nobody commands; 0 elsewhere."""
+        """(joints,) commands that hold position servos without recorded commands; 0 elsewhere."""
         servo = (self.layout.servo == "position") & (self.layout.control >= 0)
         if segment.unrecorded is None:
             return np.zeros(len(self.joints))
-        told = segment.unrecorded.control[self.layout.control]
-        return np.where(servo, told / self.layout.scale, 0.0)
+        control = segment.unrecorded.control[self.layout.control]
+        return np.where(servo, control / self.layout.scale, 0.0)
 
     def simulate(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
         """Simulate segment ``rows[i]`` under row ``i`` of ``values``, for every i.
 
-        What was simulated before is not simulated again, and counts as stepped all the same.
+        Rows that were simulated before are read from the cache; :attr:`stepped` counts them too.
+
+        Args:
+            rows: (rows,) index of each row's segment.
+            values: effects; parameters as (rows, joints) arrays in SI units.
+
+        Returns:
+            The sensor readings of each row at the stamps of its segment; NaN if it diverged.
         """
         values = with_fixed(values, self.fixed, len(rows))
         keys = row_keys([self.segments[r] for r in rows], values)
@@ -124,7 +132,7 @@ class BatchSimulator:
         return [p for key in keys if (p := found[key]) is not None]
 
     def _simulated(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
-        """What rows come to, none of them simulated before, effects that are fixed included."""
+        """Sensor readings of rows that are not in the cache; ``values`` has the fixed effects."""
         return self._each(rows, values, self._read)
 
     def _read(
@@ -138,11 +146,11 @@ class BatchSimulator:
         values: EffectValues,
         read: Callable[[Sequence[Segment], ActiveEffects, Motion], list[Result]],
     ) -> list[Result]:
-        """What is read of each row's motion, rows with the same laws side by side, on free cores.
+        """One result for each row's motion; rows with the same laws share a batch and a core.
 
         Args:
-            rows: segments.
-            values: of effects, fixed ones included.
+            rows: (rows,) index of each row's segment.
+            values: effects, the fixed ones included.
             read: segments, effects and motion -> one result for each segment.
         """
         laws = between_steps(values, len(rows))
@@ -150,11 +158,11 @@ class BatchSimulator:
         divided = divide_rows(self.steps[rows], laws, len(self.joints), cores)
 
         def work(part: Part) -> list[Result]:
-            mine = rows[part.rows]
+            of_part = rows[part.rows]
             effects = active_effects(
                 {e: {n: v[part.rows] for n, v in vs.items()} for e, vs in values.items()}
             )
-            return read([self.segments[r] for r in mine], effects, self._moved(mine, effects))
+            return read([self.segments[r] for r in of_part], effects, self._moved(of_part, effects))
 
         if not worth_forks(divided):
             cores = 1
@@ -169,9 +177,12 @@ class BatchSimulator:
     def trajectories(
         self, rows: NDArray[np.int64], values: EffectValues
     ) -> tuple[FloatArray, FloatArray]:
-        """True positions and velocities at every step, (rows, steps + 1, joints), one batch.
+        """Simulated positions and velocities at every step, without sensor effects.
 
-        A row that is shorter than the longest goes on under its last command.
+        A row that is shorter than the longest one continues under its last command.
+
+        Returns:
+            Positions (rad or m) and velocities (rad/s or m/s), both (rows, steps + 1, joints).
         """
         effects = active_effects(with_fixed(values, self.fixed, len(rows)))
         q, v, _ = self._moved(rows, effects)
@@ -181,7 +192,7 @@ class BatchSimulator:
     def followed(
         self, rows: NDArray[np.int64], values: EffectValues
     ) -> tuple[FloatArray, FloatArray, list[Predicted]]:
-        """As :meth:`trajectories`, and what is read of them."""
+        """As :meth:`trajectories`, with the sensor readings of each row."""
         effects = active_effects(with_fixed(values, self.fixed, len(rows)))
         motion = self._moved(rows, effects)
         self._count(rows)
@@ -191,8 +202,9 @@ class BatchSimulator:
     def efforts_beside(
         self, rows: NDArray[np.int64], values: EffectValues
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Efforts that sensors read of each row, (stamps, joints) each: as they are simulated, one
-        step earlier and one later.
+        """Effort sensor readings of each row at its stamps, one step earlier, and one step later.
+
+        Each is (stamps, joints), N m or N.
         """
         self._count(rows)
         return self._each(rows, with_fixed(values, self.fixed, len(rows)), self._read_beside)
@@ -211,8 +223,14 @@ class BatchSimulator:
     def gear_stretch(
         self, rows: NDArray[np.int64], values: EffectValues, load: FloatArray
     ) -> FloatArray:
-        """(rows, joints) how far (joints,) loads stretch gears that give, with half their play, rad
-        or m; 0 where none gives.
+        """(rows, joints) deflection of elastic transmissions under ``load``, rad or m.
+
+        Half the backlash is included. It is 0 where the transmission is rigid.
+
+        Args:
+            rows: (rows,) index of each row's segment.
+            values: effects.
+            load: (joints,) effort, N m or N.
         """
         effects = active_effects(with_fixed(values, self.fixed, len(rows)))
         geared = hooks_between_steps(effects)["gear"]
@@ -223,11 +241,11 @@ class BatchSimulator:
         return np.where(gear.apart, gear.stretch(load), 0.0)
 
     def written(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> Rows:
-        """Rows with their model fields written, and the state and drives that they start from."""
+        """Rows with their model fields written, their initial state and their drives."""
         return self.models.written(rows, effects, threads_here(self.threads))
 
     def _count(self, rows: NDArray[np.int64]) -> None:
-        """Count what rows of one batch take."""
+        """Add the steps of rows to :attr:`stepped`."""
         self.stepped += int(self.steps[rows].sum())
 
     def commands(
@@ -237,13 +255,16 @@ class BatchSimulator:
         steps: int,
         joints: NDArray[np.int64] | None = None,
     ) -> FloatArray:
-        """Mean over each step of the held command after every delay, (rows, steps, columns).
+        """Mean over each step of the zero-order-held command, after all delays.
 
         Args:
-            rows: segments.
-            effects: values (rows, columns).
-            steps: of the model.
-            joints: (rows, columns) which; all of them, in their order, by default.
+            rows: (rows,) index of each row's segment.
+            effects: effects with (rows, columns) values.
+            steps: number of model steps.
+            joints: (rows, columns) joint of each column; all joints in their order by default.
+
+        Returns:
+            (rows, steps, columns), in the unit of each command.
         """
         joints = self._columns(rows, joints)
         delay = self._late(rows, effects, joints.shape[1])
@@ -255,7 +276,7 @@ class BatchSimulator:
         stamps: FloatArray,
         effects: Sequence[tuple[Effect, Values]],
     ) -> FloatArray:
-        """When readings with (rows, n, joints) stamps were taken, on the clock of their motion."""
+        """(rows, n, joints) true times of readings with the given stamps, s."""
         return taken([self.segments[r] for r in rows], stamps, effects)
 
     def warm_up(
@@ -265,13 +286,13 @@ class BatchSimulator:
         effects: Sequence[tuple[Effect, Values]],
         joints: NDArray[np.int64] | None = None,
     ) -> None:
-        """Let laws that remember live through what came before windows, as far as it is known.
+        """Bring the memory of effects up to date with the recorded motion before the windows.
 
         Args:
-            world: rows at their start.
-            rows: segments.
-            effects: values (rows, columns).
-            joints: (rows, columns) which; all of them, in their order, by default.
+            world: rows at their initial state; its memory is changed.
+            rows: (rows,) index of each row's segment.
+            effects: effects with (rows, columns) values.
+            joints: (rows, columns) joint of each column; all joints in their order by default.
         """
         histories = [self.segments[r].history for r in rows]
         if not any(e.remembers for e, _ in effects) or any(h is None for h in histories):
@@ -292,14 +313,14 @@ class BatchSimulator:
         command = np.moveaxis(self._held.means(rows, late, steps, joints, world.timestep), 1, 0)
         for effect, v in reversed(effects):
             if effect.overrides("unsense"):
-                mine = np.flatnonzero(acts_at(effect, v).any(axis=1))
-                values = {n: np.tile(x[mine], (steps, 1)) for n, x in v.items()}
-                read = motion[:, :, mine].reshape(2, -1, joints.shape[1])
+                affected = np.flatnonzero(acts_at(effect, v).any(axis=1))
+                values = {n: np.tile(x[affected], (steps, 1)) for n, x in v.items()}
+                read = motion[:, :, affected].reshape(2, -1, joints.shape[1])
                 true = np.array(effect.unsense(read[0], read[1], values))
-                motion[:, :, mine] = true.reshape(2, steps, len(mine), -1)
-        far = [(e, v) for e, v in effects if e.remembers_path]
-        if far:
-            update_fading_memories(world, far, self._paths(which)[:, of[:, None], joints])
+                motion[:, :, affected] = true.reshape(2, steps, len(affected), -1)
+        fading = [(e, v) for e, v in effects if e.remembers_path]
+        if fading:
+            update_fading_memories(world, fading, self._paths(which)[:, of[:, None], joints])
         warm_up(world, hooks_between_steps(effects), motion[0], motion[1], command)
 
     def _columns(
@@ -310,7 +331,7 @@ class BatchSimulator:
     def _late(
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], columns: int
     ) -> FloatArray:
-        """How much later than it was sent a command reaches each row, (rows, columns) s."""
+        """(rows, columns) delay between sending a command and its action on the drive, s."""
         late = behind([self.segments[r] for r in rows], effects, columns)
         for effect, v in effects:
             added = effect.command_latency(v)
@@ -318,8 +339,9 @@ class BatchSimulator:
         return late
 
     def _paths(self, rows: NDArray[np.int64]) -> FloatArray:
-        """(steps, rows, joints) that joints went in each step before the lead of windows; nowhere
-        before the trial began.
+        """(steps, rows, joints) displacement in each step before the warm-up, rad or m.
+
+        It is zero before the start of the trial.
         """
         longest = max(self.segments[r].start for r in rows) - LEAD
         steps = max(0, int(np.ceil(longest / PATH_STEP)))
@@ -331,14 +353,14 @@ class BatchSimulator:
         return out
 
     def _moved(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> Motion:
-        """Rows first; NaN where a row diverged."""
+        """Motion of rows, (rows, steps + 1, joints) each; NaN in rows that diverged."""
         steps = int(self.steps[rows].max())
         commands = self.commands(rows, effects, steps)
         hooks = hooks_between_steps(effects)
         with quiet():
             written = self.written(rows, effects)
             if any(hooks.values()) or self.layout.bare.any():
-                self._stand(written, rows, effects, hooks)
+                self._set_initial_state(written, rows, effects, hooks)
                 motion = self._stepped(written, hooks, commands)
             else:
                 motion = self._rolled_out(written, commands)
@@ -349,12 +371,12 @@ class BatchSimulator:
         return q, v, effort
 
     def _motion(self, steps: int, rows: int) -> Motion:
-        """Room for steps first: one step of all rows lies together."""
+        """Empty arrays; steps come first, so that all rows of a step are adjacent in memory."""
         q, v = np.empty((2, steps + 1, rows, len(self.joints)))
         return q, v, np.zeros(q.shape)
 
     def _rolled_out(self, written: Rows, commands: FloatArray) -> Motion:
-        """The engine alone."""
+        """Motion of rows whose effects are all in the model fields: one call of the engine."""
         batch, world, layout = written.batch, written.world, self.layout
         at_qpos, at_dof = _span(layout.qpos_index), _span(layout.dof_index)
         batch.bind("qpos")[:, at_qpos] = world.position
@@ -379,14 +401,14 @@ class BatchSimulator:
             effort[-1] = effort[-2]
         return q, v, effort
 
-    def _stand(
+    def _set_initial_state(
         self,
         written: Rows,
         rows: NDArray[np.int64],
         effects: Sequence[tuple[Effect, Values]],
         hooks: Hooks,
     ) -> None:
-        """Put rows at their start, and what laws between steps remember there."""
+        """Set the initial state of rows, and the memory of effects that act between steps."""
         batch, world = written.batch, written.world
         at_qpos, at_dof = _span(self.layout.qpos_index), _span(self.layout.dof_index)
         batch.bind("qpos")[:, at_qpos] = world.position
@@ -403,7 +425,7 @@ class BatchSimulator:
             shift_motors(world, hooks["gear"], shift)
 
     def _stepped(self, written: Rows, hooks: Hooks, commands: FloatArray) -> Motion:
-        """The engine, with laws between its steps."""
+        """Motion of rows whose effects act between the steps of the engine."""
         batch, world, layout = written.batch, written.world, self.layout
         at_qpos, at_dof = _span(layout.qpos_index), _span(layout.dof_index)
         qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
@@ -419,8 +441,10 @@ class BatchSimulator:
         commanded = np.ascontiguousarray(commands.swapaxes(0, 1))
         pushed = np.empty((rows, len(self.joints)))
         by_hand = bare.any()
-        # What nobody reads or changes between steps is not worked out there.
-        asked = bool(hooks["drive"]) or any(e.reads_delivered_effort for e, _ in hooks["friction"])
+        # The drive's effort is computed between steps only if an effect reads or changes it.
+        needs_drive = bool(hooks["drive"]) or any(
+            e.reads_delivered_effort for e, _ in hooks["friction"]
+        )
         pushes = bool(hooks["force"] or hooks["drive"] or hooks["gear"] or by_hand)
         apart = written.apart.any()
 
@@ -438,7 +462,7 @@ class BatchSimulator:
                 world.friction_level = level
                 world.load = bias[:, at_dof]
             bounds = world.lower, world.upper
-            native = run_hooks(world, hooks, drives=asked)
+            native = run_hooks(world, hooks, drives=needs_drive)
             if hooks["servo"]:
                 if written.force_range is not None:
                     self.models.write_bounds(written.force_range, world)
@@ -449,7 +473,8 @@ class BatchSimulator:
                     np.where(written.apart, 0.0, level_now) if apart else level_now
                 )
             if hooks["drive"] or hooks["gear"]:
-                # A rigid joint's engine gives what the law asks for; a motor apart has no engine.
+                # On a rigid joint the engine applies the control law itself. The motor of an
+                # elastic transmission is not part of the engine's model.
                 added = world.delivered - native
                 world.applied += np.where(written.apart, 0.0, added)
                 effort[k] = np.where(written.apart, world.delivered, added)
@@ -474,7 +499,7 @@ def _reads_load(hooks: Hooks) -> bool:
 
 
 def _span(index: NDArray[np.int64]) -> slice | NDArray[np.int64]:
-    """The same elements as a slice, where they lie side by side: views cost nothing."""
+    """The index as a slice if its elements are adjacent, because a slice needs no copy."""
     if len(index) and (np.diff(index) == 1).all():
         return slice(int(index[0]), int(index[-1]) + 1)
     return index

@@ -1,10 +1,9 @@
-"""Which effects, at which joints, alone and together, could explain a residual: to first order.
+"""Beam search for the sets of effects that explain a residual, to first order.
 
-Forces add, and so do their first-order responses: a structure of several effects is a least-squares
-problem of its own, in which the parameters of effects that are already named may give way too. All
-of them are solved from inner products that are taken once (normal equations), so that many
-structures can be looked at: the best few of every size are grown, then every term is compared with
-one or two others in its place.
+Forces add, and so do first-order sensitivities. A set of effects is therefore a linear
+least-squares problem, in which the parameters of present effects are estimated too. All problems
+share inner products that are computed once (normal equations), so that many sets can be compared.
+The best sets of each size get one more term. Then each term is exchanged for one or two others.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ _SWAPS = 4
 
 
 def candidates(problem: Problem) -> list[Term]:
-    """Every effect that competes, where it can act."""
+    """Every candidate effect at every joint where it can act."""
     servo = problem.simulator.layout.servo
     found = []
     for effect in catalogue().values():
@@ -54,13 +53,13 @@ def candidates(problem: Problem) -> list[Term]:
 
 @dataclass(slots=True)
 class ResidualView:
-    """A residual and what may give way to explain it, averaged over bins.
+    """Residual and Jacobian of the present hypothesis, averaged over bins.
 
     Attributes:
-        residual: (bins, signals) of the best hypothesis.
-        jacobian: (bins, signals, parameters) of its prediction.
-        floor: (signals,) deviation of what no model can explain.
-        lengths: bins of each segment.
+        residual: (bins, signals) residual of the hypothesis.
+        jacobian: (bins, signals, parameters) Jacobian of its prediction.
+        floor: (signals,) noise floor, in the unit of each signal.
+        lengths: number of bins of each segment.
     """
 
     residual: FloatArray
@@ -70,16 +69,16 @@ class ResidualView:
 
     @property
     def mean_square(self) -> FloatArray:
-        """(signals,) of the residual."""
+        """(signals,) mean square of the residual."""
         mean_square: FloatArray = np.mean(self.residual**2, axis=0)
         return mean_square
 
     def above(self, mean_square: FloatArray, floors: float) -> NDArray[np.bool_]:
-        """(signals,) whether a mean square is more than so many floors."""
+        """(signals,) whether the square root of a mean square exceeds ``floors`` noise floors."""
         return np.asarray(mean_square > (floors * self.floor) ** 2)
 
     def effective_of_best(self, residuals: Sequence[FloatArray]) -> FloatArray:
-        """(signals,) independent samples of the (bins, signals) residual that fits best."""
+        """(signals,) effective samples of the smallest of several (bins, signals) residuals."""
 
         def misfit(residual: FloatArray) -> float:
             mean_square = np.nan_to_num(np.mean(residual**2, axis=0), nan=np.inf)
@@ -88,7 +87,7 @@ class ResidualView:
         return effective_samples(np.nan_to_num(min(residuals, key=misfit)), self.lengths)
 
     def worth(self, residual: FloatArray, effective: FloatArray, parameters: int) -> float:
-        """Log-likelihood of a (bins, signals) residual less the price of its parameters."""
+        """Log-likelihood of a (bins, signals) residual minus the penalty of its parameters."""
         return (
             log_likelihood(residual, self.floor, effective)
             - parameter_penalty(effective) * parameters
@@ -97,13 +96,13 @@ class ResidualView:
 
 @dataclass(slots=True)
 class Structure:
-    """Terms that together explain a residual to first order.
+    """A set of terms that explains a residual to first order.
 
     Attributes:
-        starts: term -> parameters, in multiples of their scales, in the order of naming.
-        residual: (bins, signals) what they leave.
-        evidence: over the structure that it was compared with.
-        chosen: responses of its terms, by their number.
+        starts: term -> parameters in multiples of their scales, in the order of addition.
+        residual: (bins, signals) residual with these terms.
+        evidence: penalized log-likelihood ratio to the structure that it was compared with.
+        chosen: indices of the sensitivities of its terms.
     """
 
     starts: dict[Term, FloatArray]
@@ -113,30 +112,35 @@ class Structure:
 
     @property
     def parameters(self) -> int:
-        """How many numbers a fit of it moves."""
+        """Number of parameters that a fit estimates."""
         return sum(int(t.movable(start).sum()) for t, start in self.starts.items())
 
 
 def parameter_penalty(effective: FloatArray) -> float:
-    """Log-likelihood that one more parameter has to earn (Schwarz 1978)."""
+    """Penalty of the log-likelihood for each parameter (BIC: Schwarz 1978).
+
+    Args:
+        effective: (signals,) effective samples.
+    """
     return float(0.5 * np.log(max(float(effective.mean()), 2.0)))
 
 
 def effect_penalty(candidates: int) -> float:
-    """Log-likelihood that one more name has to earn, for it is one of many (extended BIC: Chen,
-    Chen, Biometrika 95, 2008).
+    """Penalty of the log-likelihood for each effect, chosen from a number of ``candidates``.
+
+    Source: extended BIC (Chen, Chen, Biometrika 95, 2008).
     """
     return float(np.log(max(candidates, 1)))
 
 
 @dataclass(slots=True)
 class _Group:
-    """Responses with the same number of switches, for batched algebra.
+    """Sensitivities with the same number of switches, for batched algebra.
 
     Attributes:
-        which: their numbers.
-        columns: (responses, switches) their columns.
-        own: (signals, responses, switches, switches) inner products with themselves.
+        which: indices of the sensitivities.
+        columns: (sensitivities, switches) indices of their columns.
+        own: (signals, sensitivities, switches, switches) inner products among their columns.
     """
 
     which: list[int]
@@ -145,12 +149,12 @@ class _Group:
 
 
 class CandidateSensitivities:
-    """Responses of all candidates as columns, and their inner products.
+    """Sensitivities of all candidates as columns of a matrix, with their inner products.
 
     Attributes:
-        at: the columns of each response.
-        free: how many numbers a fit of each moves.
-        lower, upper: (columns,) bounds of their amplitudes.
+        at: slice of the columns of each sensitivity.
+        free: number of parameters that a fit of each estimates.
+        lower, upper: (columns,) bounds of the amplitudes.
     """
 
     def __init__(self, responses: Sequence[Sensitivity]) -> None:
@@ -179,28 +183,29 @@ class CandidateSensitivities:
         return _Group(which, columns, np.matmul(block, block.swapaxes(-1, -2)))
 
     def columns_of(self, chosen: Sequence[int]) -> list[int]:
-        """Columns of several responses, in their order."""
+        """Indices of the columns of several sensitivities, in their order."""
         return [c for i in chosen for c in range(self.at[i].start, self.at[i].stop)]
 
     def with_columns(self, other: FloatArray) -> FloatArray:
-        """(signals, columns, k) inner products with (bins, signals, k) other columns."""
+        """(signals, columns, k) inner products with other columns, (bins, signals, k)."""
         moved = np.ascontiguousarray(np.moveaxis(other, 0, 1), dtype=np.float32)
         return np.asarray(np.matmul(self.columns, moved), dtype=np.float64)
 
     def products(self, response: int) -> FloatArray:
-        """(signals, columns, switches) inner products with a response's own columns."""
+        """(signals, columns, switches) inner products of all columns with those of one response."""
         self.take_products([response])
         return self._products[response]
 
     def take_products(self, responses: Iterable[int]) -> None:
-        """Take inner products with the columns of several responses, at a fifth of what they cost
-        one by one.
+        """Compute and keep inner products with the columns of several responses.
+
+        Together they take one fifth of the time that they take one by one.
         """
         new = [i for i in dict.fromkeys(responses) if i not in self._products]
         if not new:
             return
-        mine = self.columns[:, self.columns_of(new)].swapaxes(-1, -2)
-        found = np.matmul(self.columns, mine).astype(np.float64)
+        of_new = self.columns[:, self.columns_of(new)].swapaxes(-1, -2)
+        found = np.matmul(self.columns, of_new).astype(np.float64)
         at = 0
         for i in new:
             count = len(self.responses[i].switches)
@@ -209,7 +214,12 @@ class CandidateSensitivities:
 
 
 class NormalEquations:
-    """One view through all responses: structures by their normal equations."""
+    """Normal equations of one residual with all candidates, from which structures are solved.
+
+    Args:
+        view: residual and Jacobian of the present hypothesis.
+        answers: sensitivities of the candidates.
+    """
 
     def __init__(self, view: ResidualView, answers: CandidateSensitivities) -> None:
         self.view = view
@@ -224,11 +234,14 @@ class NormalEquations:
 
     @property
     def bare(self) -> Structure:
-        """Nothing new: only what is named gives way."""
+        """The structure without new terms: only the present parameters are refitted."""
         return self.structure(())
 
     def _normal(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Of own parameters and chosen responses: (signals, p, p) and (signals, p)."""
+        """Normal matrix (signals, p, p) and right-hand side (signals, p) of a structure.
+
+        The p unknowns are the present parameters, then the amplitudes of the chosen responses.
+        """
         answers = self.answers
         columns = answers.columns_of(chosen)
         p = self.own.shape[1]
@@ -247,7 +260,7 @@ class NormalEquations:
         return normal, right
 
     def structure(self, chosen: tuple[int, ...]) -> Structure:
-        """A structure with all its amplitudes fitted together, inside their bounds."""
+        """The structure with the ``chosen`` responses; all amplitudes are fitted within bounds."""
         normal, right = self._normal(chosen)
         p = self.own.shape[1]
         answers = self.answers
@@ -271,11 +284,13 @@ class NormalEquations:
     def _solved(
         self, normal: FloatArray, right: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Amplitudes (k, p) and mean squares (k, signals) of k problems.
+        """Amplitudes (k, p) and mean squared residuals (k, signals) of k problems.
 
         Args:
-            normal: (signals, k, p, p); right: (signals, k, p).
-            lower, upper: (k, p) bounds; amplitudes beyond stop there and the others give way.
+            normal: (signals, k, p, p) normal matrices.
+            right: (signals, k, p) right-hand sides.
+            lower, upper: (k, p) bounds. Amplitudes beyond a bound are set to it, and the others are
+                solved again.
         """
         count, p = right.shape[1:]
         mean_square = np.repeat((self.squared / self.bins)[None], count, axis=0)
@@ -284,7 +299,7 @@ class NormalEquations:
             return x, mean_square
         eye = np.eye(p)
         for _ in range(3):
-            # Again with the weights of the residual: large explained errors must not dominate.
+            # Solve again with weights from the residual, so that explained errors do not dominate.
             weight = 1.0 / (mean_square + self.view.floor**2)
             a = np.einsum("ks,skpq->kpq", weight, normal)
             b = np.einsum("ks,skp->kp", weight, right)
@@ -294,7 +309,7 @@ class NormalEquations:
             held = np.clip(x, lower, upper)
             fixed = held != x
             if fixed.any():
-                # Those at a bound leave the equations; the rest is solved anew.
+                # Amplitudes at a bound are fixed, and the others are solved again.
                 keep = ~fixed
                 kept = scaled * (keep[:, :, None] & keep[:, None, :]) + eye * fixed[:, :, None]
                 rest = b / size - np.einsum("kpq,kq->kp", scaled, np.where(fixed, held * size, 0.0))
@@ -308,17 +323,21 @@ class NormalEquations:
     def children(
         self, parent: Structure, count: int, barred: Collection[Term] = ()
     ) -> list[tuple[int, ...]]:
-        """The parent with one more term: the most promising, one entry per term, none that is
-        ``barred``.
+        """The ``count`` best structures with one more term, at most one for each term.
 
-        They are ranked by the effective samples of what the best of them leaves: as long as a pulse
-        stands it seems to be one sample, whatever it hides.
+        All are ranked with the effective samples of the best child's residual. The parent's would
+        be too few, because an unexplained disturbance correlates all samples.
+
+        Args:
+            parent: the structure that gets one more term.
+            count: largest number of structures.
+            barred: terms that are not added.
         """
         answers, floor = self.answers, self.view.floor
         base, base_right = self._normal(parent.chosen)
         p = base.shape[1]
-        beside = [self.with_own, *(answers.products(i) for i in parent.chosen)]
-        with_base = np.concatenate(beside, axis=2)
+        cross_products = [self.with_own, *(answers.products(i) for i in parent.chosen)]
+        with_base = np.concatenate(cross_products, axis=2)
         misfit = np.full((len(answers.responses), len(self.squared)), np.inf)
         for group in answers.groups:
             m = group.columns.shape[1]
@@ -337,17 +356,17 @@ class NormalEquations:
             upper = np.concatenate([np.full((k, p), np.inf), answers.upper[group.columns]], axis=1)
             _, mean_square = self._solved(normal, right, lower, upper)
             misfit[group.which] = np.log(np.maximum(mean_square, floor**2))
-        named = {*parent.starts, *barred}
-        new = [r.term not in named for r in answers.responses]
-        sound = np.flatnonzero(new & np.isfinite(misfit).all(axis=1))
-        if not len(sound):
+        excluded = {*parent.starts, *barred}
+        new = [r.term not in excluded for r in answers.responses]
+        possible = np.flatnonzero(new & np.isfinite(misfit).all(axis=1))
+        if not len(possible):
             return []
-        closest = int(sound[np.argmin(misfit[sound].sum(axis=1))])
-        left = self.structure((*parent.chosen, closest)).residual
-        effective = self.view.effective_of_best([parent.residual, left])
+        closest = int(possible[np.argmin(misfit[possible].sum(axis=1))])
+        residual = self.structure((*parent.chosen, closest)).residual
+        effective = self.view.effective_of_best([parent.residual, residual])
         cost = parameter_penalty(effective)
         best: dict[Term, tuple[float, int]] = {}
-        for i in map(int, sound):
+        for i in map(int, possible):
             term = answers.responses[i].term
             gain = -0.5 * float(misfit[i] @ effective) - cost * answers.free[i]
             if term not in best or gain > best[term][0]:
@@ -356,12 +375,15 @@ class NormalEquations:
         return [(*parent.chosen, i) for _, i in ranked]
 
     def compared(self, parent: Structure, children: list[Structure]) -> list[Structure]:
-        """Children by their evidence over a parent, under the best child's effective samples."""
+        """Children, the largest evidence over ``parent`` first; sets their ``evidence``.
+
+        The evidence uses the effective samples of the best child.
+        """
         effective = self.view.effective_of_best([c.residual for c in children])
 
         def worth(s: Structure) -> float:
-            names = self.answers.name_price * len(s.starts)
-            return self.view.worth(s.residual, effective, s.parameters) - names
+            penalty = self.answers.name_price * len(s.starts)
+            return self.view.worth(s.residual, effective, s.parameters) - penalty
 
         base = worth(parent)
         for c in children:
@@ -371,14 +393,14 @@ class NormalEquations:
 
 @dataclass(slots=True)
 class BeamSearch:
-    """How far structures are searched.
+    """Beam search over structures.
 
     Attributes:
-        width: structures kept at each size.
-        most: terms at most.
-        earns: evidence that a larger structure, or another in its place, must gain.
-        worth: whether (signals,) mean squares after are worth one more name than before.
-        cores: that take part.
+        width: number of structures that are kept at each size.
+        most: largest number of terms.
+        earns: evidence that a larger or an exchanged structure must gain.
+        worth: (mean squares before, after), both (signals,) -> whether one more effect is accepted.
+        cores: number of processes.
     """
 
     width: int
@@ -388,17 +410,18 @@ class BeamSearch:
     cores: int = 1
     _seen: dict[frozenset[int], Structure] = field(default_factory=dict)
 
-    def levels(self, lens: NormalEquations) -> list[list[Structure]]:
-        """Structures of one, two, ... terms that explain a residual, best first at each size."""
-        level = [lens.bare]
+    def levels(self, equations: NormalEquations) -> list[list[Structure]]:
+        """Structures with one, two, ... terms that explain a residual, the best of a size first."""
+        level = [equations.bare]
         found: list[list[Structure]] = []
         for _ in range(self.most):
-            grown = self._grown(lens, level, 2 * self.width)
+            grown = self._grown(equations, level, 2 * self.width)
             if not grown:
                 break
-            children = lens.compared(level[0], grown)
+            children = equations.compared(level[0], grown)
             before = np.mean(level[0].residual ** 2, axis=0)
-            # One that is worth it carries the others along: a pair may win whose halves do not.
+            # One accepted structure is enough to continue with all: a pair can be accepted although
+            # neither of its effects is.
             passing = [
                 c for c in children
                 if c.evidence >= self.earns
@@ -411,39 +434,44 @@ class BeamSearch:
         if not found:
             return []
         for size in found:
-            self._swap(lens, size[0])
+            self._swap(equations, size[0])
         sizes: dict[int, list[Structure]] = {}
         for structure in self._seen.values():
             sizes.setdefault(len(structure.chosen), []).append(structure)
-        return [lens.compared(lens.bare, sizes[n])[: self.width] for n in sorted(sizes)]
+        return [equations.compared(equations.bare, sizes[n])[: self.width] for n in sorted(sizes)]
 
     def _grown(
-        self, lens: NormalEquations, level: Sequence[Structure], count: int
+        self, equations: NormalEquations, level: Sequence[Structure], count: int
     ) -> list[Structure]:
+        """Structures of ``level`` with one more term; ``count`` for each of them.
+
+        Raises:
+            OutOfTime: the time of the search is over.
+        """
         check()
         parents = [s for s in level if len(s.chosen) < self.most]
-        lens.answers.take_products(i for s in parents for i in s.chosen)
-        children = Forks(self.cores).map(partial(lens.children, count=count), parents)
+        equations.answers.take_products(i for s in parents for i in s.chosen)
+        children = Forks(self.cores).map(partial(equations.children, count=count), parents)
         wanted = {frozenset(c): c for each in children for c in each}
         new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
-        lens.answers.take_products(i for chosen in new.values() for i in chosen)
-        self._seen |= {key: lens.structure(chosen) for key, chosen in new.items()}
+        equations.answers.take_products(i for chosen in new.values() for i in chosen)
+        self._seen |= {key: equations.structure(chosen) for key, chosen in new.items()}
         return [self._seen[key] for key in wanted]
 
-    def _swap(self, lens: NormalEquations, best: Structure) -> None:
-        """Look at the structure with terms exchanged for one or two others, while that pays."""
+    def _swap(self, equations: NormalEquations, best: Structure) -> None:
+        """Exchange terms of a structure for one or two others, as long as the evidence improves."""
         for _ in range(_SWAPS):
             pool: list[Structure] = []
             for i in best.chosen:
-                rest = lens.structure(tuple(c for c in best.chosen if c != i))
-                ones = self._grown(lens, [rest], self.width)
+                without = equations.structure(tuple(c for c in best.chosen if c != i))
+                ones = self._grown(equations, [without], self.width)
                 pool += ones
                 if len(best.chosen) < self.most:
-                    pool += self._grown(lens, ones, 3)
+                    pool += self._grown(equations, ones, 3)
             pool = [s for s in pool if set(s.chosen) != set(best.chosen)]
             if not pool:
                 break
-            top = lens.compared(best, pool)[0]
+            top = equations.compared(best, pool)[0]
             if top.evidence < self.earns:
                 break
             best = top

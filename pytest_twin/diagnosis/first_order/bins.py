@@ -1,4 +1,4 @@
-"""Short stretches of segments over which residuals and sensitivities are averaged."""
+"""Bins: short intervals of segments over which residuals and sensitivities are averaged."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.problem import Problem
 
 _BIN, _COARSEST = 0.02, 0.05
-"""s that residuals are averaged over."""
+"""Smallest and largest width of a bin, s."""
+# Number of values (bins times signals) above which bins are made wider.
 _MOST_BINNED = 12_000
 
 
 @dataclass(frozen=True, slots=True)
 class Bins:
-    """Samples of segments averaged over short stretches.
+    """Division of the stacked samples of segments into bins.
 
     Attributes:
-        edges: first sample of every bin, over all segments stacked.
-        counts: samples in each.
-        lengths: bins of each segment.
+        edges: index of the first sample of every bin.
+        counts: number of samples in each bin.
+        lengths: number of bins of each segment.
     """
 
     edges: NDArray[np.int64]
@@ -30,14 +31,14 @@ class Bins:
     lengths: tuple[int, ...]
 
     def mean(self, stacked: FloatArray) -> FloatArray:
-        """(bins, ...) means of (samples, ...)."""
+        """Means over each bin, (bins, ...), of (samples, ...) values."""
         total = np.add.reduceat(stacked, self.edges, axis=0)
         out: FloatArray = total / self.counts.reshape(-1, *([1] * (stacked.ndim - 1)))
         return out
 
 
 def bins(problem: Problem, segments: NDArray[np.int64]) -> Bins:
-    """Bins of ``_BIN`` s, longer where there are many signals; at least a sample each."""
+    """Bins of ``_BIN`` s, wider if there are many signals; each has at least one sample."""
     edges, counts, lengths, at = [], [], [], 0
     times = [problem.simulator.segments[s].time for s in segments]
     seconds = sum(float(t[-1] - t[0]) for t in times) * len(problem.signal_floor)

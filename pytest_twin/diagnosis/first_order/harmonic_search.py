@@ -1,11 +1,11 @@
-"""Laws that repeat over a joint's way, at the wavenumber that the recordings ask for.
+"""Search for the wavenumber of laws that are periodic in the joint position.
 
-Slots, magnets and teeth come in tens to hundreds a turn. Over a way of L a wave answers only within
-pi/L of its wavenumber: no grid of starting sizes is fine enough for all ways. The residual of the
-joint with the largest one is compared with waves all along the range (a periodogram over position
-instead of time, through the equation of small deviations), and the best of each law competes.
-Deviations are small for a wave that is longer than they are: where a motion is far from followed,
-fine ones say nothing.
+Motors and gears have tens to hundreds of slots, magnets and teeth in a turn. Over a travel L a wave
+is visible only within pi/L of its wavenumber, so no fixed grid of starting sizes is fine enough.
+The residual of the worst joint is compared with waves over the whole range of wavenumbers. This is
+a periodogram over position instead of time, through the linearized dynamics. The best wave of each
+law becomes a candidate. Waves shorter than the prediction error are left out, because the
+linearization is not valid for them.
 """
 
 from __future__ import annotations
@@ -26,73 +26,75 @@ from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.base import Parameter
 
 _AT_ONCE = 32
-"""Waves of one batch."""
+"""Number of waves in a batch."""
 _SHORTEST = 0.05
-"""rad or m of way that tells waves apart."""
+"""Smallest travel in rad or m that determines the spacing of wavenumbers."""
 
 
 def search_harmonics(
     linear: Linear, view: ResidualView, terms: Sequence[Term]
 ) -> list[Sensitivity]:
-    """Responses of waves between and beyond those of the grid, the best of each candidate.
+    """Sensitivities to waves between and beyond those of the grid, the best of each candidate.
 
     Args:
-        linear: around the fit at hand.
+        linear: linearization around the present hypothesis.
         view: its residual.
-        terms: candidates; those whose law has a wavenumber are looked at, at one joint.
+        terms: candidates; only laws with a wavenumber at the worst joint are searched.
     """
     joints = len(linear.problem.joints)
-    left = np.sqrt(view.mean_square)[:joints] / view.floor[:joints]
-    worst = int(left.argmax())
-    if left[worst] < VERDICT.stands_out:
+    residual = np.sqrt(view.mean_square)[:joints] / view.floor[:joints]
+    worst = int(residual.argmax())
+    if residual[worst] < VERDICT.stands_out:
         return []
-    apart = np.pi / max(_way(linear, worst), _SHORTEST)
+    spacing = np.pi / max(_travel(linear, worst), _SHORTEST)
     out = []
     for term in terms:
         wave = _wavenumber(term)
         if term.joint != worst or wave is None:
             continue
-        finest = min(term.parameters[wave].upper, 1.0 / _off(linear, worst))
-        best = _best_of(linear, view, term, wave, _between(term.parameters[wave], apart, finest))
+        largest = min(term.parameters[wave].upper, 1.0 / _prediction_error(linear, worst))
+        wavenumbers = _between(term.parameters[wave], spacing, largest)
+        best = _best_of(linear, view, term, wave, wavenumbers)
         out += [] if best is None else [best]
     return out
 
 
 def _wavenumber(term: Term) -> int | None:
-    """Number of the parameter that is one, None without any."""
+    """Index of the parameter that is a wavenumber; None without one."""
     which = (k for k, p in enumerate(term.parameters) if p.quantity == "wavenumber")
     return next(which, None)
 
 
-def _way(linear: Linear, joint: int) -> float:
-    """rad or m between the ends of where a joint was."""
+def _travel(linear: Linear, joint: int) -> float:
+    """Range of the positions of a joint, rad or m."""
     q = linear.along.position[..., joint]
     return float(q.max() - q.min())
 
 
-def _off(linear: Linear, joint: int) -> float:
-    """rad or m, rms, by which the prediction of a joint is off; a little at least."""
+def _prediction_error(linear: Linear, joint: int) -> float:
+    """RMS prediction error of a joint, rad or m; at least 1e-9."""
     along = linear.along
-    off = along.position[..., joint] - along.predicted_position[..., joint]
-    return max(float(np.sqrt(np.mean(off**2))), 1e-9)
+    error = along.position[..., joint] - along.predicted_position[..., joint]
+    return max(float(np.sqrt(np.mean(error**2))), 1e-9)
 
 
-def _between(parameter: Parameter, apart: float, finest: float) -> FloatArray:
-    """Wavenumbers ``apart`` from each other, as far as the ``finest``, between the starting sizes;
-    all whole ones where no fit moves it.
+def _between(parameter: Parameter, spacing: float, largest: float) -> FloatArray:
+    """Wavenumbers up to ``largest`` that are not close to a starting size.
+
+    Their distance is ``spacing``, or 1 if the wavenumber takes integer values only.
     """
     if parameter.choice:
-        apart = 1.0
-    found = np.arange(min(parameter.starts), finest, apart)
-    off = np.abs(found[:, None] - np.array(parameter.starts)).min(axis=1)
-    kept: FloatArray = found[off >= 0.5 * apart]
+        spacing = 1.0
+    found = np.arange(min(parameter.starts), largest, spacing)
+    distance = np.abs(found[:, None] - np.array(parameter.starts)).min(axis=1)
+    kept: FloatArray = found[distance >= 0.5 * spacing]
     return kept
 
 
 def _best_of(
     linear: Linear, view: ResidualView, term: Term, wave: int, wavenumbers: FloatArray
 ) -> Sensitivity | None:
-    """Of a term at some wavenumbers, the one that takes most away by itself."""
+    """The sensitivity of a term at the wavenumber that alone reduces the residual most."""
     size = np.array([p.starts[0] for p in term.parameters])
     sizes: list[tuple[FloatArray, tuple[int, ...]]] = []
     for k in wavenumbers:
@@ -106,6 +108,6 @@ def _best_of(
             # None of these waves changes the prediction.
             continue
         answers = CandidateSensitivities(found)
-        lens = NormalEquations(view, answers)
-        best = [answers.responses[i] for (i,) in lens.children(lens.bare, 1)]
+        equations = NormalEquations(view, answers)
+        best = [answers.responses[i] for (i,) in equations.children(equations.bare, 1)]
     return best[0] if best else None

@@ -1,9 +1,9 @@
-"""The generalized force that laws give along a motion, without simulating it.
+"""Generalized forces of laws along a given motion, without simulation.
 
 The hooks of :class:`~pytest_twin.effects.base.Effect` are called on samples of the motion as rows:
-all samples at once where no law remembers, else step by step. Joints whose laws are those at hand
-already are left out. Dry friction follows the sign of the velocity; where the joint stands it is
-what the motion asks for, up to its level.
+on all samples at once if no law has a memory, otherwise step by step. Joints with unchanged laws
+are left out. Dry friction has the sign of the velocity. At rest it is the force that the motion
+requires, up to the friction level.
 """
 
 from __future__ import annotations
@@ -25,32 +25,36 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.memory_warmup import run_hooks
 
 _TIP = 1e-4
-"""rad or m, that a position is moved to see how a force changes with it."""
-# Numbers of one array: where all samples are taken at once, few enough to stay in a core's cache;
-# step by step, where every step has its price, as many as memory allows.
+"""Step of position in rad or m for the finite differences of forces."""
+# Largest number of elements of one array. If all samples are evaluated at once, an array must fit
+# into a core's cache. Step by step each call has a fixed cost, so only memory limits it.
 _IN_CACHE, _MOST_NUMBERS = 100_000, 2_000_000
 _BLOCK = 64
-"""Steps that are prepared and closed together: few enough to stay in a core's cache."""
+"""Number of steps that are evaluated together, so that they fit into a core's cache."""
 _PER_ROW = (
     "gain", "stiffness", "damping", "offset", "lower", "upper", "friction_level",
     "motor_armature", "motor_damping", "link_inertia", "coldness", "least_setpoint",
     "greatest_setpoint",
 )  # fmt: skip
 _AT_ONCE, _SAMPLES, _STEPS = 0, 1, 2
-"""Pace of a joint's laws: all samples at once, sample by sample, at the model's own step."""
+"""Evaluation of a joint's laws: all samples at once, sample by sample, or at the model's step."""
 
 
 @dataclass(frozen=True, slots=True)
 class Forces:
-    """What acts along a motion, (variants, segments, samples, joints) N*m or N; of lanes, (lanes,
-    samples, columns), or one sample for all where nothing changes in time.
+    """Generalized forces along a motion, (variants, segments, samples, joints), N*m or N.
+
+    Within this module they are (lanes, samples, columns), with one sample if they are constant.
 
     Attributes:
-        total: all that is not rigid-body: drive, friction, springs, pushes.
-        drive: of it, what the drive delivers.
-        dry: of it, dry friction; ``level`` its greatest value.
-        stiffness, damping: of the drive's law.
-        passive_stiffness, passive_damping: of the joint, beside the drive.
+        total: sum of all forces except those of rigid-body dynamics: drive, friction, springs,
+            external forces.
+        drive: effort of the drive, a part of ``total``.
+        dry: dry friction, a part of ``total``.
+        level: largest possible dry friction.
+        stiffness, damping: coefficients of the drive's control law, N*m/rad and N*m*s/rad, or N/m
+            and N*s/m.
+        passive_stiffness, passive_damping: coefficients of springs and viscous friction.
     """
 
     total: FloatArray
@@ -65,14 +69,14 @@ class Forces:
 
 @dataclass(frozen=True, slots=True)
 class _Lanes:
-    """Joints of segments under variants of their laws, side by side.
+    """Lanes: joints of segments under variants of their laws, evaluated in parallel.
 
-    A lane is one joint, or all joints of the robot where a law reads what another joint's does.
+    A lane is one joint, or all joints of the robot if a law reads the drive of another joint.
 
     Attributes:
-        copy: (lanes,) variant.
+        copy: (lanes,) index of the variant.
         segment: (lanes,) index among the motion's segments.
-        joint: (lanes, columns).
+        joint: (lanes, columns) index of the joint.
     """
 
     copy: NDArray[np.int64]
@@ -81,7 +85,7 @@ class _Lanes:
 
     @classmethod
     def of(cls, pairs: NDArray[np.int64], joint: NDArray[np.int64], segments: int) -> _Lanes:
-        """Every segment under (n,) variants at (n, columns) joints."""
+        """Lanes of every segment, for (n,) variants and their (n, columns) joints."""
         return cls(
             np.repeat(pairs, segments),
             np.tile(np.arange(segments), len(pairs)),
@@ -89,19 +93,19 @@ class _Lanes:
         )
 
     def of_copy(self, x: FloatArray) -> FloatArray:
-        """(lanes, columns) of (copies, joints)."""
+        """Select (lanes, columns) from (copies, joints)."""
         return x[self.copy[:, None], self.joint]
 
     def of_segment(self, x: FloatArray) -> FloatArray:
-        """(lanes, columns) of (segments, joints)."""
+        """Select (lanes, columns) from (segments, joints)."""
         return x[self.segment[:, None], self.joint]
 
     def in_time(self, x: FloatArray) -> FloatArray:
-        """(lanes, n, columns) of (segments, n, joints)."""
+        """Select (lanes, n, columns) from (segments, n, joints)."""
         return np.moveaxis(x[self.segment[:, None], :, self.joint], 2, 1)
 
     def parts(self, samples: int, pace: int) -> Iterator[_Lanes]:
-        """Lanes in parts of what is worked out together."""
+        """Lanes divided into the parts that are evaluated together."""
         most = _IN_CACHE if pace == _AT_ONCE else _MOST_NUMBERS
         per = max(1, most // (samples * self.joint.shape[1]))
         for first in range(0, len(self.copy), per):
@@ -111,7 +115,7 @@ class _Lanes:
 
 @dataclass(slots=True)
 class _Joint:
-    """What lanes have beside the drive, (lanes, columns)."""
+    """Passive properties of the joints of lanes, (lanes, columns), SI units."""
 
     damping: FloatArray
     armature: FloatArray
@@ -124,7 +128,7 @@ class _Joint:
 
 
 class _Efforts(NamedTuple):
-    """Of the drive, of springs and constants, and the level of dry friction, N*m or N."""
+    """Efforts of the drive, of springs and constants, and the dry friction level, N*m or N."""
 
     drive: FloatArray
     applied: FloatArray
@@ -132,7 +136,13 @@ class _Efforts(NamedTuple):
 
 
 class LawForces:
-    """Evaluates laws along one motion."""
+    """Evaluates the forces of laws along one motion.
+
+    Args:
+        simulator: the segments.
+        along: the motion.
+        rigid: its rigid-body terms.
+    """
 
     def __init__(self, simulator: BatchSimulator, along: MeasuredTrajectory, rigid: Rigid) -> None:
         self.simulator = simulator
@@ -142,14 +152,14 @@ class LawForces:
         self.required = upsampled(rigid.effort, rigid.at, samples)
         self._held: dict[int, FloatArray] = {}
         self._at_start = simulator.models.world(along.segments)
-        self._standing, self._direction = _slipping(along.velocity, along.slip_velocity)
+        self._rest_weight, self._direction = _slipping(along.velocity, along.slip_velocity)
 
     def forces(self, effects: ActiveEffects, copies: int) -> Forces:
-        """Forces of ``copies`` variants.
+        """Forces of ``copies`` variants of the laws.
 
         Args:
             effects: values (copies, joints), neutral where a variant lacks the effect.
-            copies: how many variants.
+            copies: number of variants.
         """
         segments, samples, joints = self.along.position.shape
         out = Forces(*(np.zeros((copies, segments, samples, joints)) for _ in fields(Forces)))
@@ -163,22 +173,22 @@ class LawForces:
     def changes(
         self, effects: ActiveEffects, copies: int, own: ActiveEffects, base: Forces
     ) -> tuple[FloatArray, FloatArray]:
-        """What variants add to the total force and to the drive.
+        """Changes of the total force and of the drive's effort by variants of the laws.
 
         Args:
             effects: values (copies, joints), neutral where a variant lacks the effect.
-            copies: how many variants.
-            own: of the laws at hand, values (1, joints).
-            base: their forces.
+            copies: number of variants.
+            own: laws of the present hypothesis, values (1, joints).
+            base: forces of the present hypothesis.
 
         Returns:
-            Twice (copies, segments, samples, joints) N*m or N.
+            Total force and drive effort, (copies, segments, samples, joints) each, N*m or N.
         """
         segments, samples, joints = self.along.position.shape
         shape = (copies, joints)
         total, drive = np.zeros((2, copies, segments, samples, joints))
-        # A law that remembers must not change how the others are sampled: a joint that lost it is
-        # stepped as it was.
+        # Base and variant must be sampled in the same way, also if the variant lacks a law with
+        # memory.
         pace = np.maximum(_pace(effects, shape), _pace(own, (1, joints)))
         for lanes, found in self._found(effects, pace, _unlike(effects, own, shape)):
             here = (lanes.segment[:, None], slice(None), lanes.joint)
@@ -190,7 +200,7 @@ class LawForces:
     def _found(
         self, effects: ActiveEffects, pace: NDArray[np.int64], which: NDArray[np.bool_]
     ) -> Iterator[tuple[_Lanes, Forces]]:
-        """Forces of (copies, joints) joints ``which``, those of one pace together."""
+        """Forces of the (copies, joints) joints ``which``; joints of one pace share a part."""
         segments, samples, joints = self.along.position.shape
         coupled = np.zeros(len(which), dtype=bool)
         for effect, v in effects:
@@ -220,7 +230,8 @@ class LawForces:
         if pace == _AT_ONCE:
             out = self._at_once(each, world, joint, lanes)
         else:
-            # Gears are stiff: they need the model's own step. A sample will do for the rest.
+            # Elastic transmissions are stiff and need the model's step; for other laws with memory
+            # one step for each sample is enough.
             out = self._stepwise(each, world, joint, lanes, along.steps if pace == _STEPS else 1)
         total, drive, dry, level = out
         constant = (stiffness, damping, joint.spring + joint.model_spring, joint.damping)
@@ -288,7 +299,8 @@ class LawForces:
         samples = along.position.shape[1]
         count, columns = lanes.joint.shape
         mean = self._commands(effects, lanes, samples - 1)
-        # A command holds from its sample on; a sample represents half a sample to either side.
+        # Commands are means over the interval after a sample; a sample represents half an interval
+        # on each side.
         held = np.concatenate([mean[:, :1], 0.5 * (mean[:, 1:] + mean[:, :-1]), mean[:, -1:]], 1)
 
         def spread(x: NDArray[Any]) -> NDArray[Any]:
@@ -312,7 +324,7 @@ class LawForces:
         out = self._closed(
             wide, world.velocity, flat(along.acceleration), flat(self.required),
             _Efforts(world.delivered, world.applied, world.friction_level),
-            (flat(self._standing), flat(self._direction)),
+            (flat(self._rest_weight), flat(self._direction)),
         )  # fmt: skip
         return [x.reshape(count, samples, columns) for x in out]
 
@@ -337,8 +349,8 @@ class LawForces:
         world.time, world.load = start, motion[2][0]
         self.simulator.warm_up(world, along.segments[lanes.segment], effects, lanes.joint)
         bounds = world.lower, world.upper, world.friction_level
-        # Commands are means over a step, so the motion is taken in its middle; the motor behind a
-        # gear starts each step with the link, as it does when it is simulated.
+        # Commands are means over a step, so the motion is evaluated in the middle of the step. With
+        # an elastic transmission it is evaluated at the beginning, as in the simulation.
         middle = 0.5 if parts == 1 else 0.0
         share = ((np.arange(parts) + middle) / parts)[None, :, None, None]
         slip_velocity = along.slip_velocity[lanes.joint]
@@ -372,7 +384,7 @@ class LawForces:
                 m[first:last] = x.reshape(last - first, parts, count, columns).mean(axis=1)
         out = np.empty((4, count, samples, columns))
         mean = mean.swapaxes(1, 2)
-        # Means over the sample after each stamp, moved to the stamps.
+        # Means over the interval after each stamp, converted to values at the stamps.
         out[:, :, 0], out[:, :, -1] = mean[:, :, 0], mean[:, :, -1]
         out[:, :, 1:-1] = 0.5 * (mean[:, :, 1:] + mean[:, :, :-1])
         return list(out)
@@ -390,19 +402,20 @@ class LawForces:
         drive, applied, level = efforts
         level = np.maximum(level, 0.0)
         others = drive + applied - joint.damping * velocity - joint.armature * acceleration
-        standing, direction = slipping
-        # At rest dry friction is what holds the joint, as far as its level goes.
+        rest_weight, direction = slipping
+        # At rest dry friction balances the other forces, up to its level.
         holding = np.minimum(np.maximum(required - others, -level), level)
-        dry = standing * holding - (1.0 - standing) * level * direction
+        dry = rest_weight * holding - (1.0 - rest_weight) * level * direction
         total = others + dry
         if joint.soft.any():
-            # A link that the gear lets go has no armature: the mass matrix has it all the same.
+            # With an elastic transmission the armature belongs to the motor; the model's mass
+            # matrix contains it, so it is added back.
             total = np.where(joint.soft, applied + joint.own_armature * acceleration, total)
         return total, drive, dry, level
 
 
 def _slipping(velocity: FloatArray, slip_velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How far a joint stands, 0 to 1, and the direction of its friction, -1 to 1."""
+    """Weight of rest (1 at rest, 0 while slipping), and direction of friction, -1 to 1."""
     slip = velocity / slip_velocity
     return np.exp(-0.25 * slip * slip), np.tanh(slip)
 
@@ -410,18 +423,19 @@ def _slipping(velocity: FloatArray, slip_velocity: FloatArray) -> tuple[FloatArr
 def force_slopes(
     simulator: BatchSimulator, along: MeasuredTrajectory, rigid: Rigid, effects: ActiveEffects
 ) -> tuple[FloatArray, FloatArray]:
-    """How fast forces that depend on the state alone (drag, cogging) fall with it.
+    """Stiffness and damping of forces that depend only on the state (drag, cogging).
 
-    Central differences, midway between the measured and the predicted motion.
+    They are central differences, midway between the measured and the predicted motion.
 
     Args:
-        simulator: of the segments.
+        simulator: the segments.
         along: the motion.
         rigid: its rigid-body terms.
-        effects: of the hypothesis, values (1, joints).
+        effects: effects of the hypothesis, values (1, joints).
 
     Returns:
-        Stiffness and damping, twice (segments, samples, joints).
+        Stiffness (N*m/rad or N/m) and damping (N*m*s/rad or N*s/m), both (segments, samples,
+        joints).
     """
     of_state = [
         (e, v) for e, v in effects
@@ -444,30 +458,30 @@ def force_slopes(
 
 
 def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
-    """How the laws of every (copies, joints) joint have to be stepped."""
+    """(copies, joints) evaluation that the laws of every joint need: one of the three paces."""
     out = np.full(shape, _AT_ONCE)
     for effect, v in effects:
         if effect.remembers:
-            mine = _STEPS if effect.overrides("gear") else _SAMPLES
-            out = np.maximum(out, np.where(acts_at(effect, v), mine, _AT_ONCE))
+            needed = _STEPS if effect.overrides("gear") else _SAMPLES
+            out = np.maximum(out, np.where(acts_at(effect, v), needed, _AT_ONCE))
     return out
 
 
 def _unlike(
     effects: ActiveEffects, own: ActiveEffects, shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """(copies, joints) whose laws are not those at hand."""
+    """(copies, joints) whether the laws of a joint differ from those of the hypothesis."""
     out = np.zeros(shape, dtype=bool)
-    held = {e.id: v for e, v in own}
+    unmatched = {e.id: v for e, v in own}
     for effect, v in effects:
         acts = acts_at(effect, v)
-        mine = held.pop(effect.id, None)
-        if mine is None:
+        present = unmatched.pop(effect.id, None)
+        if present is None:
             out |= acts
         else:
-            changed = np.any([x != mine[n] for n, x in v.items()], axis=0)
-            out |= changed & (acts | acts_at(effect, mine))
+            changed = np.any([x != present[n] for n, x in v.items()], axis=0)
+            out |= changed & (acts | acts_at(effect, present))
     for effect, _ in own:
-        if effect.id in held:
-            out |= acts_at(effect, held[effect.id])
+        if effect.id in unmatched:
+            out |= acts_at(effect, unmatched[effect.id])
     return out

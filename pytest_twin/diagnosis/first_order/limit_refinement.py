@@ -1,7 +1,7 @@
-"""Limits at sizes between those of the grid, where a joint is far off.
+"""Limits at sizes between those of the grid, at joints with a large residual.
 
-The change that one limit makes is no multiple of the change that another makes. The best size of
-each limit is therefore fitted along the measured motion before structures are searched.
+The response to a limit is not proportional to its size. The best size of each limit is therefore
+fitted along the measured motion before structures are searched.
 """
 
 from __future__ import annotations
@@ -20,31 +20,32 @@ from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 
 _FAR = 10.0
-"""Floors beyond which a joint is far off."""
+"""Residual in noise floors above which the limits of a joint are fitted."""
+# Iterations of each fit.
 _ROUNDS = 3
 
 
 def refine_limits(
     linear: Linear, view: ResidualView, answers: CandidateSensitivities, best: Hypothesis
 ) -> list[Sensitivity]:
-    """Responses of limits, each at the size that fits best alone, at joints that are far off.
+    """Sensitivities to limits at the size that fits best alone, at joints with a large residual.
 
     Args:
-        linear: around ``best``.
+        linear: linearization around ``best``.
         view: its residual.
-        answers: responses on the grid.
-        best: the hypothesis at hand.
+        answers: sensitivities on the grid of starting sizes.
+        best: the present hypothesis.
     """
     joints = len(linear.problem.joints)
     far = np.sqrt(view.mean_square)[:joints] > _FAR * view.floor[:joints]
     if not far.any():
         return []
-    lens = NormalEquations(view, answers)
+    equations = NormalEquations(view, answers)
     starts: list[Hypothesis] = []
-    for chosen in lens.children(lens.bare, len(answers.responses)):
+    for chosen in equations.children(equations.bare, len(answers.responses)):
         response = answers.responses[chosen[0]]
         if _is_lone_limit(response) and far[max(response.term.joint, 0)]:
-            ((term, start),) = lens.structure(chosen).starts.items()
+            ((term, start),) = equations.structure(chosen).starts.items()
             starts.append(best.with_term(term, start))
     alone = [
         best.with_term(h.terms[-1], h.theta[h.slice_of(h.terms[-1])])

@@ -1,7 +1,7 @@
-"""Fit a structure along the measured motion: all parameters, shapes included, without simulation.
+"""Fit of all parameters along the measured motion, shape parameters included, without simulation.
 
-Levenberg-Marquardt on :meth:`Linear.differences`, in which laws are exact and only the deviations
-that follow from them are of first order.
+It is Levenberg-Marquardt on :meth:`Linear.differences`: the forces of the laws are exact, and the
+resulting deviations are linearized.
 """
 
 from __future__ import annotations
@@ -21,11 +21,14 @@ from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
 NEARBY, FAR_OFF = 3, 8
-"""Iterations of what starts near where it ends, and of equivalents of another effect."""
+"""Iterations from starts near the optimum, and from equivalents of another effect."""
+# Levenberg-Marquardt damping factors, relative to the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-2, 1.0)
-_ENOUGH = 3e-3
+# A fit stops when a step reduces the cost by less than this share.
+_CONVERGED = 3e-3
 _FEW, _AT_ONCE = 4, 48
-"""Rows of one batch: fewer are not worth a core of their own, more take memory and save no time."""
+"""Smallest and largest number of rows in a batch: a process costs more than few rows, and more rows
+need memory without saving time."""
 
 
 @dataclass(slots=True)
@@ -33,8 +36,8 @@ class LinearizedFit:
     """A hypothesis fitted along the measured motion.
 
     Attributes:
-        hypothesis: the one at hand with more terms, every parameter free.
-        residual: (bins, signals) what it leaves.
+        hypothesis: the present one with more terms; all parameters were fitted.
+        residual: (bins, signals) residual of the fit.
     """
 
     hypothesis: Hypothesis
@@ -48,15 +51,18 @@ def fit_linearized(
     iterations: int,
     targets: Sequence[FloatArray] | None = None,
 ) -> list[LinearizedFit]:
-    """Fit every start, side by side; each under the weights of its residual.
+    """Fit every start in parallel; each with weights from its own residual.
 
     Args:
-        linear: laws along the measured motion.
+        linear: the linearization along the measured motion.
         view: residual and noise floor.
         starts: hypotheses with starting values.
-        iterations: at most.
-        targets: (bins, signals) what the differences of each are to explain; the residual of
-            ``view`` by default.
+        iterations: largest number of steps.
+        targets: (bins, signals) residual that each hypothesis is fitted to; that of ``view`` by
+            default.
+
+    Raises:
+        OutOfTime: the time of the search is over.
     """
     if targets is None:
         targets = [view.residual] * len(starts)
@@ -84,23 +90,29 @@ def fit_linearized(
             ends.append(len(tried))
         owner = [f for f, n in zip(active, np.diff(ends), strict=True) for _ in range(n)]
         found = _differences(linear, tried)
-        left = [target[id(f)] - d for f, d in zip(owner, found, strict=True)]
-        still = []
+        new = [target[id(f)] - d for f, d in zip(owner, found, strict=True)]
+        improved = []
         for k, (f, weight) in enumerate(zip(active, weights, strict=True)):
-            mine = range(ends[k], ends[k + 1])
-            best = min(mine, key=lambda i: weighted_cost(left[i], weight))
-            before, after = weighted_cost(f.residual, weight), weighted_cost(left[best], weight)
-            # Less would only move what is the same physics away from where it is known to be.
-            if after <= (1.0 - _ENOUGH) * before:
-                f.hypothesis, f.residual = tried[best], left[best]
-                still.append(f)
-        active = still
+            of_fit = range(ends[k], ends[k + 1])
+            best = min(of_fit, key=lambda i: weighted_cost(new[i], weight))
+            before, after = weighted_cost(f.residual, weight), weighted_cost(new[best], weight)
+            # A smaller gain would only shift parameters along a direction that is not identifiable.
+            if after <= (1.0 - _CONVERGED) * before:
+                f.hypothesis, f.residual = tried[best], new[best]
+                improved.append(f)
+        active = improved
     return fits
 
 
 def linearized_slopes(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
-    """(bins, signals, parameters) of each hypothesis's prediction along the measured motion, per
-    scaled parameter; zero where a fit does not move it.
+    """Jacobian of each hypothesis's prediction along the measured motion.
+
+    Returns:
+        (bins, signals, parameters) derivatives with respect to the scaled parameters; zero for
+        parameters that a fit does not estimate.
+
+    Raises:
+        OutOfTime: the time of the search is over.
     """
     nudges = [finite_differences(h) for h in hypotheses]
     here = _differences(linear, hypotheses)
@@ -115,7 +127,7 @@ def linearized_slopes(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[
 
 
 def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
-    """As :meth:`Linear.differences`, in batches that need the same steps.
+    """As :meth:`Linear.differences`, in batches of hypotheses that need the same time step.
 
     Raises:
         OutOfTime: the time of the search is over.
@@ -131,9 +143,9 @@ def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Float
         groups.setdefault(key, []).append(i)
     cores = free_cores(linear.simulator.threads)
     batches = []
-    # What takes the model's own step takes longest.
+    # Hypotheses that need the model's time step take longest and come first.
     for key in sorted(groups, key=lambda k: (k[1], k[0]), reverse=True):
-        # All of a batch have all laws of it: those of the same laws go together.
+        # Every law of a batch is evaluated for all its hypotheses: those with equal laws share one.
         which = sorted(groups[key], key=lambda i: sorted(t.effect for t in hypotheses[i].terms))
         each = min(_AT_ONCE, max(-(-len(which) // cores), _FEW))
         batches += [which[i : i + each] for i in range(0, len(which), each)]

@@ -1,9 +1,9 @@
-"""Motion along which laws are evaluated: what a hypothesis predicts, moved to what was measured.
+"""Motion along which laws are evaluated: the prediction of a hypothesis plus its smoothed error.
 
-A law that the model lacks acts on the real motion, not on the predicted one. Where the two lie
-close, what it adds can be read off along the measured motion, without a simulation of its own
-(equation error). Measured velocities and accelerations come from the simulation plus derivatives of
-the smoothed residual, so that reversals stay sharp and noise stays small.
+A law that the model lacks acts on the real motion, not on the predicted one. Its force is evaluated
+along the measured motion, without a further simulation (equation error). Measured velocities and
+accelerations are those of the simulation plus derivatives of the smoothed residual. Reversals stay
+sharp, and noise stays small.
 """
 
 from __future__ import annotations
@@ -20,27 +20,30 @@ from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.diagnosis.verdict import UNSEEN
 
 _GRID = 0.005
-"""s between samples of the motion, at most."""
+"""Largest interval in s between samples of the motion."""
+# Width in s of the window in which the residual is smoothed.
 _SMOOTH = 0.1
-# Of the typical velocity: below the first both motions stand, over the second friction reverses.
+# Shares of the typical velocity: a joint is at rest below the first; dry friction changes its sign
+# over the second.
 _AT_REST, _SLIP = 0.02, 0.005
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredTrajectory:
-    """Segments on an even grid; shorter ones are padded with their last state.
+    """Segments on a uniform grid; shorter ones are padded with their last state.
 
     Attributes:
-        segments: (segments,) of the problem.
-        steps: of the model between two samples.
-        interval: s between two samples.
+        segments: (segments,) indices among the segments of the problem.
+        steps: number of model steps between two samples.
+        interval: time between two samples, s.
         time: (segments, samples) s on each trial's clock.
-        position, velocity, acceleration: (segments, samples, joints) of the measured motion.
-        predicted_position, predicted_velocity: the same of the hypothesis.
-        reading: per segment, (stamps, joints) what it predicts that the encoders read.
-        effort: the same of its effort sensors.
-        at_rest: (segments, samples, joints) where neither moves.
-        slip_velocity: (joints,) rad/s or m/s, over which dry friction changes its sign.
+        position, velocity, acceleration: (segments, samples, joints) of the measured motion, in
+            rad or m and s.
+        predicted_position, predicted_velocity: (segments, samples, joints) of the hypothesis.
+        reading: for each segment, (stamps, joints) predicted encoder readings, rad or m.
+        effort: for each segment, (stamps, joints) predicted effort readings, N*m or N.
+        at_rest: (segments, samples, joints) whether the joint rests in both motions.
+        slip_velocity: (joints,) velocity over which dry friction changes its sign, rad/s or m/s.
     """
 
     segments: NDArray[np.int64]
@@ -59,7 +62,7 @@ class MeasuredTrajectory:
 
     @property
     def midway(self) -> tuple[FloatArray, FloatArray]:
-        """Positions and velocities between measured and predicted."""
+        """Mean positions and velocities of the measured and the predicted motion."""
         return (
             0.5 * (self.position + self.predicted_position),
             0.5 * (self.velocity + self.predicted_velocity),
@@ -67,7 +70,7 @@ class MeasuredTrajectory:
 
     @property
     def predicted(self) -> MeasuredTrajectory:
-        """The predicted motion in the measured one's place; accelerations stay."""
+        """The predicted motion in place of the measured one; accelerations are unchanged."""
         return replace(self, position=self.predicted_position, velocity=self.predicted_velocity)
 
 
@@ -76,11 +79,11 @@ def measured_trajectory(
     hypothesis: Hypothesis,
     segments: NDArray[np.int64],
 ) -> MeasuredTrajectory:
-    """The motion of ``segments`` under a hypothesis, moved by what its prediction is off.
+    """The measured motion of ``segments``: the prediction of a hypothesis plus its smoothed error.
 
     Args:
-        problem: what to explain.
-        hypothesis: the best so far.
+        problem: the problem.
+        hypothesis: the best hypothesis so far.
         segments: indices of the problem's segments.
     """
     simulator = problem.simulator
@@ -96,16 +99,16 @@ def measured_trajectory(
     stuck = problem.floor[:joints] >= UNSEEN
     for i, (s, predicted) in enumerate(zip(segments, predictions, strict=True)):
         stamps = simulator.segments[s].time
-        off = np.nan_to_num(simulator.segments[s].position - predicted.position)
-        # An encoder that is stuck measured no motion: its joint moves as predicted.
-        off[:, stuck] = 0.0
-        for order, d in enumerate(derivatives(stamps, off, _SMOOTH)):
+        error = np.nan_to_num(simulator.segments[s].position - predicted.position)
+        # A stuck encoder measures no motion; the joint is assumed to move as predicted.
+        error[:, stuck] = 0.0
+        for order, d in enumerate(derivatives(stamps, error, _SMOOTH)):
             for j in range(joints):
                 shift[order, i, :, j] = np.interp(time[i], stamps, d[:, j])
     a = np.gradient(v, interval, axis=1) if samples > 1 else np.zeros_like(v)
     typical = problem.scales.of["velocity"]
     rest = _AT_REST * typical
-    standing = (np.abs(v) < rest) & (np.abs(v + shift[1]) < rest)
+    at_rest = (np.abs(v) < rest) & (np.abs(v + shift[1]) < rest)
     return MeasuredTrajectory(
         segments=segments,
         steps=steps,
@@ -118,6 +121,6 @@ def measured_trajectory(
         predicted_velocity=v,
         reading=tuple(p.position for p in predictions),
         effort=tuple(p.effort for p in predictions),
-        at_rest=standing,
+        at_rest=at_rest,
         slip_velocity=_SLIP * typical,
     )

@@ -1,4 +1,4 @@
-"""Rigid-body terms along a motion: mass matrix and the effort that the motion asks for."""
+"""Rigid-body terms along a motion: mass matrix and inverse dynamics."""
 
 from __future__ import annotations
 
@@ -20,18 +20,22 @@ from pytest_twin.realization.forks import free_cores
 from pytest_twin.realization.quiet import quiet
 
 _EVERY = 0.02
-"""s between samples: rigid-body terms vary no faster than the motion."""
+"""Interval in s between samples of rigid-body terms, which vary as slowly as the motion."""
+# Finite-difference step of positions (rad or m) and velocities (rad/s or m/s).
 _NUDGE = 1e-4
 _PLACES = np.array(
     [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [1, 1, 0],
      [0, 1, 1], [1, 0, 1]], dtype=float,
 )  # fmt: skip
-"""m, at which a mass tells its ten moments apart."""
+"""Positions in m of a point mass from which its ten inertial parameters are determined."""
 _MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]], dtype=float)
-"""m, by which a centre that is moved tells what its moments change by."""
-# Models of a batch, fewer of which take several points at once, and at most; terms that are worth
-# forks.
-_FEW_MODELS, _MAX_MODELS, _WORTH_FORKS = 64, 256, 2048
+"""Shifts in m of a centre of mass from which the change of its moments is determined."""
+# A batch with fewer models than this evaluates several points at once.
+_FEW_MODELS = 64
+# Largest number of models in a batch.
+_MAX_MODELS = 256
+# Number of terms from which several processes are used.
+_WORTH_FORKS = 2048
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +43,11 @@ class Rigid:
     """Rigid-body terms on a coarser grid of a motion.
 
     Attributes:
-        at: samples of the motion at which they stand.
-        mass: (segments, len(at), joints, joints) kg*m^2 and the like, with armature.
-        effort: (segments, len(at), joints) N*m or N that the motion asks for.
-        bias: its part without acceleration: gravity, Coriolis, centrifugal.
+        at: indices of the samples of the motion at which the terms are evaluated.
+        mass: (segments, len(at), joints, joints) mass matrix with armature, kg*m^2, kg*m or kg.
+        effort: (segments, len(at), joints) inverse dynamics, N*m or N.
+        bias: (segments, len(at), joints) its part without acceleration: gravity, Coriolis and
+            centrifugal effort.
     """
 
     at: NDArray[np.int64]
@@ -52,7 +57,7 @@ class Rigid:
 
 
 def coarse(along: MeasuredTrajectory) -> NDArray[np.int64]:
-    """Samples at which rigid-body terms are taken."""
+    """Indices of the samples at which rigid-body terms are evaluated."""
     every = max(1, round(_EVERY / along.interval))
     samples = along.position.shape[1]
     return np.unique(np.append(np.arange(0, samples, every), samples - 1))
@@ -65,15 +70,15 @@ def rigid_terms(
     copies: int = 1,
     nudges: FloatArray | None = None,
 ) -> list[Rigid]:
-    """Terms of ``copies`` variants of the model.
+    """Rigid-body terms of ``copies`` variants of the model.
 
     Args:
-        simulator: of the segments.
+        simulator: the segments.
         along: the motion.
-        effects: what changes the variants, values (copies, joints).
-        copies: how many variants.
-        nudges: (copies, 2, joints) added to positions and velocities; where given, terms are taken
-            midway between the measured motion and the predicted one.
+        effects: effects that change the variants, values (copies, joints).
+        copies: number of variants.
+        nudges: (copies, 2, joints) increments of positions and velocities. With them, terms are
+            evaluated midway between the measured and the predicted motion.
     """
     at = coarse(along)
     segments, points = len(along.segments), len(at)
@@ -86,8 +91,8 @@ def rigid_terms(
 
     def terms(first: int) -> list[Rigid]:
         part = np.arange(first, min(first + per, copies))
-        # A variant is written once and goes through its motion: what its bodies' inertias make of
-        # the model takes longer than its terms at a point do. Few of them take some points at once.
+        # Writing a variant's inertias takes longer than evaluating one point, so each variant is
+        # written once and evaluated at all points. With few variants several points share a batch.
         at_once = min(points, -(-_FEW_MODELS // (len(part) * segments)))
         owner = np.repeat(part, segments * at_once)
         values: list[tuple[Effect, Values]] = [
@@ -96,8 +101,8 @@ def rigid_terms(
         nudge = np.zeros((len(part), 2, joints)) if nudges is None else nudges[part]
         shape = (len(part), segments, at_once)
         with quiet():
-            mine = np.tile(np.repeat(rows, at_once), len(part))
-            batch = simulator.models.written(mine, values, threads=1).batch
+            of_part = np.tile(np.repeat(rows, at_once), len(part))
+            batch = simulator.models.written(of_part, values, threads=1).batch
             qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
             mass_out, bias_out = batch.bind("M"), batch.bind("qfrc_bias")
             packed = np.empty((len(part), segments, points, mass_out.shape[1]))
@@ -124,13 +129,16 @@ def rigid_terms(
 def slopes(
     simulator: BatchSimulator, along: MeasuredTrajectory, effects: Sequence[tuple[Effect, Values]]
 ) -> tuple[Rigid, FloatArray, FloatArray]:
-    """Terms midway between measured and predicted motion, and their effort's derivatives.
+    """Rigid-body terms midway between measured and predicted motion, with derivatives of effort.
 
     Args:
-        effects: what the hypothesis changes, values (1, joints).
+        simulator: the segments.
+        along: the motion.
+        effects: effects of the hypothesis, values (1, joints).
 
     Returns:
-        The terms, and (segments, len(at), joints, joints) derivatives by position and velocity.
+        The terms, and the derivatives of the inverse dynamics with respect to position and to
+        velocity, (segments, len(at), joints, joints) each.
     """
     n = along.position.shape[2]
     nudges = np.zeros((2 * n + 1, 2, n))
@@ -151,14 +159,14 @@ def changes_bodies(effect: Effect, values: Values, joints: int) -> bool:
 
 
 def tilts(effect: Effect, values: Values, joints: int) -> bool:
-    """Whether an effect changes gravity, of which efforts are no parts."""
+    """Whether an effect changes gravity; efforts are then not linear in inertial parameters."""
     return _fields([(effect, values)], len(next(iter(values.values()))), joints)[1]
 
 
 def _fields(
     effects: Sequence[tuple[Effect, Values]], copies: int, joints: int
 ) -> tuple[ModelFields, bool]:
-    """What effects make of the model's fields, and whether gravity comes from elsewhere."""
+    """Model fields under effects, and whether the direction of gravity changes."""
     down = np.tile([0.0, 0.0, -1.0], (copies, 1))
     fields = ModelFields.neutral(down.copy(), joints)
     for effect, values in effects:
@@ -167,30 +175,30 @@ def _fields(
 
 
 def _moments(at: FloatArray) -> list[FloatArray]:
-    """Of 1 kg at (n, 3) m: (n,) mass, first and second moments."""
+    """Mass, first and second moments, (n,) each, of 1 kg at (n, 3) positions in m."""
     x, y, z = at.T
     return [np.ones(len(at)), x, y, z, x * x, y * y, z * z, x * y, y * z, z * x]
 
 
 def _shifts(by: FloatArray) -> list[FloatArray]:
-    """Of a centre that is moved by (n, 2) m: (n,) what the moments of its mass change by."""
+    """Changes of the first and second moments, (n,) each, for shifts (n, 2) of the centre in m."""
     x, y = by.T
     return [x, y, x * x, y * y, x * y]
 
 
 def _itself(x: FloatArray) -> list[FloatArray]:
-    """(n,) of (n, 1)."""
+    """The only column of (n, 1) values."""
     return [x[:, 0]]
 
 
 @dataclass(frozen=True, slots=True)
 class _Family:
-    """Parts of an effort that go together.
+    """Parts of an effort that are determined together from the same probes.
 
     Attributes:
-        effect, parameters: the law whose parameters, in SI units, the probes are.
-        probes: (n, parameters) from which the parts are told.
-        amounts: of each part in (k, parameters) values, n times (k,).
+        effect, parameters: the effect and the names of its parameters that the probes change.
+        probes: (n, parameters) values in SI units from which the n parts are determined.
+        amounts: (k, parameters) values -> coefficients of the n parts, (k,) each.
     """
 
     effect: Effect
@@ -210,24 +218,29 @@ _FAMILIES = {
 
 
 class Efforts:
-    """What a motion asks for of variants of the bodies: linear in their masses and first and second
-    moments (Atkeson, An, Hollerbach, IJRR 5, 1986), so that a few give all. What moves with the
-    motors is as the model has it: that is a law of theirs.
+    """Inverse dynamics along a motion for variants of the inertial parameters.
+
+    Efforts are linear in masses and in first and second moments (Atkeson, An, Hollerbach, IJRR 5,
+    1986), so a few evaluations give all variants. Motor inertias stay at the model's values; they
+    are part of the motors' laws.
+
+    Args:
+        simulator: the segments.
+        along: the motion.
     """
 
     def __init__(self, simulator: BatchSimulator, along: MeasuredTrajectory) -> None:
-        """Along a motion of the segments of ``simulator``."""
         self._simulator = simulator
         self._along = along
         self._bare = rigid_terms(simulator, along)[0].effort
         self._parts: dict[tuple[str, int, int], FloatArray] = {}
 
     def of(self, effects: Sequence[tuple[Effect, Values]], copies: int) -> list[FloatArray]:
-        """(segments, len(at), joints) N*m or N that each of ``copies`` variants asks for.
+        """Inverse dynamics of each variant, (segments, len(at), joints), N*m or N.
 
         Args:
-            effects: what changes them, values (copies, joints).
-            copies: how many variants.
+            effects: effects that change the variants, values (copies, joints).
+            copies: number of variants.
         """
         sizes = self.know(effects, copies)
         if sizes is None:
@@ -247,14 +260,18 @@ class Efforts:
     def know(
         self, effects: Sequence[tuple[Effect, Values]], copies: int
     ) -> dict[tuple[str, int, int], FloatArray] | None:
-        """Work out the parts that variants are made of, and keep them.
+        """Compute and keep the parts of which the efforts of variants are composed.
+
+        Args:
+            effects: effects that change the variants, values (copies, joints).
+            copies: number of variants.
 
         Returns:
-            Part -> (copies,) how much of it each has; None where no parts give them.
+            Part -> (copies,) coefficients; None if the efforts are not a linear combination.
         """
         joints = self._bare.shape[2]
         fields, tilted = _fields(effects, copies, joints)
-        # Two joints of one body would change it twice.
+        # If two joints move the same body, their changes of it would be added twice.
         bodies = self._simulator.layout.body_index
         if tilted or len(set(bodies)) < len(bodies):
             return None
@@ -268,12 +285,12 @@ class Efforts:
         for k, amount in enumerate(_moments(fields.added_at[:, -1])):
             sizes["load", joints - 1, k] = fields.added_mass[:, -1] * amount
         sizes = {part: x for part, x in sizes.items() if x.any()}
-        self._work_out(dict.fromkeys((name, j) for name, j, _ in sizes))
+        self._compute_parts(dict.fromkeys((name, j) for name, j, _ in sizes))
         return sizes
 
-    def _work_out(self, wanted: Iterable[tuple[str, int]]) -> None:
-        """Parts of families at joints that are not known yet."""
-        missing = [each for each in wanted if (*each, 0) not in self._parts]
+    def _compute_parts(self, needed: Iterable[tuple[str, int]]) -> None:
+        """Compute the parts of (family, joint) pairs that are not known yet."""
+        missing = [each for each in needed if (*each, 0) not in self._parts]
         if not missing:
             return
         joints = self._bare.shape[2]
@@ -302,7 +319,7 @@ class Efforts:
 
 
 def upsampled(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatArray:
-    """(segments, len(at), ...) values on every sample, linear in between."""
+    """(segments, len(at), ...) values, interpolated linearly at all ``samples``."""
     if len(at) == 1:
         return np.repeat(values, samples, axis=1)
     t = np.arange(samples)
@@ -314,7 +331,7 @@ def upsampled(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatA
 
 
 def _full_mass(simulator: BatchSimulator, packed: FloatArray) -> FloatArray:
-    """(..., joints, joints) of MuJoCo's lower triangle in compressed rows."""
+    """(..., joints, joints) symmetric matrix from MuJoCo's lower triangle in compressed rows."""
     model = simulator.segments[0].model
     of = np.full(model.nv, -1)
     of[simulator.layout.dof_index] = np.arange(len(simulator.layout.dof_index))

@@ -1,8 +1,8 @@
-"""What every candidate would change, to first order, without simulating any of them.
+"""First-order sensitivities of the prediction to every candidate effect, without simulation.
 
-Along the measured motion each law gives the force that it adds; the equation of small deviations
-turns forces into positions. Sensors and clocks change the reading itself. In contact, where small
-deviations do not stay small, candidates are simulated instead.
+Each law gives the force that it adds along the measured motion. The linearized dynamics turn forces
+into changes of position. Sensors and clocks change the reading itself. In contact the linearization
+is not valid, and candidates are simulated instead.
 """
 
 from __future__ import annotations
@@ -56,18 +56,19 @@ from pytest_twin.realization.forks import free_cores
 
 _IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *BETWEEN_STEPS)
 _CLOSEST = 16
-"""Candidates that are simulated at every starting size, where none is of first order."""
+"""Number of candidates that are simulated at every starting size, if the robot has contact."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """What a candidate changes at one choice of its shape parameters.
+    """Sensitivity of the prediction to a candidate, for one choice of its shape parameters.
 
     Attributes:
         term: the candidate.
-        start: its parameters where the change was taken, each switch on.
+        start: parameters at which the change was computed, with every switch on.
         switches: indices of the parameters that switch the effect on.
-        change: (bins, signals, switches) prediction with one switch on minus without.
+        change: (bins, signals, switches) prediction with one switch on, minus the prediction
+            without the effect.
     """
 
     term: Term
@@ -77,20 +78,24 @@ class Sensitivity:
 
 
 Sizes = Sequence[tuple[FloatArray, tuple[int, ...]]]
-"""Parameters of a term, and which of them switch it on there."""
+"""Parameters of a term, and the indices of those that switch it on."""
 
 
 def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
-    """Starting sizes of a term, of its first form first, and which of its parameters switch it on
-    there.
+    """Starting sizes of a term, those of its first form first.
+
+    Returns:
+        Pairs of parameters, in multiples of their references, and the indices of the parameters
+        that switch the effect on.
     """
     if not term.law.has_forms:
         return _sizes(term, [p.starts for p in term.parameters])
     out = []
     for form in itertools.product(*(p.starts if p.choice else (0.0,) for p in term.parameters)):
         has = term.law.has(np.array(form))
-        # Forms with shapes of their own are many: what others have too is at its middle size.
-        own = any(
+        # Forms with their own shape parameters are many: shape parameters that all forms share
+        # have their middle size only.
+        has_own_shapes = any(
             p.under and p.neutral is None and here
             for p, here in zip(term.parameters, has, strict=True)
         )
@@ -98,7 +103,7 @@ def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
         for p, chosen, here in zip(term.parameters, form, has, strict=True):
             if p.choice or not here:
                 starts.append((chosen,))
-            elif own and p.neutral is None and p.under is None:
+            elif has_own_shapes and p.neutral is None and p.under is None:
                 starts.append((p.starts[len(p.starts) // 2],))
             else:
                 starts.append(p.starts)
@@ -109,7 +114,7 @@ def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
 def _sizes(
     term: Term, starts: Sequence[tuple[float, ...]]
 ) -> list[tuple[FloatArray, tuple[int, ...]]]:
-    """All combinations of starts; of several switches the first of each."""
+    """All combinations of starts; several switches have their first start only."""
     switches = term.switches(np.array([s[0] for s in starts]))
     several = len(switches) > 1
     each = [s[:1] if several and k in switches else s for k, s in enumerate(starts)]
@@ -117,9 +122,7 @@ def _sizes(
 
 
 def starts_in_first_form(term: Term) -> list[FloatArray]:
-    """Starting sizes of a term in its first form alone, in all of them where none has parameters
-    that others lack.
-    """
+    """Starting sizes of a term in its first form; in all forms if they have the same parameters."""
     sizes = [start for start, _ in grid(term)]
     choices = [k for k, p in enumerate(term.parameters) if p.choice and term.law.has_forms]
     return [s for s in sizes if np.array_equal(s[choices], sizes[0][choices])]
@@ -132,14 +135,14 @@ def simulated_sensitivities(
     hypothesis: Hypothesis,
     residual: FloatArray,
 ) -> list[Sensitivity]:
-    """Responses by simulation: every candidate at one size, the closest at all of theirs.
+    """Sensitivities by simulation: every candidate at one size, the best ones at all sizes.
 
     Args:
-        problem: what to explain.
-        terms: candidates, none of them in the hypothesis.
-        segments: on which.
-        hypothesis: the best so far.
-        residual: (bins, signals) that they are to explain.
+        problem: the problem.
+        terms: candidates that the hypothesis lacks.
+        segments: indices of the segments that are simulated.
+        hypothesis: the best hypothesis so far.
+        residual: (bins, signals) residual of the hypothesis, by which candidates are ranked.
     """
     sizes = {t: grid(t) for t in terms}
     middle = {t: len(starts_in_first_form(t)) // 2 for t in sizes}
@@ -147,12 +150,18 @@ def simulated_sensitivities(
     weight = 1.0 / (np.mean(residual**2, axis=0) + problem.signal_floor**2)
     order = sorted(found, key=lambda r: -_explained(r.change, residual, weight))
     closest = [r.term for r in order[:_CLOSEST]]
-    rest = [(t, s) for t in closest for k, s in enumerate(sizes[t]) if k != middle[t]]
-    return found + _simulated(problem, rest, segments, hypothesis)
+    other_sizes = [(t, s) for t in closest for k, s in enumerate(sizes[t]) if k != middle[t]]
+    return found + _simulated(problem, other_sizes, segments, hypothesis)
 
 
 def _explained(change: FloatArray, residual: FloatArray, weight: FloatArray) -> float:
-    """Weighted squares of (bins, signals) that (bins, signals, switches) changes take away."""
+    """Reduction of the weighted squared residual by a least-squares fit of the changes.
+
+    Args:
+        change: (bins, signals, switches).
+        residual: (bins, signals).
+        weight: (signals,) reciprocal variances.
+    """
     root = np.sqrt(weight)
     a = (change * root[:, None]).reshape(-1, change.shape[2]).astype(np.float64)
     b = (residual * root).ravel()
@@ -165,7 +174,7 @@ def _simulated(
     segments: NDArray[np.int64],
     hypothesis: Hypothesis,
 ) -> list[Sensitivity]:
-    """Responses at given sizes, all in one batch."""
+    """Sensitivities at given sizes, simulated in one batch."""
     if not sizes:
         return []
     rows: list[Hypothesis] = [hypothesis]
@@ -186,6 +195,7 @@ def _simulated(
 
 
 def _alone(full: FloatArray, switches: tuple[int, ...], switch: int) -> FloatArray:
+    """Parameters with only one of the switches on."""
     alone = full.copy()
     alone[[k for k in switches if k != switch]] = 0.0
     return alone
@@ -198,17 +208,17 @@ def sensitivities(
     hypothesis: Hypothesis = EMPTY,
     residual: FloatArray | None = None,
 ) -> tuple[list[Sensitivity], FloatArray]:
-    """First-order responses of every candidate at a hypothesis.
+    """First-order sensitivities of every candidate at a hypothesis.
 
     Args:
-        problem: what to explain.
-        terms: candidates, none of them in the hypothesis.
-        segments: on which.
-        hypothesis: the best so far.
-        residual: (samples, signals) its residual there, if it is known.
+        problem: the problem.
+        terms: candidates that the hypothesis lacks.
+        segments: indices of segments.
+        hypothesis: the best hypothesis so far.
+        residual: (samples, signals) residual of the hypothesis on the segments, if it is known.
 
     Returns:
-        The responses, and the (bins, signals) residual that they are to explain.
+        The sensitivities, and the residual of the hypothesis, (bins, signals).
     """
     if residual is None:
         residual = problem.residuals([hypothesis], segments)[0]
@@ -226,22 +236,28 @@ def sensitivities_around(
 ) -> tuple[list[Sensitivity], FloatArray]:
     """As :func:`sensitivities`, around a hypothesis that is linearized already."""
     if linear is None:
-        left = bins(problem, segments).mean(residual)
-        return simulated_sensitivities(problem, terms, segments, hypothesis, left), left
+        binned = bins(problem, segments).mean(residual)
+        return simulated_sensitivities(problem, terms, segments, hypothesis, binned), binned
     return linear.sensitivities(terms), linear.residual(residual)
 
 
 def linearize(
     problem: Problem, segments: NDArray[np.int64], hypothesis: Hypothesis
 ) -> Linear | None:
-    """What is of first order around a hypothesis; None where the robot meets something."""
+    """The linearization around a hypothesis; None if the robot can touch a surface."""
     if problem.simulator.models.contact.world.size:
         return None
     return Linear(problem, hypothesis, segments)
 
 
 class Linear:
-    """First-order responses at one hypothesis, and whole hypotheses along its measured motion."""
+    """Linearization of a problem around one hypothesis, along the measured motion.
+
+    Args:
+        problem: the problem.
+        hypothesis: the hypothesis around which the prediction is linearized.
+        segments: indices of segments.
+    """
 
     def __init__(
         self,
@@ -274,8 +290,10 @@ class Linear:
         self.readings.free(self.starts)
 
     def residual(self, residual: FloatArray) -> FloatArray:
-        """(bins, signals) of (samples, signals), freed of shifted starts and trusted as responses
-        are.
+        """Bin means (bins, signals) of a (samples, signals) residual.
+
+        As in the sensitivities, positions are weighted, and the part that free initial states
+        explain is subtracted.
         """
         joints = len(self.problem.joints)
         out, at = residual.copy(), 0
@@ -283,13 +301,13 @@ class Linear:
             segment = self.simulator.segments[s]
             n = len(segment.time)
             if i in self.starts:
-                off = self.starts[i].freed(segment.position - self.along.reading[i])
-                out[at : at + n, :joints] = off * self.problem.trust.get(int(s), 1.0)
+                error = self.starts[i].freed(segment.position - self.along.reading[i])
+                out[at : at + n, :joints] = error * self.problem.trust.get(int(s), 1.0)
             at += n
         return self.bins.mean(out)
 
     def _free_starts(self) -> dict[int, FreeInitialState]:
-        """Free starts of this motion: a shift dies out or grows as other deviations do."""
+        """Free initial states of the segments, with their response by the linearized dynamics."""
         if self.problem.free is None:
             return {}
         segments, samples, joints = self.along.position.shape
@@ -309,7 +327,7 @@ class Linear:
     # -- candidates
 
     def sensitivities(self, terms: Sequence[Term]) -> list[Sensitivity]:
-        """All candidates', those of one effect together.
+        """Sensitivities of all candidates; those of one effect are computed together.
 
         Raises:
             OutOfTime: the time of the search is over.
@@ -330,11 +348,11 @@ class Linear:
         return [response for effect in by_effect for response in of[effect]]
 
     def _of_effect(self, terms: Sequence[Term]) -> list[Sensitivity]:
-        """Those of one effect."""
+        """Sensitivities of one effect at several joints, at the sizes of its grid."""
         return self.at_sizes(terms, grid(terms[0]))
 
     def at_sizes(self, terms: Sequence[Term], sizes: Sizes) -> list[Sensitivity]:
-        """One effect's at several joints, at given sizes."""
+        """Sensitivities of one effect at several joints, at given sizes."""
         out: list[Sensitivity] = []
         plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
         columns: list[Column] = []
@@ -346,7 +364,7 @@ class Linear:
         for term, start, switches in plan:
             change = np.stack(changes[at : at + len(switches)], axis=-1)
             at += len(switches)
-            # Pushes that outlast the recordings are alike.
+            # Forces that act longer than the recordings have the same response.
             same = term, sha256(change.tobytes()).digest()
             if np.isfinite(change).all() and change.any() and same not in seen:
                 seen.add(same)
@@ -356,7 +374,7 @@ class Linear:
     def _columns(
         self, terms: Sequence[Term], sizes: Sizes
     ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[Column]]]:
-        """Columns of one effect at several joints: every joint has it at once."""
+        """Columns of one effect at several joints; all joints are computed at once."""
         effect = terms[0].law
         rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
         values = self._values(effect, rows, terms)
@@ -395,7 +413,10 @@ class Linear:
     def _values(
         self, effect: Effect, rows: Sequence[FloatArray], terms: Sequence[Term]
     ) -> dict[str, FloatArray]:
-        """(rows, joints) values: each row's sizes at all candidate joints, its own elsewhere."""
+        """Parameters of an effect, (rows, joints) each, SI units.
+
+        Candidate joints have the sizes of the row; other joints have those of the hypothesis.
+        """
         joints, scales = len(self.problem.joints), self.problem.scales
         out = {}
         for i, p in enumerate(effect.parameters):
@@ -409,6 +430,7 @@ class Linear:
         return out
 
     def _wide(self, rows: int) -> dict[str, Values]:
+        """The hypothesis's parameters, repeated for each row."""
         return {
             e: {n: np.repeat(x, rows, axis=0) for n, x in v.items()} for e, v in self.own.items()
         }
@@ -416,7 +438,7 @@ class Linear:
     def _rigid_forces(
         self, effect: Effect, rows: Sequence[FloatArray], terms: Sequence[Term]
     ) -> dict[int, list[FloatArray]]:
-        """Joint -> row -> (segments, samples, joints): what other masses leave unbalanced."""
+        """Joint -> row -> (segments, samples, joints) force from changed masses, N m or N."""
         samples = self.along.position.shape[1]
         each = [self._values(effect, rows, [term]) for term in terms]
         values = {n: np.concatenate([e[n] for e in each]) for n in each[0]}
@@ -429,22 +451,22 @@ class Linear:
         }
 
     def _sensed(self, effect: Effect, values: Values, row: int, joint: int) -> Column:
-        """What sensors and clocks change by themselves."""
+        """Direct change of the readings, and of the initial state, by a sensor or clock effect."""
         if not _sensing([(effect, values)]):
             return Column()
-        mine = {n: x[row : row + 1] for n, x in values.items()}
+        of_row = {n: x[row : row + 1] for n, x in values.items()}
         direct = []
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
             n = len(self.problem.joints)
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
-            # What is predicted, for what is measured has the sensors' errors in it already.
+            # The predicted motion, because the measured one already contains the sensor errors.
             position = self.along.reading[i][None]
             velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
-            moved, _ = effect.sense(stamps, position, velocity, mine)
+            moved, _ = effect.sense(stamps, position, velocity, of_row)
             change = moved - position
             if effect.overrides("sample_time"):
-                late = self.simulator.taken(self.segments[i : i + 1], stamps, [(effect, mine)])
+                late = self.simulator.taken(self.segments[i : i + 1], stamps, [(effect, of_row)])
                 grid_q = self.along.predicted_position[i]
                 change = (
                     change + (self._at(grid_q, i, late[0]) - self._at(grid_q, i, stamps[0]))[None]
@@ -452,28 +474,31 @@ class Linear:
             change = _only(change[0], joint)
             if self.problem.effort_floor is not None and segment.effort is not None:
                 measured = segment.effort[None]
-                effort = effect.sense_effort(measured, mine)[0] - segment.effort
+                effort = effect.sense_effort(measured, of_row)[0] - segment.effort
                 if effect.overrides("sample_time"):
                     effort = effort + self._effort_at(i, late[0]) - self.along.effort[i]
                 change = np.concatenate([change, _only(effort, joint)], axis=1)
             direct.append(change)
         q0 = np.array([self.simulator.segments[s].initial_position for s in self.segments])
         v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
-        repeated = {n: np.repeat(x, len(q0), axis=0) for n, x in mine.items()}
+        repeated = {n: np.repeat(x, len(q0), axis=0) for n, x in of_row.items()}
         q, v = effect.unsense(q0, v0, repeated)
         initial = np.concatenate([_only(q - q0, joint), _only(v - v0, joint)], axis=1)
         return Column(initial=initial if initial.any() else None, direct=np.concatenate(direct))
 
     def _at(self, values: FloatArray, i: int, stamps: FloatArray) -> FloatArray:
-        """(stamps, joints) of (samples, joints) values of segment ``i``, linear."""
+        """(samples, joints) values of segment ``i``, interpolated linearly at (stamps, joints)."""
         time = self.along.time[i]
         return np.stack(
             [np.interp(stamps[:, j], time, values[:, j]) for j in range(values.shape[1])], axis=1
         )
 
     def _effort_at(self, i: int, taken: FloatArray) -> FloatArray:
-        """(stamps, joints) predicted efforts of segment ``i`` as they would be read at other times,
-        (stamps, joints) s, linear between stamps.
+        """(stamps, joints) predicted efforts of segment ``i`` at other times, N m or N.
+
+        Args:
+            i: index among the linearized segments.
+            taken: (stamps, joints) times in s; efforts are interpolated linearly.
         """
         effort, stamps = self.along.effort[i], self.simulator.segments[self.segments[i]].time
         own = np.repeat(stamps[None, :, None], effort.shape[1], axis=2)
@@ -488,7 +513,7 @@ class Linear:
     # -- whole hypotheses
 
     def know_bodies(self, hypotheses: Sequence[Hypothesis]) -> None:
-        """Work out and keep what hypotheses ask of their bodies, before forks each do."""
+        """Compute the rigid-body efforts of hypotheses once, before processes are forked."""
         joints = len(self.problem.joints)
         values = effect_values(hypotheses, joints, self.problem.scales)
         self.efforts.know(
@@ -500,10 +525,10 @@ class Linear:
         )  # fmt: skip
 
     def differences(self, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
-        """What hypotheses would read more than the one at hand, (bins, signals) each.
+        """Readings of each hypothesis minus those of the linearized one, (bins, signals).
 
-        Their laws act all at once along the measured motion; only the deviations that follow from
-        them are of first order.
+        The forces of the laws are exact along the measured motion. Only the resulting deviations
+        are linearized.
         """
         joints, copies = len(self.problem.joints), len(hypotheses)
         values = with_fixed(
@@ -523,7 +548,7 @@ class Linear:
         base_reading, base_start = self._read_off(_sensing(in_reading_order(self.own)), 0)
         sensing, known = _sensing(active), dict[bytes, tuple[FloatArray, FloatArray]]()
         for k, column in enumerate(columns):
-            # Few hypotheses differ in what they make of a reading.
+            # Few hypotheses differ in their sensor effects.
             key = b"".join(x[k].tobytes() for _, v in sensing for x in v.values())
             if key not in known:
                 reading, start = self._read_off(sensing, k)
@@ -532,14 +557,22 @@ class Linear:
         return self.readings.of(columns)
 
     def _read_off(self, active: ActiveEffects, row: int) -> tuple[FloatArray, FloatArray]:
-        """What sensors and clocks make of the predicted motion, and the state behind its start."""
-        mine = [(e, {n: x[row : row + 1] for n, x in v.items()}) for e, v in active]
+        """Sensor readings of the predicted motion, and the true initial state.
+
+        Args:
+            active: sensor and clock effects, values (rows, joints).
+            row: the row of their values.
+
+        Returns:
+            (stamps of all segments, signals) readings, and (segments, 2 joints) initial states.
+        """
+        of_row = [(e, {n: x[row : row + 1] for n, x in v.items()}) for e, v in active]
         n = len(self.problem.joints)
         out = []
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
-            stamps = self.simulator.taken(self.segments[i : i + 1], stamps, mine)
+            stamps = self.simulator.taken(self.segments[i : i + 1], stamps, of_row)
             position = self._at(self.along.predicted_position[i], i, stamps[0])[None]
             velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
             measured = segment.effort is not None and self.problem.effort_floor is not None
@@ -547,26 +580,26 @@ class Linear:
             if measured and segment.effort is not None:
                 late = self._effort_at(i, stamps[0]) - self.along.effort[i]
                 effort = (segment.effort + late)[None]
-            for effect, v in mine:
+            for effect, v in of_row:
                 position, velocity = effect.sense(stamps, position, velocity, v)
                 effort = effect.sense_effort(effort, v)
             signals = [position[0], effort[0]] if measured else [position[0]]
             out.append(np.concatenate(signals, axis=1))
         q = np.array([self.simulator.segments[s].initial_position for s in self.segments])
         v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
-        for effect, v in reversed(mine):
+        for effect, v in reversed(of_row):
             q, v0 = effect.unsense(q, v0, {k: np.repeat(x, len(q), axis=0) for k, x in v.items()})
         return np.concatenate(out), np.concatenate([q, v0], axis=1)
 
 
 def _slow(effect: str) -> tuple[bool, bool]:
-    """Greater for effects whose laws take longer to follow along a motion."""
+    """Sorting key: larger for effects whose laws take longer to evaluate along a motion."""
     law = catalogue()[effect]
     return law.overrides("gear"), law.remembers
 
 
 def _sensing(active: ActiveEffects) -> ActiveEffects:
-    """Those that change what is read of a motion."""
+    """The effects that change sensor readings."""
     return [
         (e, v) for e, v in active
         if e.overrides("sense", "sense_effort", "sample_time", "unsense")
@@ -574,7 +607,7 @@ def _sensing(active: ActiveEffects) -> ActiveEffects:
 
 
 def _only(values: FloatArray, joint: int) -> FloatArray:
-    """(..., joints) values of one joint alone; of all where it is the whole robot's."""
+    """(..., joints) values that are zero except at one joint; unchanged for the robot (-1)."""
     if joint < 0:
         return values
     out = np.zeros_like(values)

@@ -1,8 +1,8 @@
-"""What sensors read of small deviations: from samples of a motion to means over bins.
+"""Sensor readings of small deviations: from samples of a motion to means over bins.
 
-Reading between samples, trusting an effort less beside a jump, taking off what a shifted start
-explains, and averaging are all linear: they are worked out once, as sparse matrices, and every
-column then costs one product with them.
+All operations are linear: interpolation at the stamps, weights of efforts, projection on free
+initial states, and averaging. They are computed once as sparse matrices. Each column then costs one
+product with them.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ from pytest_twin.diagnosis.free_initial_state import FreeInitialState
 from pytest_twin.diagnosis.problem import Problem
 
 _AT_ONCE = 32
-"""Columns that are turned into readings together: few enough to stay in a core's cache."""
+"""Number of columns that are converted together, so that they fit into a core's cache."""
 
 
 @dataclass(slots=True)
 class Column:
-    """One switch of one candidate, or one whole hypothesis: what it adds, to be read.
+    """Changes by one switch of one candidate, or by one whole hypothesis.
 
     Attributes:
-        force, drive: (segments, samples, joints), or None; (segments, samples) at one joint alone.
-        joint: that one.
-        initial: (segments, 2 joints) of the state behind the first reading, or None.
-        direct: (stamps of all segments, signals) of readings, or None; columns that share one share
-            its means.
+        force, drive: change of the generalized force and of the drive's effort, (segments, samples,
+            joints), N*m or N. They are (segments, samples) if only ``joint`` is affected, and None
+            if there is no change.
+        initial: (segments, 2 joints) change of the initial state, or None.
+        direct: (stamps of all segments, signals) direct change of the readings, or None. Columns
+            may share one array; its means are then computed once.
+        joint: the only joint that is affected; None for all joints.
     """
 
     force: FloatArray | None = None
@@ -43,7 +45,7 @@ class Column:
     joint: int | None = None
 
     def at_all(self, joints: int) -> Column:
-        """The same with forces at each of the robot's joints."""
+        """The same column with forces at all joints."""
         if self.joint is None:
             return self
         force, drive = (_at_one(x, self.joint, joints) for x in (self.force, self.drive))
@@ -51,13 +53,13 @@ class Column:
 
 
 class SensorReadings:
-    """Reads deviations from a motion as its segments were read.
+    """Converts deviations from a motion into bin means of the sensor readings.
 
     Args:
-        problem: what to explain.
+        problem: the problem.
         along: the motion.
-        deviation: how forces move it.
-        bins: of its segments.
+        deviation: linearized dynamics along it.
+        bins: bins of its segments.
     """
 
     def __init__(
@@ -95,7 +97,11 @@ class SensorReadings:
         self._starts: dict[int, _Start] = {}
 
     def free(self, starts: dict[int, FreeInitialState]) -> None:
-        """Take off from now on what shifted starts of some segments explain."""
+        """Subtract the part that free initial states explain from all later results.
+
+        Args:
+            starts: segment -> its free initial state.
+        """
         for i, start in starts.items():
             shifts = start.solve.shape[0]
             solve = start.solve.reshape(shifts, -1, self.joints)
@@ -108,12 +114,12 @@ class SensorReadings:
             )  # fmt: skip
 
     def at_stamps(self, i: int, values: FloatArray) -> FloatArray:
-        """(stamps, ...) of (samples, ...) values of segment ``i``, linear in between."""
+        """(samples, ...) values of segment ``i``, interpolated linearly at its stamps."""
         read = self._at[i] @ values.reshape(len(values), -1)
         return np.asarray(read).reshape(-1, *values.shape[1:])
 
     def of(self, columns: Sequence[Column]) -> list[FloatArray]:
-        """(bins, signals) means of every column."""
+        """Bin means (bins, signals) of the readings of every column."""
         return [
             change
             for first in range(0, len(columns), _AT_ONCE)
@@ -121,15 +127,13 @@ class SensorReadings:
         ]
 
     def _in_turn(self, read: sparse.csr_array) -> sparse.csr_array:
-        """What reads samples of one segment after the other, for samples that come in turn, each of
-        all segments.
-        """
+        """Reorder the columns of a matrix from (segments, samples) to (samples, segments)."""
         segments, samples = self.deviation.stiffness.shape[:2]
         in_turn = np.arange(segments * samples).reshape(segments, samples).T.ravel()
         return sparse.csr_array(read[:, in_turn])
 
     def _stamps_of(self, i: int) -> slice:
-        """Stamps of segment ``i`` among all."""
+        """Slice of the stamps of segment ``i`` among those of all segments."""
         return slice(int(self._stamps[i]), int(self._stamps[i + 1]))
 
     def _of_few(self, columns: Sequence[Column]) -> list[FloatArray]:
@@ -146,14 +150,14 @@ class SensorReadings:
             binned[:, :joints] = (self._position @ flat).reshape(-1, joints, count)
         if effort is not None:
             for j, mean in enumerate(self._efforts):
-                mine = effort[:, :, j].reshape(samples * segments, -1)
-                binned[:, joints + j] = mean @ mine
+                of_joint = effort[:, :, j].reshape(samples * segments, -1)
+                binned[:, joints + j] = mean @ of_joint
         direct = {id(c.direct): c.direct for c in columns if c.direct is not None}
         means = {key: self._read_off(d) for key, d in direct.items()}
         for k, c in enumerate(columns):
             if c.direct is not None:
                 binned[:, :, k] += means[id(c.direct)]
-        self._take_starts_off(binned, columns, moved)
+        self._subtract_free_starts(binned, columns, moved)
         if self._position_trust is not None:
             binned[:, :joints] *= self._position_trust[..., None]
         out = binned.astype(np.float32)
@@ -162,8 +166,10 @@ class SensorReadings:
     def _acted(
         self, columns: Sequence[Column], initial: FloatArray
     ) -> tuple[FloatArray | None, FloatArray | None]:
-        """(samples, segments, joints, columns) positions under forces, and efforts where these are
-        measured; None where nothing moves, or drives.
+        """Deviations of positions and of efforts, (samples, segments, joints, columns) each.
+
+        Positions are None if no force and no initial state changes; efforts are None if they are
+        not measured.
         """
         joints, count = self.joints, len(columns)
         segments, samples = self.deviation.stiffness.shape[:2]
@@ -203,11 +209,15 @@ class SensorReadings:
                 effort[some] -= self._damping[some] * velocity
         return moved, effort
 
-    def _take_starts_off(
+    def _subtract_free_starts(
         self, binned: FloatArray, columns: Sequence[Column], moved: FloatArray | None
     ) -> None:
-        """Take off (bins, signals, columns) what shifted starts explain of (samples, segments,
-        joints, columns) deviations and of what is read directly.
+        """Subtract the part of the deviations that free initial states explain, in place.
+
+        Args:
+            binned: (bins, signals, columns) means; changed.
+            columns: the columns.
+            moved: (samples, segments, joints, columns) deviations of positions, or None.
         """
         direct = {id(c.direct): c.direct for c in columns if c.direct is not None}
         for i, start in self._starts.items():
@@ -221,11 +231,11 @@ class SensorReadings:
             for k, c in enumerate(columns):
                 if c.direct is not None:
                     shift[:, k] += solved[id(c.direct)]
-            mine = binned[self._bins[i] : self._bins[i + 1], : self.joints]
-            mine -= (start.response @ shift).reshape(mine.shape)
+            of_segment = binned[self._bins[i] : self._bins[i + 1], : self.joints]
+            of_segment -= (start.response @ shift).reshape(of_segment.shape)
 
     def _read_off(self, direct: FloatArray) -> FloatArray:
-        """(bins, signals) means of (stamps, signals) readings, efforts as far as trusted."""
+        """(bins, signals) means of (stamps, signals) readings, with weighted efforts."""
         if self._trust is not None:
             trusted = direct[:, self.joints :] * self._trust
             direct = np.concatenate([direct[:, : self.joints], trusted], axis=1)
@@ -234,12 +244,12 @@ class SensorReadings:
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """The start of one segment that is not known.
+    """The free initial state of one segment.
 
     Attributes:
-        of_samples: (shifts, samples * joints) the most probable shift under a deviation.
-        solve: (shifts, stamps * joints) the same under readings.
-        response: (bins * joints, shifts) means of what a shift changes.
+        of_samples: (shifts, samples * joints) maps a deviation to the most probable shift.
+        solve: (shifts, stamps * joints) maps readings to the most probable shift.
+        response: (bins * joints, shifts) maps a shift to bin means of positions.
     """
 
     of_samples: FloatArray
@@ -248,7 +258,7 @@ class _Start:
 
 
 def _between(along: MeasuredTrajectory, i: int, stamps: FloatArray) -> sparse.csr_array:
-    """(stamps, samples) that reads segment ``i`` at its stamps, linear in between."""
+    """(stamps, samples) matrix that interpolates segment ``i`` linearly at its stamps."""
     samples = along.position.shape[1]
     at = (stamps - along.time[i, 0]) / along.interval
     left = np.clip(at.astype(np.int64), 0, samples - 2)
@@ -260,7 +270,7 @@ def _between(along: MeasuredTrajectory, i: int, stamps: FloatArray) -> sparse.cs
 
 
 def _means(bins: Bins, stamps: int) -> sparse.csr_array:
-    """(bins, stamps) that averages."""
+    """(bins, stamps) matrix that averages the stamps of each bin."""
     counts = bins.counts
     weights = np.repeat(1.0 / counts, counts)
     ends = np.concatenate([[0], np.cumsum(counts)])
@@ -268,7 +278,7 @@ def _means(bins: Bins, stamps: int) -> sparse.csr_array:
 
 
 def _at_one(values: FloatArray | None, joint: int, joints: int) -> FloatArray | None:
-    """(..., joints) of (...) values at one joint, zero at the others."""
+    """(..., joints) values that are zero except at one joint; None stays None."""
     if values is None:
         return None
     out = np.zeros((*values.shape, joints))
@@ -277,7 +287,8 @@ def _at_one(values: FloatArray | None, joint: int, joints: int) -> FloatArray | 
 
 
 def _side_by_side(columns: Sequence[FloatArray]) -> FloatArray:
-    """(..., columns), as ``np.stack`` has them; it writes column by column, each into every line
-    of the cache, and takes four times as long.
+    """Arrays stacked along a new last axis, (..., columns).
+
+    ``np.stack`` gives the same and takes four times as long, because it writes column by column.
     """
     return np.ascontiguousarray(np.moveaxis(np.array(columns), 0, -1))

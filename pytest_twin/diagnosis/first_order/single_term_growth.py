@@ -1,8 +1,8 @@
-"""Structures grown from single terms that are fitted along the motion with their laws exact.
+"""Structures that are grown from single terms, which are first fitted along the motion.
 
-To first order two wrong terms may look better than the right one whose law bends, and what acts
-beside it is then looked for beside them: grown from what each single term comes to, the right one
-gets its company.
+To first order, two wrong terms may explain more than one right term with a nonlinear law. The beam
+search would then add further terms to the wrong ones. Here further terms are also added to each of
+the best single terms at its fitted parameters.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.first_order.linearized_fit import LinearizedFit
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.realization.executor import Forks
 
-# Single terms that are grown.
+# Number of single terms to which others are added.
 _ROOTS = 4
 
 
@@ -38,12 +38,12 @@ def grow_single_terms(
     """The best structure of every size around each of the best single terms.
 
     Args:
-        view: of the fit at hand.
-        answers: of the candidates.
-        polished: structures fitted along the motion, best first.
-        own: the fit at hand.
-        search: a fresh one.
-        cores: that take part.
+        view: residual of the present hypothesis.
+        answers: sensitivities of the candidates.
+        polished: structures that were fitted along the motion, best first.
+        own: the present hypothesis.
+        search: makes a new beam search.
+        cores: number of processes.
     """
     seen = {frozenset(p.hypothesis.terms) for p in polished}
     roots = [
@@ -54,12 +54,14 @@ def grow_single_terms(
 
     def grown(root: LinearizedFit) -> list[Hypothesis]:
         term = root.hypothesis.terms[-1]
-        gives = np.concatenate([view.jacobian, _nearest(answers, root.hypothesis, term)], axis=2)
+        jacobian = np.concatenate([view.jacobian, _nearest(answers, root.hypothesis, term)], axis=2)
         others = CandidateSensitivities(
             [r for r in answers.responses if r.term not in root.hypothesis.terms]
         )
-        lens = NormalEquations(ResidualView(root.residual, gives, view.floor, view.lengths), others)
-        levels = search().levels(lens)
+        equations = NormalEquations(
+            ResidualView(root.residual, jacobian, view.floor, view.lengths), others
+        )
+        levels = search().levels(equations)
         return [root.hypothesis.with_terms(level[0].starts) for level in levels]
 
     out: list[Hypothesis] = []
@@ -71,7 +73,7 @@ def grow_single_terms(
 
 
 def _nearest(answers: CandidateSensitivities, hypothesis: Hypothesis, term: Term) -> FloatArray:
-    """(bins, signals, switches) response of a term where it is nearest to what it came to."""
+    """(bins, signals, switches) sensitivity at the grid size nearest to a term's parameters."""
     theta = hypothesis.theta[hypothesis.slice_of(term)]
-    mine = [r for r in answers.responses if r.term == term]
-    return min(mine, key=lambda r: float(np.sum((r.start - theta) ** 2))).change
+    of_term = [r for r in answers.responses if r.term == term]
+    return min(of_term, key=lambda r: float(np.sum((r.start - theta) ** 2))).change

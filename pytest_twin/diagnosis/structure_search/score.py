@@ -1,9 +1,9 @@
-"""The score of a model, and the one test that decides between two.
+"""The score of a model, and the acceptance test between two models.
 
-Log-likelihood of the fit recordings and of the validation recordings, each signal with its variance
-profiled out and counted by its independent samples, minus half a log of these for every parameter
-(Schwarz 1978) and the log of the number of candidates for every name (extended BIC: Chen, Chen,
-Biometrika 95, 2008).
+The score is the log-likelihood of the fit recordings and of the validation recordings. Each signal
+has its variance profiled out and counts by its effective samples n. Every parameter costs
+0.5 log(n) (Schwarz 1978). Every effect costs the log of the number of candidates (extended BIC:
+Chen, Chen, Biometrika 95, 2008).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Model:
     Attributes:
         hypothesis: terms and parameters.
         residual: (samples, signals) on the fit recordings.
-        validation: (samples, signals) on the validation recordings; no rows without any.
+        validation: (samples, signals) on the validation recordings; no rows if there are none.
     """
 
     hypothesis: Hypothesis
@@ -36,7 +36,7 @@ class Model:
 
     @property
     def mean_square(self) -> FloatArray:
-        """(signals,) of the residual on fit and validation recordings, the greater."""
+        """(signals,) mean squared residual, the larger of fit and validation recordings."""
         found: FloatArray = np.mean(self.residual**2, axis=0)
         if len(self.validation):
             found = np.maximum(found, np.mean(self.validation**2, axis=0))
@@ -44,12 +44,12 @@ class Model:
 
 
 class Scorer:
-    """Compares models of one problem.
+    """Scores and compares models of one problem.
 
     Attributes:
         problem: recordings and simulator.
-        name_price: log-likelihood that one more effect has to earn.
-        earns, share: as :class:`StructureSearchSettings` has them.
+        name_price: penalty of the log-likelihood for each effect.
+        earns, share: thresholds, as in :class:`StructureSearchSettings`.
         nominal: the model without any effect.
     """
 
@@ -60,7 +60,7 @@ class Scorer:
         self.nominal = self.simulate([Hypothesis((), np.empty(0))])[0]
 
     def simulate(self, hypotheses: Sequence[Hypothesis]) -> list[Model]:
-        """Hypotheses as they are, simulated on all recordings."""
+        """Simulate hypotheses on all recordings, without fitting them."""
         problem = self.problem
         everywhere = problem.everywhere
         residuals = problem.residuals(hypotheses, everywhere)
@@ -69,7 +69,11 @@ class Scorer:
         return [Model(h, r[fitted], r[~fitted]) for h, r in zip(hypotheses, residuals, strict=True)]
 
     def misfits_where(self, hypotheses: Sequence[Hypothesis], model: Model) -> list[float]:
-        """Log mean squares, summed, of hypotheses on the fit recording that a model fits worst."""
+        """Misfit of each hypothesis on the fit recording that ``model`` fits worst.
+
+        The misfit is the sum over signals of log(mean squared residual), where no mean square is
+        below the squared noise floor; infinite if the simulation diverges.
+        """
         problem, floor = self.problem, self.problem.signal_floor
         lengths = problem.lengths(problem.fit)
         parts = np.split(model.residual, np.cumsum(lengths)[:-1])
@@ -79,10 +83,13 @@ class Scorer:
         return [float(x) if np.isfinite(x) else np.inf for x in out]
 
     def gain(self, model: Model, over: Model) -> float:
-        """Log-likelihood ratio of a model over another, after the prices of its size.
+        """Log-likelihood ratio of ``model`` to ``over``, minus the penalties of its size.
 
-        Both are counted by the independent samples of the better one: an unexplained pulse makes
-        all samples depend on each other, whatever else it hides.
+        Both use the effective samples of the better model, because an unexplained disturbance
+        correlates all samples of the worse one.
+
+        Returns:
+            Minus infinity if ``model`` diverges, infinity if only ``over`` diverges.
         """
         problem, floor = self.problem, self.problem.signal_floor
 
@@ -106,12 +113,12 @@ class Scorer:
         return ratio
 
     def is_better(self, model: Model, than: Model) -> bool:
-        """Whether a model replaces another: the acceptance test.
+        """Whether ``model`` replaces ``than``: the acceptance test.
 
-        More parameters or more names must earn them by the log-likelihood ratio. More names must
-        also earn a share of what the larger model gains over the nominal one: an effect that is
-        not quite the real one leaves a residual, and another name follows it a little. The simpler
-        of two models stays unless the other earns its size, whichever of them came first.
+        A model with more effects or parameters needs a penalized log-likelihood ratio of at least
+        ``earns``. With more effects, it also needs ``share`` of its ratio to the nominal model:
+        after an inexact effect a residual remains, which a wrong effect can reduce a little.
+        Otherwise the simpler model is kept, whichever was proposed first.
         """
         size = _size(model)
         other = _size(than)
@@ -128,11 +135,11 @@ class Scorer:
         return gain >= max(self.earns, self.share * self.gain(larger, self.nominal))
 
     def stands_out(self, model: Model, floors: float) -> np.ndarray:
-        """(signals,) whether the residual is above so many noise floors."""
+        """(signals,) whether the RMS residual exceeds ``floors`` noise floors."""
         return np.asarray(model.mean_square > (floors * self.problem.signal_floor) ** 2)
 
     def at(self, hypothesis: Hypothesis) -> Model:
-        """A hypothesis simulated with the error of the simulator's step measured for itself."""
+        """Simulate a hypothesis with the discretization error measured at its parameters."""
         self.problem.refine_at(hypothesis)
         return self.simulate([hypothesis])[0]
 

@@ -1,4 +1,4 @@
-"""The search: propose, race, accept, until no proposal passes the acceptance test."""
+"""The search: propose models, simulate them, accept the best, until no proposal passes the test."""
 
 from __future__ import annotations
 
@@ -27,19 +27,18 @@ from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 _SCANNED = 4
-"""Models of a scan that are simulated on all recordings."""
+"""Number of scanned models that are simulated on all recordings."""
 
 
 @dataclass(slots=True)
 class Result:
-    """What a search chose.
+    """Result of a search.
 
     Attributes:
-        model: accepted.
-        jacobian: (samples, signals, parameters) of its fit.
-        rivals: models that were simulated beside it and refused, with their log-likelihood ratio
-            over it.
-        has_left: whether the search was asked to end there.
+        model: the accepted model.
+        jacobian: (samples, signals, parameters) Jacobian of its last fit.
+        rivals: rejected models of the last round, with their log-likelihood ratio to ``model``.
+        has_left: whether the callback ``leave`` ended the search.
         is_complete: whether it ended because no proposal passes the acceptance test.
     """
 
@@ -51,13 +50,13 @@ class Result:
 
 
 class StructureSearch:
-    """One search over models of a problem.
+    """One search over sets of effects for a problem.
 
     Args:
-        problem: what to explain.
+        problem: the problem.
         run: the diagnosis that the search belongs to.
         settings: thresholds and bounds.
-        leave: asked of each accepted model; whether the search ends there.
+        leave: called with each accepted model; returns whether the search ends.
     """
 
     def __init__(
@@ -77,7 +76,11 @@ class StructureSearch:
             self.scorer = Scorer(problem, len(self.candidates), settings.earns, settings.share)
 
     def run(self, start: Hypothesis = EMPTY) -> Result:
-        """Search from a start until no proposal is accepted; the best so far where time ends."""
+        """Search until no proposal is accepted; the best result so far if time runs out.
+
+        Args:
+            start: hypothesis from which the search starts; the nominal model by default.
+        """
         nominal = self.scorer.nominal
         result = Result(nominal, np.zeros((*nominal.residual.shape, 0)))
         try:
@@ -87,10 +90,10 @@ class StructureSearch:
                 )
                 result = Result(model, jacobian)
             for _ in range(self.settings.rounds):
-                following = self._following(result)
-                if following is None:
+                improved = self._improved(result)
+                if improved is None:
                     return replace(result, is_complete=True)
-                result = following
+                result = improved
                 if self.leave(result.model):
                     return replace(result, has_left=True)
         except OutOfTime:
@@ -98,15 +101,15 @@ class StructureSearch:
                 self.problem.refine_at(result.model.hypothesis)
         return result
 
-    def _following(self, result: Result) -> Result | None:
-        """The result with a better model; None where no proposal passes the acceptance test."""
+    def _improved(self, result: Result) -> Result | None:
+        """The result of one round; None if no proposal passes the acceptance test."""
         scorer, incumbent = self.scorer, result.model
-        named = bool(incumbent.hypothesis.terms)
-        if not named and not scorer.stands_out(incumbent, VERDICT.stands_out).any():
+        has_effects = bool(incumbent.hypothesis.terms)
+        if not has_effects and not scorer.stands_out(incumbent, VERDICT.stands_out).any():
             return None
         fitted = as_fitted(self.problem, incumbent, result.jacobian)
-        look = linearize_around(self.problem, ScoredModel(fitted, incumbent.validation))
-        models = self._raced(look, incumbent)
+        view = linearize_around(self.problem, ScoredModel(fitted, incumbent.validation))
+        models = self._simulated_proposals(view, incumbent)
         result.rivals = [(m, scorer.gain(m, incumbent)) for m in models]
         winner = self._winner(incumbent, models)
         for model, gain in sorted(result.rivals, key=lambda each: -each[1]):
@@ -115,70 +118,71 @@ class StructureSearch:
             return None
         try:
             better, jacobian = settled(scorer, winner, self.settings.refinements)
-            # Each with the error of the simulator's step as it is at its own parameters.
-            own = scorer.at(incumbent.hypothesis)
+            # Both models are compared with the discretization error at their own parameters.
+            refined_incumbent = scorer.at(incumbent.hypothesis)
         except OutOfTime:
-            # It was chosen by simulation, and its last fit is what the time is too short for.
+            # The winner passed the test by simulation; only its last fit is missing.
             return Result(winner, np.zeros((*winner.residual.shape, 0)))
         scorer.problem.refine_at(better.hypothesis)
-        if not scorer.is_better(better, own):
-            self._record(better, scorer.gain(better, own), own, taken=False)
+        if not scorer.is_better(better, refined_incumbent):
+            gain = scorer.gain(better, refined_incumbent)
+            self._record(better, gain, refined_incumbent, taken=False)
             scorer.problem.refine_at(incumbent.hypothesis)
             return None
         return Result(better, jacobian)
 
-    def _raced(self, look: LinearizedView, incumbent: Model) -> list[Model]:
-        """Proposals simulated; the best of them fitted."""
+    def _simulated_proposals(self, view: LinearizedView, incumbent: Model) -> list[Model]:
+        """The most promising proposals, simulated; the best of them are fitted."""
         scorer, settings = self.scorer, self.settings
-        found = proposals(scorer, look, settings)
+        found = proposals(scorer, view, settings)
         chosen = self._promising(found, incumbent)
         models = scorer.simulate([p.hypothesis for p in chosen])
-        models = self._fitted(look, models, incumbent, settings.finalists)
+        models = self._fitted(view, models, incumbent, settings.finalists)
         best = min(
             [incumbent, *models],
             key=lambda m: float(np.log(np.maximum(m.mean_square, 1e-30)).sum()),
         )
         if scorer.stands_out(best, 2.0 * VERDICT.stands_out).any():
             scanned = self._scanned(incumbent, best)
-            models += self._fitted(look, scanned, incumbent, 3)
+            models += self._fitted(view, scanned, incumbent, 3)
         return models
 
     def _promising(self, found: Sequence[Proposal], incumbent: Model) -> list[Proposal]:
-        """The proposals that are worth a simulation: the best of each size."""
+        """The proposals that are simulated: the best of each number of effects."""
         settings = self.settings
         size = len(incumbent.hypothesis.terms)
 
         def rank(p: Proposal) -> float:
-            # A smaller model wins unless it loses what a name earns.
+            # A removed effect must have earned its place, so its removal gets the same amount.
             return p.gain + settings.earns * max(size - len(p.hypothesis.terms), 0)
 
         ranked = sorted(found, key=rank, reverse=True)
-        # The linearization favours large models: they can fit its errors. Of each number of effects
-        # the best are simulated, so that a single right effect is not crowded out.
-        chosen, rest, taken = list[Proposal](), list[Proposal](), Counter[int]()
+        # Large models can fit errors of the linearization. The best proposals of each number of
+        # effects are simulated, so that large ones do not displace a single right effect.
+        chosen, others, taken = list[Proposal](), list[Proposal](), Counter[int]()
         for proposal in ranked:
             count = len(proposal.hypothesis.terms)
-            (chosen if taken[count] < settings.of_each_count else rest).append(proposal)
+            (chosen if taken[count] < settings.of_each_count else others).append(proposal)
             taken[count] += 1
-        return chosen + rest[: max(settings.proposals - len(chosen), 0)]
+        return chosen + others[: max(settings.proposals - len(chosen), 0)]
 
     def _fitted(
-        self, look: LinearizedView, models: Sequence[Model], incumbent: Model, count: int
+        self, view: LinearizedView, models: Sequence[Model], incumbent: Model, count: int
     ) -> list[Model]:
-        """Models by their gain, the first fitted."""
+        """Models in the order of their gain; the first ``count`` are fitted."""
         scorer = self.scorer
         order = sorted(models, key=lambda m: -scorer.gain(m, incumbent))
         return [
-            *corrected_fits(scorer, look, order[:count], self.settings.corrections),
+            *corrected_fits(scorer, view, order[:count], self.settings.corrections),
             *order[count:],
         ]
 
     def _scanned(self, incumbent: Model, best: Model) -> list[Model]:
-        """Effects that are not of first order, each at the best size of its grid.
+        """Strongly nonlinear effects, each at the best size of its grid.
 
-        Transmissions read the motion back, and limits change the motion in leaps: the linearized
-        motion says little of either. They are simulated beside all effects and instead of
-        those of their joint, on the recording that shows most of the residual.
+        The linearization is poor for elastic transmissions, which feed the motion back, and for
+        limits, which are discontinuous. Both are simulated on the recording with the largest
+        residual: in addition to all effects, and instead of the effects of their joint.
         """
         scorer, own = self.scorer, incumbent.hypothesis
         joints = len(self.problem.joints)
@@ -188,9 +192,9 @@ class StructureSearch:
             if term in own.terms or not _is_scanned(term) or term.joint < 0 or not out[term.joint]:
                 continue
             bases = [own]
-            mine = [t for t in own.terms if t.joint == term.joint]
-            if mine:
-                bases.append(own.without(*mine))
+            of_joint = [t for t in own.terms if t.joint == term.joint]
+            if of_joint:
+                bases.append(own.without(*of_joint))
             for k, base in enumerate(bases):
                 rows[term, k] = [base.with_term(term, size) for size, _ in grid(term)]
         if not rows:
@@ -203,10 +207,11 @@ class StructureSearch:
         return scorer.simulate([h for m, h in found[:_SCANNED] if np.isfinite(m)])
 
     def _winner(self, incumbent: Model, models: Sequence[Model]) -> Model:
-        """The model that the acceptance test leaves: smaller ones first.
+        """The model that passes the acceptance test against all others; smaller ones come first.
 
-        A model with an impossible total, or with a shape outside the range of the recordings,
-        compensates for another effect and is none.
+        Refused models are left out: those with impossible totals (negative friction or mass), and
+        those with shape parameters outside the range of the recordings. Such a model compensates
+        for another effect.
         """
         scorer = self.scorer
         order = sorted(
@@ -239,4 +244,5 @@ class StructureSearch:
 
 
 def _is_scanned(term: Term) -> bool:
+    """Whether an effect is a limit or an elastic transmission."""
     return term.law.is_limit or term.law.overrides("separates")
