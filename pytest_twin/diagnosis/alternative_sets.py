@@ -1,4 +1,4 @@
-"""The final set of effects against other sets, before any confidence is reported."""
+"""Comparison of the final set of effects with other sets, from which confidences follow."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pytest_twin.diagnosis.search_result import SearchResult
 from pytest_twin.diagnosis.shared_confidence import share_confidence
 
 _UNCOMPARED = 0.8
-"""Greatest confidence of an effect whose set was not compared with others that predict the same. Of
-ten recordings of real machines, three had a wrong effect at 92 to 100 % where time ended before."""
+"""Largest confidence of an effect if its set was not compared with others. In three of ten
+recordings of real machines, a wrong effect had 92 to 100 % without the comparison."""
 
 
 def without_alternative_sets(found: SearchResult) -> SearchResult:
-    """What was found where time ends before its set is compared: no effect is sure."""
+    """The result with confidences of at most 80 %, because its set was not compared with others."""
     confidence = {t: min(c, _UNCOMPARED) for t, c in found.selected.confidence.items()}
     return replace(found, selected=replace(found.selected, confidence=confidence))
 
@@ -29,18 +29,19 @@ def without_alternative_sets(found: SearchResult) -> SearchResult:
 def with_alternative_sets(
     found: SearchResult, run: Run | None = None
 ) -> tuple[SearchResult, float]:
-    """What was found, or a likelier set, with confidence shared among all sets that predict alike.
+    """The result with the most likely set of effects, and with confidences against other sets.
 
-    A set with an impossible total, or with a shape that the recordings cannot show, is refused: the
-    likeliest other set takes its place, else the rest of it. Where only absolute deviations of
-    whole motions can be compared (stick-slip motion), the confidence of the search stays.
+    Sets with impossible totals, or with shape parameters that the recordings cannot identify, are
+    refused. The most likely other set replaces them, or else the set without the refused effects.
+    For whole stick-slip motions the confidence of the search is kept, because only absolute
+    deviations can be compared there.
 
     Args:
-        found: the search.
-        run: gets a step for each set that was simulated.
+        found: result of the search.
+        run: receives a step for each set that was simulated.
 
     Returns:
-        The search, and the simulations of all recordings that the comparison took.
+        The result, and the number of simulations of all recordings for the comparison.
     """
     final = found.pruned.fitted.hypothesis
     if not final.terms or found.likelihood is not log_likelihood:
@@ -67,17 +68,17 @@ def with_alternative_sets(
     notes = list[str]()
     why = refused(problem, selected.best.hypothesis, recorded)
     while why:
-        # No other set predicts as much: the rest stands, and says so.
+        # No other set explains as much: the refused effects are removed, with a note.
         notes += [f"rejected: {label(problem, term)}: {reason}" for term, reason in why.items()]
-        rest = selected.best.hypothesis.without(*why)
-        selected = replace(selected, best=comparison.settled(comparison.scored_without_fit(rest)))
-        why = refused(problem, rest, recorded) if rest.terms else {}
+        kept = selected.best.hypothesis.without(*why)
+        selected = replace(selected, best=comparison.settled(comparison.scored_without_fit(kept)))
+        why = refused(problem, kept, recorded) if kept.terms else {}
     if selected.best.hypothesis.terms != final.terms:
         pruned = prune(problem, selected)
-        gone = refused(problem, final, recorded)
+        removed = refused(problem, final, recorded)
         notes[:0] = [
             f"rejected: {label(problem, term)}: {reason}. It compensates for another effect"
-            for term, reason in gone.items()
+            for term, reason in removed.items()
             if not notes
         ]
         pruned.notes[:0] = [*found.pruned.notes, *notes]

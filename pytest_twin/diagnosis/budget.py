@@ -1,7 +1,7 @@
-"""What a diagnosis may spend: one budget of time and of simulations for all of its searches.
+"""Budget of a diagnosis: time and number of simulations for all of its searches.
 
-Work is counted in simulations of all data: the steps that were asked for, divided by the steps of
-one simulation of all recordings. Unlike seconds, it is the same on every machine.
+Work is counted in simulations of all data: the number of simulated steps, divided by the steps of
+one simulation of all recordings. Unlike seconds, this number is the same on every machine.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from pytest_twin.diagnosis.deadline import CHECK, OutOfTime, no_bound
 from pytest_twin.diagnosis.problem import Problem
 
 RESERVED, LAST = 0.2, 0.1
-"""Shares of the time: kept for what follows the search (final parameters, intervals, test
-recordings, the report), and of that for what follows the final parameters. Of six joints on two
-cores, imports, reading and the report take 8 to 10 s."""
+"""Shares of the time limit: ``RESERVED`` is kept for the steps after the search (final parameters,
+intervals, test recordings, report), ``LAST`` for those after the final parameters. With six joints
+on two cores, imports, reading and the report take 8 to 10 s."""
 STRETCH = 5.0
-"""Times its own time that a diagnosis may take where other programs hold the processors."""
+"""Largest ratio of wall-clock time to the time limit, if other programs use the processors."""
 MOST_SIMULATIONS = 1200
-"""Simulations of all data that all searches of a diagnosis may take together: four times what one
-search may take. A case with one joint takes 170 to 830."""
+"""Largest number of simulations of all data for all searches of a diagnosis: four times the limit
+of one search. A case with one joint needs 170 to 830."""
 
 
 def computing_seconds() -> float:
-    """s of all processors that this process and its ended children have used."""
+    """Processor time of this process and its ended children, s."""
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
 
@@ -35,10 +35,10 @@ class Budget:
     """Time and simulations of one diagnosis.
 
     Args:
-        seconds: wall-clock time from now on for the whole diagnosis; 0 for as long as it takes.
-        simulations: of all data, for all searches.
-        clock: seconds, monotonic.
-        own_time: whether time in which other programs hold the processors is not counted, up to
+        seconds: wall-clock limit of the whole diagnosis from now on; 0 for no limit.
+        simulations: limit of simulations of all data, for all searches together.
+        clock: function that returns a monotonic time in s.
+        own_time: whether time in which other programs use the processors is not counted, up to
             ``STRETCH`` times ``seconds``.
     """
 
@@ -65,43 +65,43 @@ class Budget:
             self.problems.append(problem)
 
     def stop(self) -> None:
-        """Let the search end at the next simulation, as if its time were over."""
+        """End the search at the next simulation, as if its time were over."""
         self.stopped = True
 
     @property
     def elapsed(self) -> float:
-        """s since the start."""
+        """Time since the start, s."""
         wall = self._clock() - self._start
         if not self.own_time:
             return wall
-        # A search is computing all the time: what is missing went to other programs.
+        # A search computes all the time, so wall time without computing went to other programs.
         computing = computing_seconds() - self._start_computing
         return max(min(wall, computing), wall / STRETCH)
 
     @property
     def left(self) -> float:
-        """s that are left of the whole diagnosis; infinite without a bound."""
+        """Remaining time of the whole diagnosis, s; infinite without a limit."""
         return max(self.seconds - self.elapsed, 0.0) if self.seconds else float("inf")
 
     @property
     def out_of_time(self) -> bool:
-        """Whether the search has to end: its share of the time is over, or it was stopped."""
+        """Whether the search must end: its share of the time is over, or it was stopped."""
         over = bool(self.seconds) and self.elapsed > (1.0 - RESERVED) * self.seconds
         return self.stopped or over
 
     @property
     def work(self) -> float:
-        """Simulations of all data so far, with those that find where segments start."""
+        """Number of simulations of all data so far, those for free initial states included."""
         return sum((p.stepped + p.in_starts) / p.once for p in self.problems)
 
     @property
     def spent(self) -> bool:
-        """Whether all searches together have used their simulations, or those of :meth:`part`."""
+        """Whether the searches have used all simulations, or those of the present :meth:`part`."""
         return self._searched > self._most
 
     @contextmanager
     def part(self, share: float) -> Iterator[None]:
-        """Searches inside may take a share of the simulations that are left."""
+        """Context in which searches may use only a share (0 to 1) of the remaining simulations."""
         most = self._most
         self._most = self._searched + share * max(most - self._searched, 0.0)
         try:
@@ -119,7 +119,7 @@ class Budget:
 
     @contextmanager
     def searching(self) -> Iterator[None]:
-        """Simulations inside raise :class:`OutOfTime` once the search has to end."""
+        """Context in which simulations raise :class:`OutOfTime` when the search must end."""
         token = CHECK.set(self._check)
         try:
             yield
@@ -128,7 +128,7 @@ class Budget:
 
     @contextmanager
     def fitting(self) -> Iterator[None]:
-        """Simulations inside raise :class:`OutOfTime` where only the last share of time is left."""
+        """Context in which simulations raise :class:`OutOfTime` when only ``LAST`` remains."""
         token = CHECK.set(self._check_last)
         try:
             yield
@@ -137,7 +137,7 @@ class Budget:
 
     @contextmanager
     def reserved(self) -> Iterator[None]:
-        """Simulations inside run to their end: they use the reserved time."""
+        """Context in which simulations are not interrupted; they use the reserved time."""
         token = CHECK.set(no_bound)
         try:
             yield
@@ -146,7 +146,7 @@ class Budget:
 
     @contextmanager
     def apart(self) -> Iterator[None]:
-        """Simulations inside are no search over effects: they have bounds of their own."""
+        """Context whose simulations do not count for the limit of the searches."""
         before = self._stepped
         try:
             yield

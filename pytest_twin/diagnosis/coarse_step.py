@@ -10,9 +10,11 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.verdict import JointError
 
 _STANDS, _OF_IT = 2.0, 3.0
-"""Least residual, in noise floors, and least ratio of integration error to residual for a note."""
+"""Smallest residual in noise floors, and smallest ratio of integration error to residual, for a
+note."""
 _OF_ALL = 0.5
-"""Ratio of integration error to nominal error from which a finding may come from the step."""
+"""Ratio of integration error to the nominal model's error above which the integration error may be
+the cause of a finding."""
 
 
 def integration_errors(
@@ -21,9 +23,9 @@ def integration_errors(
     """Joint -> RMS integration error in rad or m, where it is large compared with the residual.
 
     Args:
-        problem: refined at the hypothesis.
-        errors: of each tested joint.
-        times: least ratio of integration error to residual.
+        problem: the problem, refined at the hypothesis.
+        errors: errors of each tested joint.
+        times: smallest ratio of integration error to residual.
     """
     return {
         joint: float(rms)
@@ -39,24 +41,24 @@ def notes_on_coarse_step(
 ) -> list[str]:
     """A note for each joint whose integration error is large compared with residual or findings.
 
-    Predictions are corrected by the integration error to first order only. For a resonant
-    transmission or a sudden force a part remains and biases the findings.
+    Predictions are corrected by the integration error to first order only. With a resonant
+    transmission or a sudden force, a part of it remains and biases the findings.
 
     Args:
-        problem: the problem.
+        problem: the problem; it is refined at the hypothesis.
         hypothesis: the findings.
-        errors: of each tested joint.
+        errors: errors of each tested joint.
     """
     if not hypothesis.terms:
         return []
     problem.refine_at(hypothesis)
     own = dict(zip(problem.joints, discretization(problem).tolist(), strict=True))
-    off = integration_errors(problem, errors, _OF_IT)
+    large = integration_errors(problem, errors, _OF_IT)
     found_at = {problem.joints[t.joint] for t in hypothesis.terms if t.joint >= 0}
     step = 1e3 * problem.simulator.timestep
     lines = []
     for joint, error in errors.items():
-        if joint in off:
+        if joint in large:
             words = (
                 f"{own[joint] / error.after:.0f} times the residual; residual and values may come "
                 "from it"

@@ -1,7 +1,7 @@
-"""After effects are chosen: their final parameters, and the errors on the test recordings.
+"""Final parameters of the chosen effects, and their errors on the test recordings.
 
-The order matters. The parameters are fitted to the fit and validation recordings before a test
-recording is opened, and nothing is fitted or chosen afterwards.
+The parameters are fitted to the fit and validation recordings before a test recording is used.
+Nothing is fitted or chosen afterwards.
 """
 
 from __future__ import annotations
@@ -46,17 +46,19 @@ from pytest_twin.trial import Trial
 
 @dataclass(frozen=True, slots=True)
 class ChosenModel:
-    """What is known before a test recording is opened.
+    """The chosen effects with their final parameters, before any test recording is used.
 
     Attributes:
-        given: the model, and how it is stepped.
-        found: the search, with the final parameters; its problem fits the fit and validation
-            recordings together.
-        near: window length, s, of the problem that locates what is unexplained; None where that is
-            the problem itself.
+        given: the model with its simulation settings.
+        found: result of the search with the final parameters; its problem fits the fit and
+            validation recordings together.
+        near: length in s of the windows in which the unexplained residual is located; None if the
+            problem of ``found`` is used.
         notes: one line each, for the reader.
-        rival_simulations: of all recordings, to compare the final set of effects with others.
-        between: what commands do between stamps, where only the effects that were found tell.
+        rival_simulations: number of simulations of all recordings for the comparison of the final
+            set of effects with others.
+        between: interpolation of the commands between their stamps, if only the effects decided
+            it.
     """
 
     given: ModelSetup
@@ -69,15 +71,15 @@ class ChosenModel:
 
 @dataclass(frozen=True, slots=True)
 class TestedModel:
-    """A structure on the test recordings.
+    """The chosen model, evaluated on the test recordings.
 
     Attributes:
         explained: the findings, with their gains on the test recordings.
-        tested: errors and verdict; its problem fits what was fitted and holds out the test
-            recordings. Joints that these lack are not in it.
-        near: problem and trials that locate what is unexplained.
+        tested: errors and verdict. Its problem holds out the test recordings, and has only the
+            joints that they contain.
+        near: problem and trials in which the unexplained residual is located.
         notes: one line each, for the reader.
-        problems: the problems that were added.
+        problems: problems that were built, for the budget.
     """
 
     explained: Explained
@@ -90,12 +92,12 @@ class TestedModel:
 def with_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
     """The chosen effects, fitted to fit and validation recordings together.
 
-    Without validation recordings the parameters are final already, unless the search ran out of
-    time: then they are fitted a little further.
+    Without validation recordings the parameters are final already. If the search ran out of time,
+    they are fitted with a few more iterations.
 
     Args:
-        found: the search.
-        budget: its remaining time bounds the fit.
+        found: result of the search.
+        budget: limits the time of the fit.
     """
     prepared, pruned = _refitted(found, budget)
     problem = prepared.problem
@@ -120,7 +122,7 @@ def with_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
 
 
 def _possible(problem: Problem, pruned: PrunedModel) -> PrunedModel:
-    """A fit whose totals of model and corrections are at least zero."""
+    """The fit with totals of model and corrections (friction, inertia, stiffness) at least zero."""
     h = pruned.fitted.hypothesis
     theta = at_zero(problem, h)
     if np.array_equal(theta, h.theta):
@@ -130,6 +132,7 @@ def _possible(problem: Problem, pruned: PrunedModel) -> PrunedModel:
 
 
 def _refitted(found: SearchResult, budget: Budget) -> tuple[Prepared, PrunedModel]:
+    """Problem of fit and validation recordings together, and the effects fitted to it."""
     problem, start = found.prepared.problem, found.pruned.fitted.hypothesis
     hurried = budget.out_of_time
     if not len(problem.held_out) and not hurried:
@@ -158,12 +161,12 @@ def _refitted(found: SearchResult, budget: Budget) -> tuple[Prepared, PrunedMode
 
 
 def assess(structure: ChosenModel, trials: TrialSet, test: Sequence[Trial]) -> TestedModel:
-    """Predict the test recordings with a structure that never saw them.
+    """Predict the test recordings, which were not used before.
 
     Args:
         structure: effects and parameters.
-        trials: as they were read, for what is known of the encoders.
-        test: the test recordings; without a usable one, errors are those of the fitted recordings.
+        trials: all trials; they say which encoders are stuck.
+        test: the test recordings. If none is usable, errors are those of the fitted recordings.
     """
     found, notes = structure.found, list[str]()
     test = _usable(structure, test, notes)
@@ -180,6 +183,11 @@ def assess(structure: ChosenModel, trials: TrialSet, test: Sequence[Trial]) -> T
 def _tested(
     structure: ChosenModel, trials: TrialSet, test: tuple[Trial, ...], notes: list[str]
 ) -> TestedModel:
+    """The chosen model on usable test recordings.
+
+    Raises:
+        RecordingError, SimulationError: no test recording can be simulated.
+    """
     found = structure.found
     fitted = found.prepared
     joints = [j for j in fitted.problem.joints if all(j in t.joints for t in test)]
@@ -206,7 +214,7 @@ def _tested(
         rests={
             _term(t, column): _at(rest, column)
             for t, rest in found.explained.rests.items()
-            if _here(t, column)
+            if _is_tested(t, column)
         },
     )
     prepared.lowers_floor(here.hypothesis)
@@ -214,7 +222,7 @@ def _tested(
     explained = with_gains(
         found.explained,
         {
-            t: gains[_term(t, column)] if _here(t, column) else 0.0
+            t: gains[_term(t, column)] if _is_tested(t, column) else 0.0
             for t in found.explained.hypothesis.terms
         },
     )
@@ -238,7 +246,7 @@ def _tested(
 def _near(
     structure: ChosenModel, tested: SearchResult
 ) -> tuple[tuple[Prepared, TrialSet], tuple[Problem, ...]]:
-    """The problem that locates what is unexplained, in the parameters' scales, where one is."""
+    """Problem in which the unexplained residual is located, and the problems that were built."""
     own = tested.prepared, tested.trials
     if structure.near is None or tested.verdict not in ("improved", "unexplained"):
         return own, ()
@@ -249,7 +257,7 @@ def _near(
 
 
 def _usable(structure: ChosenModel, test: Sequence[Trial], notes: list[str]) -> tuple[Trial, ...]:
-    """Test recordings in the model's units."""
+    """Test recordings without those in another unit; a note for each that is left out."""
     if not test:
         return ()
     alone = TrialSet(tuple(test), (), ())
@@ -260,15 +268,17 @@ def _usable(structure: ChosenModel, test: Sequence[Trial], notes: list[str]) -> 
         return ()
 
 
-def _here(term: Term, column: Mapping[int, int]) -> bool:
+def _is_tested(term: Term, column: Mapping[int, int]) -> bool:
+    """Whether the joint of a term is among the tested ones."""
     return term.joint < 0 or term.joint in column
 
 
 def _term(term: Term, column: Mapping[int, int]) -> Term:
+    """A term in the numbering of the tested joints."""
     return Term(term.effect, column.get(term.joint, -1))
 
 
 def _at(hypothesis: Hypothesis, column: Mapping[int, int]) -> Hypothesis:
-    """A hypothesis in the numbering of fewer joints, without the terms of others."""
-    rest = hypothesis.without(*(t for t in hypothesis.terms if not _here(t, column)))
-    return Hypothesis(tuple(_term(t, column) for t in rest.terms), rest.theta)
+    """A hypothesis in the numbering of the tested joints, without terms at other joints."""
+    tested = hypothesis.without(*(t for t in hypothesis.terms if not _is_tested(t, column)))
+    return Hypothesis(tuple(_term(t, column) for t in tested.terms), tested.theta)

@@ -1,4 +1,4 @@
-"""What a diagnosis costs, against what the engine alone would have taken for the same steps."""
+"""Computing time of a diagnosis, compared with the engine alone for the same number of steps."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.effects.batch_simulator import BatchSimulator
 
+# Simulations in a batch of the measurement.
 _ROWS = 32
-# Measured so often, or for so long in s: a core is not equally fast at all times.
+# Number of repetitions, or their total time in s: the speed of a core varies.
 _REPEATS, _LONG = 5, 1.0
 
 
@@ -20,15 +21,14 @@ class Cost:
     """Time of one diagnosis.
 
     Attributes:
-        wall_seconds: from reading to the last number.
-        engine_seconds: for the same number of steps of the nominal model, rolled out by MuJoCo
-            in batches on the same threads, with all that it does of itself and nothing of this
-            package between steps.
-        steps: of simulations that the search asked for, in millions.
-        repeated: of these, what it had asked for before and was not stepped again, in millions.
-        simulations: the steps as simulations of all data.
-        of_rivals: simulations of all recordings that the comparison of the final set of effects
-            with other sets took.
+        wall_seconds: wall-clock time from reading to the result, s.
+        engine_seconds: time of MuJoCo alone for the same number of steps of the nominal model, in
+            batches on the same threads, s.
+        steps: simulated steps, those from the cache included, in millions.
+        repeated: steps that came from the cache, in millions.
+        simulations: number of simulations of all recordings with as many steps.
+        of_alternatives: simulations of all recordings for the comparison of the final set of
+            effects with other sets.
     """
 
     wall_seconds: float
@@ -39,7 +39,7 @@ class Cost:
     of_alternatives: float = 0.0
 
     def to_json(self) -> dict[str, float]:
-        """As ``diagnosis.json`` has it."""
+        """The object ``cost`` of ``diagnosis.json``."""
         ratio = self.wall_seconds / max(self.engine_seconds, 1e-9)
         return {
             "wall_seconds": round(self.wall_seconds, 2),
@@ -53,8 +53,12 @@ class Cost:
 
 
 def cost(budget: Budget, since: float, of_alternatives: float = 0.0) -> Cost:
-    """Cost of a diagnosis that began at ``since`` (``time.perf_counter``), of it the simulations
-    of rival sets.
+    """Measure the cost of a diagnosis.
+
+    Args:
+        budget: the budget with all problems of the diagnosis.
+        since: ``time.perf_counter`` at its start, s.
+        of_alternatives: simulations of all recordings for the comparison with other sets.
     """
     wall = time.perf_counter() - since
     problems = budget.problems
@@ -63,7 +67,7 @@ def cost(budget: Budget, since: float, of_alternatives: float = 0.0) -> Cost:
     simulator = BatchSimulator(known.segments, known.joints, threads=known.threads, sparing=False)
     stepped = sum(p.stepped + p.in_starts for p in problems)
     rows = np.resize(problem.fit, max(_ROWS, len(problem.fit)))
-    simulator.trajectories(rows[:1], {})  # models are copied once
+    simulator.trajectories(rows[:1], {})  # models are copied once, outside the measured time
     before = simulator.stepped
     seconds: list[float] = []
     while len(seconds) < _REPEATS and sum(seconds) < _LONG:

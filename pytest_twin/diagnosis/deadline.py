@@ -1,4 +1,4 @@
-"""A search that runs out of time is interrupted at its next simulation."""
+"""Interruption of a search that runs out of time, at its next simulation."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from contextvars import ContextVar
 
 
 class OutOfTime(Exception):  # noqa: N818 - no error: the best so far is the result
-    """The search has to end with the best so far."""
+    """The search must end; the best result so far is used."""
 
 
 def no_bound() -> None:
-    """Never end."""
+    """Check of a search without a time limit: do nothing."""
 
 
 CHECK: ContextVar[Callable[[], None]] = ContextVar("CHECK", default=no_bound)
-"""Called before every simulation; raises :class:`OutOfTime` where the time of a search is over."""
+"""Function that is called before every simulation; raises :class:`OutOfTime` after the deadline."""
 
 
 def check() -> None:
-    """Go on, or end the search.
+    """Check the deadline of the running search.
 
     Raises:
-        OutOfTime: its time is over.
+        OutOfTime: the time of the search is over.
     """
     CHECK.get()()

@@ -1,8 +1,8 @@
-"""Measured efforts against predicted ones, where an effort jumps beside its stamp.
+"""Comparison of measured and predicted efforts with a tolerance of one time step.
 
-The effort of a servo jumps with each command. Whether it is measured just before or just after a
-jump is below what a stamp tells and what a simulator resolves. A comparison of effects must not be
-decided by that: an effort agrees if it lies between the predicted ones of neighbouring steps.
+The effort of a servo jumps with each command. Neither stamps nor the time step resolve whether it
+was measured just before or just after a jump. The comparison of effects must not depend on this. An
+effort therefore agrees if it is between the predicted efforts of neighbouring steps.
 """
 
 from __future__ import annotations
@@ -23,30 +23,33 @@ def within_a_step(
     residuals: Sequence[FloatArray],
     segments: NDArray[np.int64],
 ) -> list[FloatArray]:
-    """(samples, signals) residuals whose efforts count from the range of one step to either side.
+    """Residuals with efforts measured from the range of predictions within one step.
 
     Args:
-        problem: what to explain.
+        problem: the problem.
         hypotheses: sets of effects.
-        residuals: (samples, signals) that each leaves.
-        segments: of which segments.
+        residuals: (samples, signals) residual of each on ``segments``.
+        segments: indices of segments.
+
+    Returns:
+        (samples, signals) residual of each; that of an effort is zero inside the range.
     """
     joints = len(problem.joints)
     if problem.effort_floor is None or not hypotheses:
         return list(residuals)
     each = [h for h in hypotheses for _ in segments]
     rows = np.tile(segments, len(hypotheses))
-    beside = problem.simulator.efforts_beside(rows, effect_values(each, joints, problem.scales))
+    efforts = problem.simulator.efforts_beside(rows, effect_values(each, joints, problem.scales))
     out = []
     for i, residual in enumerate(residuals):
         lows, highs = list[FloatArray](), list[FloatArray]()
-        mine = beside[i * len(segments) : (i + 1) * len(segments)]
-        for s, (here, earlier, later) in zip(segments, mine, strict=True):
-            around = np.stack([here, earlier, later])
-            lows.append(problem.trusted(int(s), around.min(axis=0) - here))
-            highs.append(problem.trusted(int(s), around.max(axis=0) - here))
-        off = residual[:, joints:]
+        of_set = efforts[i * len(segments) : (i + 1) * len(segments)]
+        for s, (at_stamp, earlier, later) in zip(segments, of_set, strict=True):
+            around = np.stack([at_stamp, earlier, later])
+            lows.append(problem.trusted(int(s), around.min(axis=0) - at_stamp))
+            highs.append(problem.trusted(int(s), around.max(axis=0) - at_stamp))
+        error = residual[:, joints:]
         low, high = np.concatenate(lows), np.concatenate(highs)
-        banded = np.maximum(off - high, 0.0) + np.minimum(off - low, 0.0)
+        banded = np.maximum(error - high, 0.0) + np.minimum(error - low, 0.0)
         out.append(np.concatenate([residual[:, :joints], banded], axis=1))
     return out

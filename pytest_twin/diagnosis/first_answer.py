@@ -1,4 +1,4 @@
-"""A first answer within seconds: where the model is wrong, and the most likely effects."""
+"""A first answer within seconds: joint and regime of the model error, and the likely effects."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pytest_twin.replay import replay
 from pytest_twin.trial import Trial
 
 FIRST_SECONDS = 10.0
-"""Bound on the time of a first answer, s."""
+"""Time limit of a first answer, s."""
 
 
 def first_answer(
@@ -26,12 +26,12 @@ def first_answer(
 
     Args:
         realization: the nominal model.
-        trials: recordings to choose from; no test recordings.
-        patched: effects beside the model, of an earlier diagnosis.
-        seconds: bound on its time.
+        trials: recordings to choose from, without test recordings.
+        patched: effects of an earlier diagnosis in addition to the model.
+        seconds: time limit, s.
 
     Returns:
-        None where the time does not last, or the model cannot be simulated; the diagnosis says why.
+        The quick diagnosis; None if time runs out or the model cannot be simulated.
     """
     budget = Budget(seconds / (1.0 - RESERVED), own_time=True)
     try:
@@ -42,14 +42,15 @@ def first_answer(
 
 
 def _worst(realization: Realization, trials: Sequence[Trial]) -> Trial:
+    """The trial with the largest RMS error relative to the travel of a joint."""
     if len(trials) == 1:
         return trials[0]
     replayed = replay(realization, list(trials), tcp=False)
 
     def error(k: int) -> float:
         trial, moved = trials[k], np.ptp(trials[k].position, axis=0)
-        off = np.sqrt(np.mean((replayed[k].position - trial.position) ** 2, axis=0))
-        worst = float(np.max(off / np.maximum(moved, 1e-9)))
+        rms = np.sqrt(np.mean((replayed[k].position - trial.position) ** 2, axis=0))
+        worst = float(np.max(rms / np.maximum(moved, 1e-9)))
         return worst if np.isfinite(worst) else -1.0
 
     return trials[max(range(len(trials)), key=error)]

@@ -23,23 +23,27 @@ from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
+# Finite-difference step of initial positions (rad or m) and velocities (rad/s or m/s).
 _STEP = 1e-4
-# Deviations away where motors are tried to start, and at most; the share of a segment's misfit that
-# is clearly less; how often they are then moved, by this share of a deviation at least, and no
-# further where that leaves this share of the misfit.
-_TRIED, _FAR, _CLEARLY = (-2.0, -1.0, 1.0, 2.0), 3.0, 0.95
+# Initial motor positions that are tried, and their limit, in standard deviations of the prior.
+_TRIED, _FAR = (-2.0, -1.0, 1.0, 2.0), 3.0
+# A tried position is accepted below this share of a segment's misfit.
+_CLEARLY = 0.95
+# Largest number of Gauss-Newton steps, the smallest step in standard deviations, and the share of
+# the misfit below which a step is accepted.
 _PLACINGS, _SETTLED, _NO_WORSE = 6, 0.005, 1.01
 
 
 @dataclass(frozen=True, slots=True)
 class FreeInitialState:
-    """The start of one window.
+    """The free initial state of one window.
 
     Attributes:
-        response: (samples * joints, shifts) positions per unit of what is free, as
-            :func:`free_shifts` counts, then of motors behind gears that give.
-        solve: (shifts, samples * joints) the start's most probable shift under a residual.
-        motors: (joints,) deviation of where those start, rad or m; 0 where they are their links.
+        response: (samples * joints, shifts) Jacobian of positions with respect to the free part of
+            the initial state (:func:`free_shifts`), then to motors behind elastic transmissions.
+        solve: (shifts, samples * joints) maps a residual to the most probable shift (MAP estimate).
+        motors: (joints,) standard deviation of initial motor positions, rad or m; 0 with a rigid
+            transmission.
     """
 
     response: FloatArray
@@ -47,19 +51,23 @@ class FreeInitialState:
     motors: FloatArray
 
     def freed(self, residual: FloatArray) -> FloatArray:
-        """(samples, joints) residual without what a shifted start explains."""
+        """(samples, joints) residual minus the part that a shift of the initial state explains."""
         flat = residual.ravel()
-        left: FloatArray = (flat - self.response @ (self.solve @ flat)).reshape(residual.shape)
-        return left
+        remaining: FloatArray = flat - self.response @ (self.solve @ flat)
+        return remaining.reshape(residual.shape)
 
     def freed_columns(self, residuals: FloatArray) -> FloatArray:
-        """The same of (samples, joints, k) residuals."""
+        """As :meth:`freed`, for (samples, joints, k) residuals."""
         flat = residuals.reshape(-1, residuals.shape[2])
-        left: FloatArray = flat - self.response @ (self.solve @ flat)
-        return left.reshape(residuals.shape)
+        remaining: FloatArray = flat - self.response @ (self.solve @ flat)
+        return remaining.reshape(residuals.shape)
 
     def motor_shift(self, residual: FloatArray) -> FloatArray:
-        """(joints,) by how much motors most probably start elsewhere, under (samples, joints)."""
+        """(joints,) most probable shift of the initial motor positions, rad or m.
+
+        Args:
+            residual: (samples, joints) rad or m.
+        """
         shift = np.zeros(len(self.motors))
         behind = self.motors > 0.0
         if behind.any():
@@ -69,12 +77,12 @@ class FreeInitialState:
 
 @dataclass(frozen=True, slots=True)
 class FreeInitialStates:
-    """Where segments start, by their numbers.
+    """Free initial states of segments, by index of the segment.
 
     Attributes:
-        free: of those that would keep an error of it.
-        motor_shifts: (joints,) rad or m, as :class:`Segment` has them.
-        stepped: steps that were simulated to find them.
+        free: free initial state of each segment in which its error would not decay.
+        motor_shifts: (joints,) shift of initial motor positions, rad or m, as in :class:`Segment`.
+        stepped: number of simulated steps that were needed.
     """
 
     free: dict[int, FreeInitialState]
@@ -83,10 +91,10 @@ class FreeInitialStates:
 
 
 def free_shifts(segment: Segment) -> int:
-    """How much of (positions, velocities) is free when a segment starts.
+    """Number of free elements of a segment's initial (positions, velocities).
 
-    Of a velocity servo the positions alone: it takes an error of the velocity for a moment only,
-    which leaves one of the position.
+    With velocity servos only positions are free: the servo removes an error of the velocity fast,
+    and an error of the position remains.
     """
     joints = len(segment.initial_position)
     if segment.amid:
@@ -103,65 +111,70 @@ def free_initial_states(
     scales: Scales | None = None,
     fixed: EffectValues | None = None,
 ) -> FreeInitialStates:
-    """A free start for every segment that would keep an error of it.
+    """Free initial state of every segment in which an error of it would not decay.
 
-    A gear stretches by more than small shifts tell, and within its play a shift says nothing:
-    motors are tried on either side, then moved to where they seem to start (Gauss, Newton) as long
-    as that leaves no more.
+    The deflection of a transmission is too large for a linearization, and within backlash the
+    gradient is zero. Several motor positions on both sides are therefore tried first. Gauss-Newton
+    steps follow as long as the misfit does not grow.
 
     Args:
-        segments: all of the problem.
-        joints: their columns.
-        noise: (joints,) deviation of a sample, rad or m.
-        threads: of the batch.
-        hypothesis, scales: around which the shifted starts are simulated: under friction a shift
-            of the velocity dies out, without it it grows with time.
-        fixed: effects under every hypothesis, (1, joints).
+        segments: all segments of the problem.
+        joints: names of their columns.
+        noise: (joints,) standard deviation of a position sample, rad or m.
+        threads: threads of the simulation.
+        hypothesis, scales: hypothesis for the simulation of shifted initial states, with its
+            scales. With friction an error of the velocity decays, without it grows.
+        fixed: effects in addition to every hypothesis, values (1, joints).
     """
     if not any(map(free_shifts, segments)):
         return FreeInitialStates({}, {})
     scales = scales or Scales({})
     simulator = BatchSimulator(segments, joints, threads=threads, fixed=fixed)
     stretch = _stretch(simulator, hypothesis, scales)
-    placing = _Placing(simulator, noise, hypothesis, scales, stretch)
-    for far in _TRIED if placing.shifts else ():
-        placing.improved({i: far * stretch[i] for i in placing.shifts}, _CLEARLY)
-    apart = list(placing.shifts)
+    search = _InitialStateSearch(simulator, noise, hypothesis, scales, stretch)
+    for deviations in _TRIED if search.shifts else ():
+        search.improved({i: deviations * stretch[i] for i in search.shifts}, _CLEARLY)
+    active = list(search.shifts)
     for _ in range(_PLACINGS):
-        steps = {i: placing.found[i].motor_step for i in apart}
-        apart = [i for i, step in steps.items() if (np.abs(step) > _SETTLED * stretch[i]).any()]
-        if not apart:
+        steps = {i: search.found[i].motor_step for i in active}
+        active = [i for i, step in steps.items() if (np.abs(step) > _SETTLED * stretch[i]).any()]
+        if not active:
             break
-        most = {i: _FAR * stretch[i] for i in apart}
-        tried = {i: np.clip(placing.shifts[i] + steps[i], -most[i], most[i]) for i in apart}
-        apart = placing.improved(tried, _NO_WORSE)
-    free = {i: around.start for i, around in placing.found.items()}
-    return FreeInitialStates(free, placing.shifts, placing.stepped)
+        most = {i: _FAR * stretch[i] for i in active}
+        tried = {i: np.clip(search.shifts[i] + steps[i], -most[i], most[i]) for i in active}
+        active = search.improved(tried, _NO_WORSE)
+    free = {i: simulated.start for i, simulated in search.found.items()}
+    return FreeInitialStates(free, search.shifts, search.stepped)
 
 
 @dataclass(frozen=True, slots=True)
-class _Around:
-    """A segment's start, what was measured beside what is predicted there, (samples, joints), and
-    the squared sum of what a shifted start leaves of that, in deviations of a sample.
+class _SimulatedStart:
+    """A segment simulated from one initial state.
+
+    Attributes:
+        start: the free initial state around it.
+        residual: (samples, joints) measured minus predicted positions, rad or m.
+        misfit: sum of squared residuals with the free initial state, in noise standard deviations.
     """
 
     start: FreeInitialState
-    off: FloatArray
-    left: float
+    residual: FloatArray
+    misfit: float
 
     @property
     def motor_step(self) -> FloatArray:
-        """(joints,) by how much motors seem to start elsewhere."""
-        return self.start.motor_shift(self.off)
+        """(joints,) Gauss-Newton step of the initial motor positions, rad or m."""
+        return self.start.motor_shift(self.residual)
 
 
-class _Placing:
-    """Free starts of segments, with motors where they were found to leave least.
+class _InitialStateSearch:
+    """Search for the initial motor positions of segments with the smallest misfit.
 
     Attributes:
-        found: segment -> its start.
-        shifts: segment -> where its motors start, of those whose gears give.
-        stepped: steps that were simulated.
+        found: segment -> simulation from its best initial state.
+        shifts: segment -> (joints,) shift of its initial motor positions; only segments with
+            elastic transmissions.
+        stepped: number of simulated steps.
     """
 
     def __init__(
@@ -177,18 +190,27 @@ class _Placing:
         self.stepped = 0
         none = np.zeros(len(simulator.joints))
         free = [i for i, s in enumerate(simulator.segments) if free_shifts(s)]
-        self.found = self._around(dict.fromkeys(free, none))
+        self.found = self._simulated(dict.fromkeys(free, none))
         self.shifts = {i: none for i in self.found if stretch[i].any()}
 
     def improved(self, tried: Mapping[int, FloatArray], share: float) -> list[int]:
-        """Segments that keep less than a share where their motors are tried: these stay there."""
-        there = self._around(tried)
-        less = [i for i, around in there.items() if around.left < share * self.found[i].left]
-        self.found.update({i: there[i] for i in less})
-        self.shifts.update({i: tried[i] for i in less})
-        return less
+        """Accept tried motor positions that reduce the misfit below a share of its value.
 
-    def _around(self, shifts: Mapping[int, FloatArray]) -> dict[int, _Around]:
+        Args:
+            tried: segment -> (joints,) shift of its motors.
+            share: share of the present misfit.
+
+        Returns:
+            The segments whose shift was accepted.
+        """
+        simulated = self._simulated(tried)
+        better = [i for i, s in simulated.items() if s.misfit < share * self.found[i].misfit]
+        self.found.update({i: simulated[i] for i in better})
+        self.shifts.update({i: tried[i] for i in better})
+        return better
+
+    def _simulated(self, shifts: Mapping[int, FloatArray]) -> dict[int, _SimulatedStart]:
+        """Simulate segments with shifted motors; those that diverge are left out."""
         known = self._simulator
         moved = {i: replace(known.segments[i], motor_shift=x) for i, x in shifts.items()}
         shifted = [_shifted(s, self._stretch[i]) for i, s in moved.items()]
@@ -208,14 +230,14 @@ class _Placing:
             if np.isfinite(response).all():
                 of_shifts = np.stack(response, axis=1)
                 start = free_initial_state(of_shifts, s, self._noise, self._stretch[i])
-                off = s.position - base.position
-                left = float(np.sum((start.freed(off) / self._noise) ** 2))
-                out[i] = _Around(start, off, left)
+                residual = s.position - base.position
+                misfit = float(np.sum((start.freed(residual) / self._noise) ** 2))
+                out[i] = _SimulatedStart(start, residual, misfit)
         return out
 
 
 def _shifted(segment: Segment, stretch: FloatArray) -> list[Segment]:
-    """A segment, and with each of its shifts."""
+    """A segment, and copies with one element of the free initial state changed by a small step."""
     out, count = [segment], len(stretch)
     for k in range(free_shifts(segment)):
         q, v = segment.initial_position.copy(), segment.initial_velocity.copy()
@@ -229,8 +251,10 @@ def _shifted(segment: Segment, stretch: FloatArray) -> list[Segment]:
 
 
 def _stretch(simulator: BatchSimulator, hypothesis: Hypothesis, scales: Scales) -> FloatArray:
-    """(segments, joints) deviation of where motors start: by as much as usual efforts stretch their
-    gears, where these give and the servo is of velocity.
+    """(segments, joints) standard deviation of initial motor positions, rad or m.
+
+    It is the deflection of an elastic transmission under the RMS effort, if the servo is a velocity
+    servo; 0 otherwise.
     """
     segments, joints = simulator.segments, len(simulator.joints)
     out = np.zeros((len(segments), joints))
@@ -248,13 +272,15 @@ def free_initial_state(
     noise: FloatArray,
     motors: FloatArray | None = None,
 ) -> FreeInitialState:
-    """A free start from its (samples * joints, shifts) response.
+    """The free initial state of a segment: MAP estimate with a Gaussian prior.
 
     Args:
-        response: to shifts of the links, then of motors behind gears that give.
-        segment: which.
-        noise: (joints,) deviation of a sample, rad or m.
-        motors: (joints,) deviation of where those start, rad or m; 0 where they are their links.
+        response: (samples * joints, shifts) Jacobian of positions with respect to the state of the
+            links, then to motors behind elastic transmissions.
+        segment: the segment.
+        noise: (joints,) standard deviation of a position sample, rad or m.
+        motors: (joints,) standard deviation of initial motor positions, rad or m; 0 with a rigid
+            transmission, also the default.
     """
     weight = np.tile(1.0 / noise**2, len(response) // len(noise))
     motors = np.zeros(len(noise)) if motors is None else motors
@@ -262,7 +288,7 @@ def free_initial_state(
     links = response.shape[1] - len(behind)
     prior = 1.0 / np.concatenate([_start_variance(segment, noise)[:links], behind**2])
     normal = response.T @ (weight[:, None] * response) + np.diag(prior)
-    # Where a motion runs away shifts of its start all look alike: least squares share them out.
+    # In a diverging motion all shifts have nearly the same response: use the minimum-norm solution.
     solve = np.linalg.lstsq(normal, response.T * weight, rcond=None)[0].astype(np.float64)
     return FreeInitialState(response, solve, motors)
 
@@ -275,18 +301,22 @@ def _start_variance(segment: Segment, noise: FloatArray) -> FloatArray:
     basis = np.vander(t, 4, increasing=True)
     covariance = np.linalg.inv(basis.T @ basis)
     spread = np.array([covariance[0, 0], covariance[1, 1] / (width / 2) ** 2])
-    variance: FloatArray = np.outer(spread, noise**2 * _bent(segment, noise, width)).ravel()
-    # A cubic bends less than a motion that reverses: leave the start more room than noise alone.
+    variance: FloatArray = np.outer(
+        spread, noise**2 * _misfit_of_cubic(segment, noise, width)
+    ).ravel()
+    # A local cubic cannot follow a reversal exactly, so the prior is wider than noise alone gives.
     return 4.0 * variance
 
 
-def _bent(segment: Segment, noise: FloatArray, width: float) -> FloatArray:
-    """(joints,) by how many times the noise's variance samples after a start are off cubics."""
+def _misfit_of_cubic(segment: Segment, noise: FloatArray, width: float) -> FloatArray:
+    """(joints,) mean squared deviation from local cubics after the start, in noise variances; at
+    least 1.
+    """
     if segment.history is None:
         return np.ones(len(noise))
     time, smooth, _ = segment.history
     near = segment.time <= segment.start + width
     line = np.stack([np.interp(segment.time[near], time, s) for s in smooth.T], axis=1)
-    off = np.mean((segment.position[near] - line) ** 2, axis=0)
-    square: FloatArray = np.maximum(off / noise**2, 1.0)
-    return square
+    mean_square = np.mean((segment.position[near] - line) ** 2, axis=0)
+    ratio: FloatArray = np.maximum(mean_square / noise**2, 1.0)
+    return ratio

@@ -1,8 +1,9 @@
-"""What no recording says of a model where a segment starts.
+"""The part of a model's initial state that is not recorded.
 
-Joints that follow a recorded one stand where that takes them, and servos that nobody commands hold
-theirs. Actuators that remember (filters, integrators) have settled on the first command; amid a
-motion they have lived through what came before: the model is stepped along what was measured.
+Joints that are coupled to a recorded one have the position that the coupling gives. Servos without
+a command hold their joints. Actuators with a state (filters, integrators) have settled at the first
+command. If a segment starts during a motion, their state comes from a simulation along the measured
+motion.
 """
 
 from __future__ import annotations
@@ -25,24 +26,24 @@ from pytest_twin.trial import CommandMode
 from pytest_twin.trial.setpoint import Setpoint
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]
-"""(n,) s on the trial's clock, and (n, joints) positions and velocities."""
+"""(n,) times in s on the trial's clock, and (n, joints) positions and velocities."""
 _PLACED = ("qpos", "qvel")
 _REMEMBERED = ("time", "act", "history")
 
 
 class HiddenState:
-    """The rest of a model, in one trial.
+    """Computes the unrecorded state of a model at times of one trial.
 
     Args:
-        model: what the trial is stepped on.
-        joints: that were recorded.
-        modes: (joints,) what their commands are.
-        asked: what was commanded, on the trial's clock and in the model's terms; NaN columns for
-            joints that are not commanded.
-        motion: as measured.
+        model: the model of the trial.
+        joints: names of the recorded joints.
+        modes: (joints,) kinds of their commands.
+        asked: commands on the trial's clock, in the model's coordinates; NaN columns for joints
+            without a command.
+        motion: measured motion.
 
     Raises:
-        SpecError: a command that the model has no actuator for.
+        SpecError: the model has no actuator for a command.
     """
 
     def __init__(
@@ -71,11 +72,11 @@ class HiddenState:
     def at(
         self, starts: Sequence[float], states: Sequence[tuple[FloatArray, FloatArray]]
     ) -> list[Unrecorded]:
-        """Where segments start.
+        """The unrecorded state at the start of each segment.
 
         Args:
-            starts: s on the trial's clock, ascending.
-            states: (joints,) positions and velocities of each.
+            starts: start times in s on the trial's clock, ascending.
+            states: (joints,) positions and velocities at each start.
         """
         memories = self._memories(starts) if self._remembers else [{} for _ in starts]
         out = []
@@ -86,7 +87,7 @@ class HiddenState:
         return out
 
     def _memories(self, starts: Sequence[float]) -> list[dict[str, FloatArray]]:
-        """What actuators remember at each start."""
+        """States of the actuators at each start."""
         model, data = self._model, self._data
         time, position, velocity = self._motion
         step = float(model.opt.timestep)

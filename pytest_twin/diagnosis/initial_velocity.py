@@ -1,4 +1,4 @@
-"""Recordings without velocities that begin amid a motion."""
+"""Initial velocity of recordings that have no measured velocities and begin during a motion."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
-# s of a recording that tell how it began, and the share of the misfit there, at rest, that a start
-# in motion may leave: what the model lacks stays in either.
-_BEGINNING, _CLEARLY = 0.25, 0.2
+# Duration in s of the beginning of a recording over which both initial velocities are compared.
+_BEGINNING = 0.25
+# The estimated velocity is used if its misfit is below this share of the misfit from rest. Model
+# errors are part of both.
+_CLEARLY = 0.2
 
 
 def with_initial_velocity(
@@ -25,14 +27,14 @@ def with_initial_velocity(
     threads: int,
     fixed: EffectValues | None,
 ) -> list[Segment]:
-    """Segments as they are, or as they move from the start where that is clearly nearer.
+    """Segments with the better initial velocity: zero, or the estimate from the first samples.
 
     Args:
-        segments: all of a problem, those without velocities at rest.
-        moving: of some of them, the same with a velocity that their first samples say.
-        joints: their columns.
-        noise: (joints,) deviation of a sample, rad or m.
-        threads, fixed: as :class:`BatchSimulator` takes them.
+        segments: all segments of a problem; those without measured velocities start at rest.
+        moving: index of a segment -> the same segment with its estimated initial velocity.
+        joints: names of the columns.
+        noise: (joints,) standard deviation of a position sample, rad or m.
+        threads, fixed: as in :class:`BatchSimulator`.
     """
     out = list(segments)
     if not moving:
@@ -44,12 +46,12 @@ def with_initial_velocity(
     ]
     simulator = BatchSimulator(tried, joints, threads=threads, fixed=fixed)
     found = simulator.simulate(np.arange(len(tried)), {})
-    alive = noise > 0.0  # an encoder that is stuck says nothing
-    left = [
+    alive = noise > 0.0  # a stuck encoder has no noise and gives no information
+    misfit = [
         float(np.sum(((s.position - p.position)[:, alive] / noise[alive]) ** 2))
         for s, p in zip(tried, found, strict=True)
     ]
     for k, (i, other) in enumerate(moving.items()):
-        if left[2 * k + 1] < _CLEARLY * left[2 * k]:
+        if misfit[2 * k + 1] < _CLEARLY * misfit[2 * k]:
             out[i] = other
     return out

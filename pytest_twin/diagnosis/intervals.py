@@ -1,4 +1,4 @@
-"""How well parameters are known: intervals that hold where residuals are correlated."""
+"""Confidence intervals of parameters that are valid for correlated residuals and model error."""
 
 from __future__ import annotations
 
@@ -17,26 +17,29 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import SMOOTH_STEP
 
 Near = tuple[float, Mapping[Term, FloatArray]]
-"""A structure that explains nearly as much: its odds, and how far the parameters of the terms that
-both have are from those of the best structure, in multiples of their scales."""
+"""A structure that explains nearly as much: its odds, and for each shared term the difference of
+its parameters to those of the best structure, in multiples of their scales."""
 
+# Quantile of a two-sided 95 % interval.
 _LEVEL = 0.975
-# Clusters from which a jackknife has something to say, parts that fewer recordings are cut into,
-# and the share of the information on a parameter that one cluster may hold at most.
-_FEWEST, _PARTS, _MOST_LEVERAGE = 3, 6, 0.9
-# A combination of parameters is taken to be known ten times better than each of them at most.
+# Smallest number of clusters for a jackknife, and number of parts that fewer recordings are cut
+# into.
+_FEWEST, _PARTS = 3, 6
+# Largest share of the information on a parameter that one cluster may have.
+_MOST_LEVERAGE = 0.9
+# A combination of parameters is assumed to be at most ten times as accurate as each of them.
 _LEAST_VARIANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """How far the parameters of a fit may be off.
+    """Uncertainty of the parameters of a fit.
 
     Attributes:
-        half_width: (parameters,) of the 95 % interval, in multiples of the parameters' scales.
-        correlation: (parameters, parameters).
-        covariance: (parameters, parameters), scaled parameters.
-        quantile: of Student's distribution that the half widths carry.
+        half_width: (parameters,) half width of the 95 % interval, in multiples of the scales.
+        correlation: (parameters, parameters) correlation matrix.
+        covariance: (parameters, parameters) covariance matrix of the scaled parameters.
+        quantile: quantile of Student's t distribution that the half widths contain.
     """
 
     half_width: FloatArray
@@ -45,13 +48,13 @@ class Spread:
     quantile: float
 
     def apart(self, which: NDArray[np.int64], offset: FloatArray) -> float:
-        """How far a fit is from ``offset`` off it: 1 on the edge of a joint 95 % region.
+        """Normalized distance of a point from the fit: 1 on the border of the joint 95 % region.
 
-        What trades off may be known together where each is not (Wald's test).
+        It uses the correlations of the parameters (Wald test).
 
         Args:
             which: (n,) indices of parameters.
-            offset: (n,) from the fit, in multiples of the scales.
+            offset: (n,) differences from the fit, in multiples of the scales.
         """
         scaled = offset / np.maximum(self.half_width[which], 1e-300)
         values, vectors = np.linalg.eigh(self.correlation[np.ix_(which, which)])
@@ -65,20 +68,22 @@ def parameter_spread(
 ) -> Spread:
     """Intervals from the curvature at the optimum, from recordings and from rival structures.
 
-    Residuals are correlated in time, and no model is quite right. The widest of three estimates
-    counts: the sandwich with a Bartlett kernel (Newey, West, Econometrica 55, 1987) over the
-    scores, the white-noise covariance enlarged to the effective samples (Geyer 1992), and the
-    jackknife over recordings (:func:`jackknife`). How far a parameter moves in structures that
-    explain nearly as much is added in squares (Buckland, Burnham, Augustin, Biometrics 53, 1997).
-    What the correction of the simulator's step leaves is added as it is: it is a bias. A parameter
-    that moves the simulation in leaps is known no finer than these.
+    Residuals are correlated in time, and every model is inexact. The widest of three estimates is
+    used: the sandwich covariance of the scores with a Bartlett kernel (Newey, West, Econometrica
+    55, 1987), the white-noise covariance scaled to the effective samples (Geyer 1992), and the
+    jackknife over recordings (:func:`jackknife`).
+
+    The variance of a parameter between structures that explain nearly as much is added (Buckland,
+    Burnham, Augustin, Biometrics 53, 1997). The remaining discretization error is a bias and is
+    added linearly. If the simulation is discontinuous in a parameter, its interval is at least as
+    wide as its finite-difference step.
 
     Args:
-        problem: what was explained.
+        problem: the problem.
         fitted: the fit, with its Jacobian.
         near: structures that explain nearly as much.
-        in_parts: whether fewer than three recordings are cut into parts for the jackknife. A fit
-            that is not at its optimum differs between parts for that reason alone.
+        in_parts: whether fewer than three recordings are cut into parts for the jackknife. It is
+            not valid for a fit that has not converged, which differs between parts.
     """
     count = fitted.hypothesis.theta.size
     if not count:
@@ -113,8 +118,8 @@ def parameter_spread(
     for i, p in enumerate(p for t in fitted.hypothesis.terms for p in t.parameters):
         if p.step > SMOOTH_STEP:
             shift[i] = max(shift[i], p.step)
-    still = ~fitted.hypothesis.movable
-    half[still] = shift[still] = 0.0
+    not_estimated = ~fitted.hypothesis.movable
+    half[not_estimated] = shift[not_estimated] = 0.0
     return Spread(
         half + shift,
         correlation,
@@ -124,12 +129,12 @@ def parameter_spread(
 
 
 def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
-    """(parameters,) half widths by how far leaving out one cluster moves a fit.
+    """(parameters,) half widths of 95 % intervals by the jackknife over clusters.
 
-    One Gauss-Newton step from the optimum without each cluster: the estimator CR3 of MacKinnon and
-    White (J. Econometrics 29, 1985) and Bell and McCaffrey (Survey Methodology 28, 2002), with
-    Student's quantile for one degree of freedom less than there are clusters. It holds where
-    the model is wrong in another way in each recording, which no residual within one shows.
+    For each cluster a Gauss-Newton step from the optimum without it is computed. This is the
+    estimator CR3 of MacKinnon and White (J. Econometrics 29, 1985) and Bell and McCaffrey (Survey
+    Methodology 28, 2002). The quantile is Student's with (clusters - 1) degrees of freedom. It is
+    valid if the model error differs between recordings, which residuals within one do not show.
 
     Args:
         scores: (clusters, parameters) gradients at the optimum.
@@ -140,29 +145,30 @@ def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
         return np.zeros(size)
     whole = information.sum(axis=0)
     scale = np.sqrt(np.diag(whole))
-    # A parameter without any influence is open, not infinite.
+    # A parameter without influence gets a large finite variance.
     scale = np.maximum(scale, 1e-9 * (float(scale.max()) or 1.0))
     values, vectors = np.linalg.eigh(whole / np.outer(scale, scale))
     root = (vectors / np.sqrt(np.maximum(values, 1e-10))) / scale[:, None]
     moved = np.empty((count, size))
     for k in range(count):
         shares, axes = np.linalg.eigh(root.T @ information[k] @ root)
-        # A parameter that one cluster alone shows cannot be fitted without it.
+        # A parameter that only one cluster determines cannot be fitted without it.
         without = 1.0 / (1.0 - np.minimum(shares, _MOST_LEVERAGE))
         moved[k] = root @ (axes * without) @ axes.T @ root.T @ -scores[k]
-    off = moved - moved.mean(axis=0)
-    variance = (count - 1.0) / count * np.sum(off**2, axis=0)
+    deviation = moved - moved.mean(axis=0)
+    variance = (count - 1.0) / count * np.sum(deviation**2, axis=0)
     half: FloatArray = stats.t.ppf(_LEVEL, count - 1) * np.sqrt(variance)
     return half
 
 
 def clusters(trials: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]:
-    """(samples,) cluster of each sample: its recording; with fewer than three recordings, equal
-    parts of each in the order of time.
+    """(samples,) index of the cluster of each sample.
+
+    A cluster is a recording. Fewer than three recordings are each cut into equal parts in time.
 
     Args:
-        trials: recording of each segment.
-        lengths: samples of each segment.
+        trials: index of the recording of each segment.
+        lengths: number of samples of each segment.
     """
     owner = np.repeat(np.asarray(trials, dtype=np.int64), lengths)
     known, numbers = np.unique(owner, return_inverse=True)
@@ -171,8 +177,8 @@ def clusters(trials: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]
     parts = -(-_PARTS // max(len(known), 1))
     out = np.empty(len(owner), dtype=np.int64)
     for k in range(len(known)):
-        mine = np.flatnonzero(numbers == k)
-        out[mine] = k * parts + np.arange(len(mine)) * parts // max(len(mine), 1)
+        own = np.flatnonzero(numbers == k)
+        out[own] = k * parts + np.arange(len(own)) * parts // max(len(own), 1)
     return out
 
 
@@ -182,13 +188,13 @@ def _sums(scores: FloatArray, owner: NDArray[np.int64]) -> FloatArray:
 
 
 def _by_cluster(jacobian: FloatArray, weight: FloatArray, owner: NDArray[np.int64]) -> FloatArray:
-    """(clusters, parameters, parameters) curvatures."""
+    """(clusters, parameters, parameters) curvature of each cluster."""
     parts = [jacobian[owner == k] for k in range(int(owner.max()) + 1)]
     return np.array([np.einsum("tsp,s,tsq->pq", part, weight, part) for part in parts])
 
 
 def _between_structures(hypothesis: Hypothesis, near: Sequence[Near]) -> FloatArray:
-    """(parameters,) deviation of parameters between structures, by their shares."""
+    """(parameters,) standard deviation between structures, weighted by their posterior shares."""
     whole = 1.0 + sum(odds for odds, _ in near)
     variance = np.zeros(hypothesis.theta.size)
     for odds, moved in near:
@@ -200,9 +206,9 @@ def _between_structures(hypothesis: Hypothesis, near: Sequence[Near]) -> FloatAr
 
 
 def _inverse(curvature: FloatArray) -> FloatArray:
-    """Inverse under a unit diagonal, so that parameters of any size count alike."""
+    """Inverse, computed with a unit diagonal for good conditioning."""
     size = np.sqrt(np.diag(curvature))
-    # A parameter without any influence is open, not infinite.
+    # A parameter without influence gets a large finite variance.
     size = np.maximum(size, 1e-9 * (float(size.max()) or 1.0))
     values, vectors = np.linalg.eigh(curvature / np.outer(size, size))
     values = np.maximum(values, 1e-10)
@@ -211,7 +217,7 @@ def _inverse(curvature: FloatArray) -> FloatArray:
 
 
 def _long_run(scores: FloatArray, lengths: list[int], reach: int) -> FloatArray:
-    """Long-run covariance of the scores' sum, Bartlett kernel, segments apart."""
+    """Long-run covariance of the sum of scores with a Bartlett kernel; segments are independent."""
     total = np.zeros((scores.shape[1], scores.shape[1]))
     at = 0
     for n in lengths:
@@ -231,7 +237,7 @@ def _long_run(scores: FloatArray, lengths: list[int], reach: int) -> FloatArray:
 
 
 def _discretization_pull(problem: Problem, jacobian: FloatArray, weight: FloatArray) -> FloatArray:
-    """Gradient (parameters,) of what the correction of the simulator's step may leave."""
+    """(parameters,) gradient of the cost by the discretization error that may remain."""
     parts = []
     for s in problem.fit:
         segment, add = problem.simulator.segments[s], problem.defect.get(int(s))
@@ -243,7 +249,7 @@ def _discretization_pull(problem: Problem, jacobian: FloatArray, weight: FloatAr
         if problem.effort_floor is not None and segment.effort is not None:
             columns.append(problem.trusted(int(s), add.effort))
         parts.append(np.concatenate(columns, axis=1))
-    left = problem.weighed(np.nan_to_num(np.concatenate(parts)), problem.fit)
-    change = problem.step_left * left
+    step_error = problem.weighed(np.nan_to_num(np.concatenate(parts)), problem.fit)
+    change = problem.step_left * step_error
     pull: FloatArray = np.einsum("tsp,ts->p", jacobian, change * weight)
     return pull

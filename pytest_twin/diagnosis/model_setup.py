@@ -1,4 +1,4 @@
-"""What a diagnosis is given beside recordings."""
+"""The model of a diagnosis with its simulation settings."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from pytest_twin.trial import Trial
 
 @dataclass(frozen=True, slots=True)
 class ModelSetup:
-    """A model, and how it is stepped.
+    """A model with its simulation settings.
 
     Attributes:
         realization: the nominal model, without delay lines.
-        beside: effects that are stepped beside it.
-        coldness: of trials by their temperature as an earlier diagnosis had it; empty where the
-            trials tell.
-        creeps: whether dry friction does, as MuJoCo's default constraint has it.
-        substeps: steps for each of the model's that a simulation took which made the recordings; 0
-            where a robot did.
-        threads: of the batches, 0 for all cores.
+        beside: effects that are simulated in addition to the model.
+        coldness: normalized temperatures of an earlier diagnosis; empty to take them from the
+            trials.
+        creeps: whether a joint creeps under dry friction, as with MuJoCo's default constraint.
+        substeps: if a simulation made the recordings: its steps for each step of the model; 0 for
+            recordings of a robot.
+        threads: threads of the simulation, 0 for all cores.
     """
 
     realization: Realization
@@ -42,9 +42,14 @@ class ModelSetup:
     def of(
         cls, realization: Realization, inherited: Patched | None, threads: int = 0
     ) -> ModelSetup:
-        """A realization, nominal or written by an earlier diagnosis.
+        """The setup of a model, nominal or patched by an earlier diagnosis.
 
-        Whether a simulation made the recordings is not the model's: it is asked of each set anew.
+        Whether a simulation made the recordings is detected anew for each set of recordings.
+
+        Args:
+            realization: the model.
+            inherited: effects of an earlier diagnosis that its MJCF cannot hold.
+            threads: threads of the simulation, 0 for all cores.
         """
         coldness = {} if inherited is None else inherited.coldness
         creeps = inherited is not None and inherited.creeps
@@ -59,8 +64,9 @@ class ModelSetup:
         contact: ContactGeoms | None = None,
         scales: Scales | None = None,
     ) -> Prepared:
-        """The problem of explaining ``fit`` and predicting ``held_out``; arguments and errors as
-        :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
+        """The problem of explaining ``fit`` and predicting ``held_out``.
+
+        Arguments and errors are those of :func:`~pytest_twin.diagnosis.prepare.prepare`.
         """
         joints = shared_joints(self.realization, (*fit, *held_out))
         return prepare(

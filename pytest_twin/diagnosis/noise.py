@@ -1,4 +1,4 @@
-"""How loud sensors are: what their samples, and the model, do not explain of them."""
+"""Estimates of sensor noise and of timing jitter from recorded samples."""
 
 from __future__ import annotations
 
@@ -11,31 +11,37 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.segment import Predicted, Segment
 
-# Samples that a cubic is fitted to, and its coefficients; of polynomials that follow fast motion at
-# low rates, and how far they lie apart.
+# Samples to which a cubic is fitted, its coefficients, and the degrees of freedom.
 _NEIGHBOURS, _CUBIC = 15, 4
 _FREE = _NEIGHBOURS - _CUBIC
+# Samples and coefficients of polynomials of degree seven, which follow fast motion at low sampling
+# rates, and the distance of their windows in samples.
 _FEW, _SEVENTH, _APART = 12, 8, 4
-# Groups of windows of like speed.
+# Groups of windows with similar speed.
 _SPEEDS = 12
-# Share of the samples, those that the model's step changes least, that tell an effort's noise.
+# Effort noise is estimated from this share of the samples, those with the smallest discretization
+# error.
 _QUIET = 0.3
-# Of the largest effort that a sensor measured, the least that it resolves: a converter of 13 bits.
+# Smallest resolution of an effort sensor, as a share of its largest reading: a 13-bit converter.
 _FINEST_EFFORT = 1e-4
 
 
 def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
-    """(joints,) standard deviation of noise and quantization of (n, joints) samples at (n,) s.
+    """(joints,) standard deviation of noise and quantization.
 
-    Three filters take out what is smooth, third differences, cubics through neighbours in time and
-    polynomials of degree seven through fewer; each knows what it leaves of white noise. Fast motion
-    gets through the second, at few samples a period through the first; the steps of a coarse
-    encoder and irregular sampling are blown up by the first: the least is right. Medians keep
-    reversals and impacts out.
+    Three filters remove the smooth motion: third differences, local cubics, and local polynomials
+    of degree seven. Each is scaled by its response to white noise. Fast motion passes the cubics,
+    and at few samples a period also the third differences. Third differences amplify coarse
+    quantization and irregular sampling. All errors increase the estimate, so the smallest of the
+    three is taken. Medians exclude reversals and impacts.
+
+    Args:
+        time: (n,) s.
+        position: (n, joints) rad or m.
     """
     step = np.array([_quantum(position[:, j]) for j in range(position.shape[1])])
     third = np.median(np.abs(np.diff(position, n=3, axis=0)), axis=0)
-    # A median of counts is known to half a count.
+    # The median of quantized values is uncertain by half a quantization step.
     spread = 1.4826 * (third + 0.5 * step) / np.sqrt(20.0)
     if len(position) >= 2 * _NEIGHBOURS:
         spread = np.minimum(spread, _off_cubics(time, position))
@@ -45,11 +51,15 @@ def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def timing_jitter(time: FloatArray, position: FloatArray) -> float:
-    """Standard deviation of stamps, s, about when (n, joints) samples were really taken.
+    """Standard deviation of the error of the stamps, s.
 
-    A sample that is late is off by its speed: what cubics through neighbours leave grows with its
-    square. Medians over windows of like speed keep reversals and impacts out; the clock is one for
-    all joints.
+    A timing error shifts a sample in proportion to its speed. The residual variance of local cubics
+    therefore grows with the squared speed. Medians over windows of similar speed exclude reversals
+    and impacts. All joints share one clock, so the median over joints is returned.
+
+    Args:
+        time: (n,) s.
+        position: (n, joints) rad or m.
     """
     if len(time) < _SPEEDS * _NEIGHBOURS:
         return 0.0
@@ -60,7 +70,7 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
         bins = np.array_split(np.argsort(np.abs(v)), _SPEEDS)
         level = np.array([np.median(s[b]) for b in bins]) / median
         if not level.all():
-            # An encoder whose counts stand still.
+            # The encoder reads the same count in some windows.
             continue
         fast = np.array([np.mean(v[b] ** 2) for b in bins])
         (_, slope), _ = nnls(np.stack([1.0 / level, fast / level], axis=1), np.ones(_SPEEDS))
@@ -69,14 +79,14 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
 
 
 def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
-    """(joints,) deviation of samples from cubics, one through every few neighbours."""
+    """(joints,) standard deviation of samples from local cubics."""
     square, _ = _cubics(time, position)
     spread: FloatArray = np.sqrt(np.median(square, axis=0) / _FREE)
     return spread
 
 
 def _off_seventh_degree(time: FloatArray, position: FloatArray) -> FloatArray:
-    """(joints,) deviation of samples from polynomials through fewer of them."""
+    """(joints,) standard deviation of samples from local polynomials of degree seven."""
     square, _ = _polynomials(time, position, _FEW, _SEVENTH, _APART)
     spread: FloatArray = np.sqrt(np.median(square, axis=0) / _median_square(_FEW - _SEVENTH))
     return spread
@@ -88,15 +98,21 @@ def _median_square(freedom: int) -> float:
 
 
 def _cubics(time: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(windows, joints) squares of samples off cubics through neighbours, and their speed."""
+    """Sums of squared deviations from local cubics, and velocities, (windows, joints) each."""
     return _polynomials(time, position, _NEIGHBOURS, _CUBIC, _NEIGHBOURS)
 
 
 def _polynomials(
     time: FloatArray, position: FloatArray, neighbours: int, coefficients: int, apart: int
 ) -> tuple[FloatArray, FloatArray]:
-    """(windows, joints) squares of samples off polynomials through as many neighbours, windows so
-    many samples apart, and their speed.
+    """Sums of squared deviations from local polynomials, and velocities, (windows, joints) each.
+
+    Args:
+        time: (n,) s.
+        position: (n, joints) rad or m.
+        neighbours: number of samples in a window.
+        coefficients: number of coefficients of the polynomial.
+        apart: distance between the beginnings of windows, in samples.
     """
     first = np.arange(0, len(time) - neighbours + 1, apart)
     inside = first[:, None] + np.arange(neighbours)
@@ -106,14 +122,14 @@ def _polynomials(
     powers = ((windows - middle) / half)[..., None] ** np.arange(coefficients)
     basis, triangle = np.linalg.qr(powers)
     samples = position[inside]
-    along = basis.transpose(0, 2, 1) @ samples
-    off = samples - basis @ along
-    square: FloatArray = (off**2).sum(axis=1)
-    return square, np.linalg.solve(triangle, along)[:, 1] / half
+    projected = basis.transpose(0, 2, 1) @ samples
+    residual = samples - basis @ projected
+    square: FloatArray = (residual**2).sum(axis=1)
+    return square, np.linalg.solve(triangle, projected)[:, 1] / half
 
 
 def _quantum(values: FloatArray) -> float:
-    """The step of a quantized signal, or 0 where it is not quantized."""
+    """The quantization step of a signal; 0 if it is not quantized."""
     levels = np.unique(values)
     if len(levels) < 3:
         return 0.0
@@ -121,14 +137,20 @@ def _quantum(values: FloatArray) -> float:
     smallest = float(np.quantile(gaps, 0.05))
     if smallest <= 0.0:
         return 0.0
-    off = gaps / smallest
-    return smallest if np.abs(off - np.round(off)).mean() < 0.02 else 0.0
+    multiples = gaps / smallest
+    return smallest if np.abs(multiples - np.round(multiples)).mean() < 0.02 else 0.0
 
 
 def greatest_noise(
     segments: Sequence[Segment], values: Sequence[FloatArray], owner: Sequence[int]
 ) -> FloatArray:
-    """(joints,) of the noisiest trial."""
+    """(joints,) noise in the noisiest trial.
+
+    Args:
+        segments: segments of all trials.
+        values: (samples, joints) of each segment.
+        owner: index of the trial of each segment.
+    """
     greatest: FloatArray = np.max(_by_trial(segments, values, owner), axis=0)
     return greatest
 
@@ -136,24 +158,25 @@ def greatest_noise(
 def _by_trial(
     segments: Sequence[Segment], values: Sequence[FloatArray], owner: Sequence[int]
 ) -> FloatArray:
-    """(trials, joints) noise; the windows of one trial are taken together."""
+    """(trials, joints) noise; the windows of one trial are evaluated together."""
     each = []
     for trial in sorted(set(owner)):
-        mine = [i for i, o in enumerate(owner) if o == trial]
-        time = np.concatenate([segments[i].time for i in mine])
-        each.append(sensor_noise(time, np.concatenate([values[i] for i in mine])))
+        of_trial = [i for i, o in enumerate(owner) if o == trial]
+        time = np.concatenate([segments[i].time for i in of_trial])
+        each.append(sensor_noise(time, np.concatenate([values[i] for i in of_trial])))
     return np.array(each)
 
 
 def timing_noise(segments: Sequence[Segment], owner: Sequence[int]) -> FloatArray:
-    """(joints,) what jitter of the stamps makes of positions, rad or m, in the worst trial; the
-    noise has it in it.
+    """(joints,) RMS position error from the jitter of the stamps in the worst trial, rad or m.
+
+    :func:`sensor_noise` contains it. Arguments are as in :func:`greatest_noise`.
     """
     each = []
     for trial in sorted(set(owner)):
-        mine = [segments[i] for i, o in enumerate(owner) if o == trial]
-        time = np.concatenate([s.time for s in mine])
-        position = np.concatenate([s.position for s in mine])
+        of_trial = [segments[i] for i, o in enumerate(owner) if o == trial]
+        time = np.concatenate([s.time for s in of_trial])
+        position = np.concatenate([s.position for s in of_trial])
         usual = np.zeros(position.shape[1])
         if len(time) >= 2 * _NEIGHBOURS:
             usual = np.sqrt(np.mean(_cubics(time, position)[1] ** 2, axis=0))
@@ -165,22 +188,29 @@ def timing_noise(segments: Sequence[Segment], owner: Sequence[int]) -> FloatArra
 def effort_noise(
     segments: Sequence[Segment], nominal: Sequence[Predicted], owner: Sequence[int]
 ) -> FloatArray:
-    """(joints,) deviation of measured efforts, N*m or N.
+    """(joints,) standard deviation of measured efforts, N*m or N.
 
-    A stiff servo's effort jumps at every command, which third differences take for noise where the
-    model does not say the same. The sensor is one in all trials: the median is
-    of one with few jumps.
+    The effort of a stiff servo jumps at every command, and third differences count a jump as noise.
+    The noise is therefore also estimated after subtraction of the model's effort, and the smaller
+    estimate is used. All trials have the same sensor, so the median over trials is returned.
+
+    Args:
+        segments: segments of all trials.
+        nominal: their predictions by the nominal model.
+        owner: index of the trial of each segment.
     """
     efforts = [s.effort for s in segments if s.effort is not None]
-    off = [e - p.effort for e, p in zip(efforts, nominal, strict=True)]
-    each = np.minimum(_by_trial(segments, efforts, owner), _by_trial(segments, off, owner))
+    errors = [e - p.effort for e, p in zip(efforts, nominal, strict=True)]
+    each = np.minimum(_by_trial(segments, efforts, owner), _by_trial(segments, errors, owner))
     usual: FloatArray = np.median(each, axis=0)
     return usual
 
 
 def finest_effort(segments: Sequence[Segment]) -> FloatArray:
-    """(joints,) least deviation of a measured effort, N*m or N: no sensor resolves a smaller part
-    of the largest effort that it measured. Efforts of a simulation have no noise at all.
+    """(joints,) smallest plausible standard deviation of measured efforts, N*m or N.
+
+    It is the resolution of a sensor for the largest measured effort. It matters for recordings of a
+    simulation, whose efforts have no noise.
     """
     largest = np.max(
         [np.abs(s.effort).max(axis=0) for s in segments if s.effort is not None], axis=0
@@ -190,30 +220,32 @@ def finest_effort(segments: Sequence[Segment]) -> FloatArray:
 
 
 def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int]) -> FloatArray:
-    """(joints,) deviation of measured efforts where the model's step is no matter, N*m or N.
+    """(joints,) standard deviation of efforts, from samples with little discretization error.
 
-    Efforts that jump do so in proportion to the model's: what third differences leave beside that
-    is noise.
+    Jumps of the measured effort are proportional to those of the model. The noise is estimated from
+    third differences after subtraction of the proportional part. Unit N*m or N; infinite if a trial
+    has no effort.
     """
     each = []
     for trial in sorted(set(owner)):
-        measured, modelled, shaken = [], [], []
+        measured, modelled, step_error = [], [], []
         for i, o in enumerate(owner):
             effort, add = problem.simulator.segments[i].effort, problem.defect.get(i)
             if o == trial and effort is not None and add is not None:
                 measured.append(effort)
                 modelled.append(nominal[i].effort + add.effort)
-                shaken.append(np.abs(add.effort))
+                step_error.append(np.abs(add.effort))
         if not measured:
             return np.full(len(problem.joints), np.inf)
-        third, like = (np.diff(np.concatenate(x), n=3, axis=0) for x in (measured, modelled))
-        shake = np.max(
-            np.lib.stride_tricks.sliding_window_view(np.concatenate(shaken), 4, axis=0), axis=-1
+        third, modelled_third = (
+            np.diff(np.concatenate(x), n=3, axis=0) for x in (measured, modelled)
         )
-        quiet = shake <= np.quantile(shake, _QUIET, axis=0)
+        windows = np.lib.stride_tricks.sliding_window_view(np.concatenate(step_error), 4, axis=0)
+        largest = np.max(windows, axis=-1)
+        quiet = largest <= np.quantile(largest, _QUIET, axis=0)
         found = np.zeros(len(problem.joints))
         for j in range(third.shape[1]):
-            a, b = third[quiet[:, j], j], like[quiet[:, j], j]
+            a, b = third[quiet[:, j], j], modelled_third[quiet[:, j], j]
             a = a - b * (a @ b) / max(float(b @ b), 1e-30)
             found[j] = 1.4826 * float(np.median(np.abs(a))) / np.sqrt(20.0)
         each.append(found)

@@ -1,4 +1,4 @@
-"""From trials to a problem: segments, floor, scales."""
+"""Building of the estimation problem from trials: segments, noise floors and scales."""
 
 from __future__ import annotations
 
@@ -41,21 +41,21 @@ from pytest_twin.trial import Trial
 
 NOISE = "sensor noise and quantization"
 STEP = "discretization of the simulator"
-# Share of a step from its ends within which a command changes between steps.
+# A command within this share of a step from its ends counts as sent between two steps.
 _EDGE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A problem and where it came from.
+    """A problem, with the trials and settings from which it was built.
 
     Attributes:
-        problem: to explain.
-        segment_trial: trial index of each segment.
-        floor_parts: name of a source -> (joints,) deviations, SI units.
-        coldness: temperatures of the trials, where they tell something.
-        substeps: of the simulation that made the recordings, as :func:`prepare` takes them.
-        window: s, that motions are cut into; None for the usual.
+        problem: the problem.
+        segment_trial: index of the trial of each segment.
+        floor_parts: source of noise -> (joints,) standard deviation, rad or m.
+        coldness: normalized temperatures of the trials; empty if they are not known.
+        substeps: substeps of the simulation that made the recordings, as in :class:`Simulated`.
+        window: length in s of the windows that motions are cut into, as in :func:`prepare`.
     """
 
     problem: Problem
@@ -66,14 +66,14 @@ class Prepared:
     window: float | None = None
 
     def lowers_floor(self, hypothesis: Hypothesis) -> bool:
-        """Measure the error of the simulator's step where a hypothesis is, and lower the floor
-        where that leaves far less.
+        """Measure the discretization error at a hypothesis, and lower the noise floor if it allows.
 
-        The nominal model may run away from what was recorded (a drive that in it never
-        saturates), and its step is as far off there as it was measured; not where it stays near.
+        The nominal model may diverge from the recordings (for example without a drive's
+        saturation), and its discretization error is then large. A better hypothesis has a smaller
+        one.
 
         Returns:
-            Whether some joint's floor is far lower now; the others keep theirs.
+            Whether the floor of a joint became far lower; the floors of other joints are unchanged.
         """
         problem = self.problem
         problem.refine_at(hypothesis)
@@ -83,7 +83,7 @@ class Prepared:
         steps = discretization(problem)
         floor = _floor(noise, problem, steps)
         before = _floor(noise, problem, self.floor_parts[STEP])
-        # A floor that is not what its parts add up to is of a joint whose encoder says nothing.
+        # A joint with a stuck encoder has a floor that is not the sum of its parts; it is kept.
         lower = (floor < PREPARE.far_lower * before) & np.isclose(problem.floor, before)
         problem.floor = np.where(lower, floor, problem.floor)
         self.floor_parts[STEP] = np.where(lower, steps, self.floor_parts[STEP])
@@ -92,16 +92,16 @@ class Prepared:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """How recordings are simulated beside what the model says.
+    """Settings of the simulation that are not part of the model.
 
     Attributes:
-        coldness: of trials by their temperature, as an earlier diagnosis had it; empty where the
-            trials tell.
-        fixed: effects beside the model, (1, joints) of :func:`shared_joints`.
-        creeps: whether dry friction does, as MuJoCo's default constraint has it.
-        substeps: steps for each of the model's that a simulation took which made the recordings:
-            they have its error in them; 0 where a robot did.
-        scales: of the joints' parameters; None for those of these recordings.
+        coldness: normalized temperatures of an earlier diagnosis; empty to take them from the
+            trials.
+        fixed: effects in addition to the model, values (1, joints) of :func:`shared_joints`.
+        creeps: whether a joint creeps under dry friction, as with MuJoCo's default constraint.
+        substeps: if a simulation made the recordings: its steps for each step of the model. The
+            recordings then contain its discretization error. 0 for recordings of a robot.
+        scales: reference scales of the parameters; None to compute them from the recordings.
     """
 
     coldness: Coldness = field(default_factory=dict)
@@ -128,17 +128,17 @@ def prepare(
 
     Args:
         realization: the nominal model.
-        fit, held_out: recordings.
-        threads: of the simulation; 0 for all.
-        window: length in s of the windows that motions are cut into; half of it where they depart
-            from the model too far for it. None: only motions under effort commands are cut.
-        contact: what the robot meets, if windows are to lie where it is far from that.
-        simulated: how the recordings are simulated.
+        fit, held_out: trials that are fitted, and trials that are predicted only.
+        threads: threads of the simulation; 0 for all cores.
+        window: length in s of the windows that motions are cut into. It is halved if the
+            discretization error is too large. None: only motions under effort commands are cut.
+        contact: surfaces from which all windows keep a distance; None for no restriction.
+        simulated: settings of the simulation.
 
     Raises:
-        RecordingError: no joint that the model and every recording share; or nothing to fit that is
-            far from ``contact``.
-        SpecError: a controller, payload or actuator that the model lacks.
+        RecordingError: model and recordings share no joint, or no motion to fit keeps the distance
+            from ``contact``.
+        SpecError: a controller, payload or actuator is missing in the model.
     """
     trials = [*fit, *held_out]
     joints = shared_joints(realization, trials)
@@ -200,7 +200,7 @@ def prepare(
     elif simulator.models.contact.world.size:
         problem.step_left = PREPARE.step_with_impacts
     for _ in range(PREPARE.passes if segments[0].mode == "effort" else 1):
-        # Weights of segments are in noise floors, and the floor depends on the weights: alternate.
+        # The weights depend on the noise floor, and the floor on the weights: alternate.
         steps = changed if substeps else discretization(problem)
         problem.floor = _floor(noise, problem, steps)
         if segments[0].mode == "effort":
@@ -209,7 +209,7 @@ def prepare(
         _weigh_efforts(problem, nominal, owner, effort_floor)
     parts = {
         NOISE: noise,
-        # Of a joint that swings fast now and then its mean square is more than the usual noise.
+        # With rare fast motion, the mean square of the timing noise can exceed the typical noise.
         "of it, sample timing": np.minimum(timing_noise(segments, owner), noise),
         STEP: steps,
     }
@@ -221,9 +221,10 @@ class _Cut:
     """Trials cut into segments.
 
     Attributes:
-        segments: of all trials.
-        owner: number of the trial of each segment.
-        moving: number of a segment without a velocity -> the same segment in motion at its start.
+        segments: segments of all trials.
+        owner: index of the trial of each segment.
+        moving: index of a segment that starts at rest -> the same segment with an initial velocity
+            from its first samples.
     """
 
     segments: list[Segment]
@@ -239,6 +240,7 @@ def _cut(
     coldness: Coldness,
     creeps: bool,
 ) -> _Cut:
+    """Segments of all trials; those without velocities also with an estimated initial velocity."""
     cut = _Cut([], [], {})
     for i, trial in enumerate(trials):
         cold = coldness_in(coldness, trial)
@@ -246,7 +248,7 @@ def _cut(
         if not made:
             continue
         if made[0].velocity is None and made[0].mode == "position" and not made[0].amid:
-            # Where it has contact it has windows, which are amid a motion.
+            # The restriction to motion far from contact applies to windows only.
             moving = replace(cutting, moving=True, contact=None)
             (cut.moving[len(cut.segments)],) = segments_of(
                 realization, trial, i, joints, moving, coldness=cold, creeps=creeps
@@ -259,10 +261,10 @@ def _cut(
 def _weigh_efforts(
     problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int], effort_floor: FloatArray
 ) -> None:
-    """Weigh measured efforts by their noise and by how uncertain the predicted ones are."""
+    """Set the weights of efforts from sensor noise and the uncertainty of the prediction."""
     segments = problem.simulator.segments
     if segments[0].mode == "effort":
-        # A drive gives the effort that is commanded: only the time is uncertain, by a sample.
+        # The drive delivers the commanded effort; its time is uncertain by one sample.
         jumps = [_steepest(p.effort) for p in nominal]
     else:
         if problem.defect:
@@ -272,10 +274,10 @@ def _weigh_efforts(
 
 
 def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -> bool:
-    """Whether every recording has efforts that can be compared with a drive's.
+    """Whether every recording has finite efforts with a sign.
 
-    Some drivers publish the magnitude of a current: nowhere negative, where the model says that it
-    must be.
+    Some drivers publish the magnitude of a current. It is never negative, although the model's
+    effort is.
     """
     lowest, modelled = np.inf, np.inf
     for segment, predicted in zip(segments, nominal, strict=True):
@@ -288,9 +290,9 @@ def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -
 
 
 def _known(noise: FloatArray) -> FloatArray:
-    """(joints,) noise; of encoders that hardly move, and so show none, the greatest of the others.
+    """(joints,) noise; joints with zero noise, which hardly move, have the largest of the others.
 
-    Without any, recordings have as many digits as numbers of single precision.
+    If all are zero, the precision of single-precision numbers is used.
     """
     usual = float(noise.max()) or float(np.finfo(np.float32).eps)
     known: FloatArray = np.where(noise > 0.0, noise, usual)
@@ -298,15 +300,16 @@ def _known(noise: FloatArray) -> FloatArray:
 
 
 def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:
-    """Whether windows are too long, and half of one is long enough."""
+    """Whether the discretization error requires shorter windows, and half of one is long enough."""
     enough = float(np.median([len(s.time) for s in segments])) >= 2 * PREPARE.fewest_samples
     return all(s.amid for s in segments) and enough and bool((steps > allowed).any())
 
 
 def discretization(problem: Problem) -> FloatArray:
-    """(joints,) root mean square of what the model's own step changes, rad or m; under effort
-    commands, where a start is as open as that changes it, of what a shifted start leaves of it, as
-    far as each segment is trusted.
+    """(joints,) RMS discretization error of the model's step, rad or m.
+
+    Under effort commands it is weighted like the residuals, and the part that free initial states
+    explain is subtracted.
     """
     changes = []
     for i, add in problem.defect.items():
@@ -320,7 +323,7 @@ def discretization(problem: Problem) -> FloatArray:
 
 
 def _rms(changes: Sequence[FloatArray], joints: int) -> FloatArray:
-    """(joints,) of all samples; 0 without any."""
+    """(joints,) RMS over all samples; 0 if there are none."""
     if not changes:
         return np.zeros(joints)
     found: FloatArray = np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=0))
@@ -328,16 +331,16 @@ def _rms(changes: Sequence[FloatArray], joints: int) -> FloatArray:
 
 
 def _floor(noise: FloatArray, problem: Problem, steps: FloatArray) -> FloatArray:
-    """(joints,) of the noise and what the correction leaves of the step's error."""
+    """(joints,) noise floor from sensor noise and the remaining discretization error."""
     floor: FloatArray = np.hypot(noise, problem.step_left * steps)
     return floor
 
 
 def shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[str, ...]:
-    """Hinges and slides of the model that all trials have.
+    """Names of the model's hinges and slides that all trials have, in the model's order.
 
     Raises:
-        RecordingError: there is none.
+        RecordingError: no joint is in the model and in all trials.
     """
     scalar = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     model = realization.model
@@ -358,13 +361,12 @@ def shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[st
 
 
 def _trust_efforts(problem: Problem, noise: FloatArray, jumps: Sequence[FloatArray]) -> None:
-    """Weigh efforts by their noise against what may be wrong beside a jump of the command.
-
-    Such a sample is right or wrong as a whole.
+    """Set the weights of efforts from their noise and their uncertainty near command jumps.
 
     Args:
-        noise: (joints,) N*m or N.
-        jumps: (samples, joints) per segment, N*m or N.
+        problem: the problem; its effort floor and weights are set.
+        noise: (joints,) standard deviation of the sensor, N*m or N.
+        jumps: for each segment, (samples, joints) uncertainty of the prediction, N*m or N.
     """
     problem.effort_floor = noise
     for i, jump in enumerate(jumps):
@@ -372,23 +374,23 @@ def _trust_efforts(problem: Problem, noise: FloatArray, jumps: Sequence[FloatArr
 
 
 def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
-    """(samples, joints) per segment, by how much the model's effort is uncertain, N*m or N.
+    """For each segment, (samples, joints) uncertainty of the predicted effort, N*m or N.
 
-    A servo's effort jumps with each command, and no stamp tells whether the sensor read one step
-    before or after that. The model's step makes an error as well, where it is taken out.
+    A servo's effort jumps with each command, and the stamps do not show whether the sensor was read
+    one step before or after the jump. The discretization error is a second contribution.
     """
     simulator, out = problem.simulator, list[FloatArray]()
     around = [_commanded_anew(s, simulator.timestep, 1) for s in simulator.segments]
     rows = np.array([i for i, near in enumerate(around) if near.any()], dtype=np.int64)
     values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
     found = simulator.efforts_beside(rows, values) if len(rows) else []
-    beside = dict(zip(rows.tolist(), found, strict=True))
+    shifted = dict(zip(rows.tolist(), found, strict=True))
     for i, segment in enumerate(simulator.segments):
         within = _commanded_anew(segment, simulator.timestep, 0)
         jump: FloatArray = within * _steepest(nominal[i].effort)
-        if i in beside:
-            here, earlier, later = beside[i]
-            change = np.maximum(np.abs(earlier - here), np.abs(later - here))
+        if i in shifted:
+            effort, earlier, later = shifted[i]
+            change = np.maximum(np.abs(earlier - effort), np.abs(later - effort))
             jump = np.maximum(jump, around[i] * change)
         error = problem.defect.get(i)
         out.append(jump if error is None else np.maximum(jump, np.abs(error.effort)))
@@ -396,9 +398,15 @@ def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
 
 
 def _commanded_anew(segment: Segment, step: float, around: int) -> NDArray[np.bool_]:
-    """(samples, joints) whether a command changes within the step of the model that a sample is
-    taken in, or up to so many steps ``around`` it. In the same step the drive is sent a mean of
-    both commands, and the sensor saw one.
+    """(samples, joints) whether a command changes close to a sample.
+
+    Close means within the model step of the sample, or at most ``around`` steps from it. Within
+    such a step the simulated drive gets the mean of both commands; the real one got one of them.
+
+    Args:
+        segment: the segment.
+        step: time step of the model, s.
+        around: number of steps.
     """
     if segment.moving:
         return np.zeros((len(segment.time), segment.command.shape[1]), dtype=bool)
@@ -416,7 +424,7 @@ def _commanded_anew(segment: Segment, step: float, around: int) -> NDArray[np.bo
 
 
 def _steepest(effort: FloatArray) -> FloatArray:
-    """(samples, joints) greatest change to a neighbouring sample."""
+    """(samples, joints) largest absolute difference to a neighbouring sample."""
     change = np.abs(np.diff(effort, axis=0))
     none = np.zeros((1, effort.shape[1]))
     steepest: FloatArray = np.maximum(np.vstack([none, change]), np.vstack([change, none]))

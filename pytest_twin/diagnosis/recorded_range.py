@@ -1,8 +1,8 @@
-"""Where the recordings can show a parameter that shapes an effect.
+"""Range of shape parameters that the recordings can identify.
 
-A warm-up of minutes in recordings of seconds, a Stribeck velocity above the greatest speed, a
-ripple finer than the samples: there the shape of the effect is not in the data. A fit that ends
-there compensates for another effect, so no finding may lie there.
+Examples outside it: a warm-up of minutes in recordings of seconds, a Stribeck velocity above the
+largest speed, a ripple shorter than the distance between samples. A fit that ends there compensates
+for another effect, so findings must be inside the range.
 """
 
 from __future__ import annotations
@@ -16,27 +16,28 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
 
-# Time constants up to this many times the longest recording: within it, a transient of three times
-# its length has passed by 28 %; of a longer one only the initial slope is seen.
+# Largest identifiable time constant, in multiples of the longest recording. A transient with three
+# times its duration is 28 % complete; of a longer one only the initial slope is visible.
 _LONGEST = 3.0
-# Share of the greatest speed above which a joint moves, and quantile of its steps between samples
-# that counts as finely sampled.
-_MOVES, _FINE = 0.05, 0.25
-# Samples that a range of speeds must contain to be seen.
+# A joint moves above this share of its largest speed.
+_MOVES = 0.05
+# The distance between samples is this quantile of the distances while the joint moves.
+_FINE = 0.25
+# Smallest number of samples that a range of speeds must contain.
 _FEWEST = 5
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedRange:
-    """What the recordings cover.
+    """Ranges of time, speed and position in the recordings.
 
     Attributes:
-        duration: s, longest time that a recording covers.
-        speeds: per joint, (samples,) absolute speeds, sorted, rad/s or m/s.
-        step: (joints,) rad or m, between two samples while a joint moves, where it moves slowly.
-        travel: (joints,) rad or m, between its ends.
-        noise: (joints,) rad or m.
-        differ_in_temperature: whether some recordings were colder than others.
+        duration: duration of the longest recording, s.
+        speeds: for each joint, (samples,) absolute speeds in ascending order, rad/s or m/s.
+        step: (joints,) distance between two samples while a joint moves slowly, rad or m.
+        travel: (joints,) range of the positions, rad or m.
+        noise: (joints,) noise floor, rad or m.
+        differ_in_temperature: whether the recorded temperatures differ.
     """
 
     duration: float
@@ -48,7 +49,7 @@ class RecordedRange:
 
     @classmethod
     def of(cls, problem: Problem) -> RecordedRange:
-        """Measured from the positions of all segments."""
+        """Ranges of the positions of all segments of a problem."""
         segments = problem.simulator.segments
         joints = len(problem.joints)
         last: dict[int, float] = {}
@@ -75,14 +76,14 @@ class RecordedRange:
         )
 
     def hides(self, term: Term, parameter: Parameter, value: float) -> str:
-        """Why the recordings cannot show a shape parameter at this SI value; empty if they can."""
+        """Reason why a shape parameter is not identifiable at this SI value; empty if it is."""
         if parameter.neutral is not None or parameter.reference == "twelfth":
             return ""
         j = max(term.joint, 0)
         name = parameter.name.replace("_", " ")
         if parameter.quantity == "time":
-            lasting = term.law.needs_temperature and self.differ_in_temperature
-            if value > _LONGEST * self.duration and not lasting:
+            by_temperature = term.law.needs_temperature and self.differ_in_temperature
+            if value > _LONGEST * self.duration and not by_temperature:
                 return f"a {name} of {value:.3g} s, in recordings of at most {self.duration:.3g} s"
         elif parameter.quantity == "velocity":
             fastest = float(self.speeds[j][-1])
@@ -105,12 +106,12 @@ class RecordedRange:
 def not_shown(
     problem: Problem, hypothesis: Hypothesis, recorded: RecordedRange | None = None
 ) -> dict[Term, str]:
-    """Effects with a shape that the recordings cannot show, and why.
+    """Effects whose shape parameters are outside the identifiable range, and the reason of each.
 
     Args:
-        problem: what to explain.
+        problem: the problem.
         hypothesis: effects with parameters.
-        recorded: what the recordings cover, where it is known.
+        recorded: ranges of the recordings; computed from the problem by default.
     """
     recorded = RecordedRange.of(problem) if recorded is None else recorded
     out: dict[Term, str] = {}
@@ -123,7 +124,7 @@ def not_shown(
 
 
 def hidden_at(problem: Problem, recorded: RecordedRange, term: Term, theta: FloatArray) -> str:
-    """Why the recordings cannot show an effect with these scaled parameters; empty if they can."""
+    """Reason why an effect is not identifiable at these scaled parameters; empty if it is."""
     has = term.law.has(theta)
     for k, p in enumerate(term.parameters):
         if not has[k]:

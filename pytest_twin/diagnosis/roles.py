@@ -1,7 +1,7 @@
-"""Roles of recordings in a diagnosis: to fit, to validate, to test.
+"""Roles of recordings in a diagnosis: fit, validation, test.
 
 Effects are chosen with the fit and validation recordings. Their parameters are then fitted to both.
-The test recordings are opened once, after that: every reported error and gain is measured on them.
+The test recordings are used once, after that. All reported errors and gains are measured on them.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.trial import Trial
 
 _FEWEST = 4
-"""Recordings to fit from which some validate. Of three, each often has a motion of its own (steps,
-slow reversals, a multisine): to fit without one of them would hide what only that one shows."""
+"""Smallest number of recordings to fit of which some are used for validation. Three recordings
+often have different motions (steps, slow reversals, a multisine); the fit needs each of them."""
 _LEAST_SHARE, _MOST_SHARE = 0.2, 1.0 / 3.0
-"""Share of the recorded time that validates: the usual fifth to third (Hastie, Tibshirani, Friedman
-2009, sec. 7.2)."""
+"""Smallest and largest share of the recorded time for validation: the usual fifth to third (Hastie,
+Tibshirani, Friedman 2009, sec. 7.2)."""
 _QUANTILES = (0.02, 0.98)
-"""Ends of the range of a motion; what lies outside may be an outlier."""
+"""Quantiles that bound the range of a motion; values outside may be outliers."""
 _CONDITIONS = ("controller", "payload", "temperature")
 
 
@@ -32,12 +32,12 @@ class Roles:
     """Trials by role.
 
     Attributes:
-        fit: parameters are fitted to these while effects are chosen.
-        validation: they decide about effects and are not fitted meanwhile; empty where too few
-            recordings are there to fit.
-        test: they are opened after the effects are chosen and fitted; may be empty.
+        fit: parameters are fitted to these trials while effects are chosen.
+        validation: effects are accepted on these trials, which are not fitted during the search;
+            empty if there are too few recordings.
+        test: trials that are used after the effects are chosen and fitted; may be empty.
         note: how the validation recordings were chosen, one line.
-        read: all trials as they were read, with their notes.
+        read: all trials and their notes.
     """
 
     fit: tuple[Trial, ...]
@@ -48,17 +48,21 @@ class Roles:
 
     @property
     def of_search(self) -> TrialSet:
-        """What the choice of effects may read: nothing of the test recordings."""
+        """The trials for the search: fit and validation recordings, no test recordings."""
         return replace(self.read, fit=self.fit, held_out=self.validation)
 
 
 def roles_of(read: TrialSet) -> Roles:
-    """Take validation recordings out of those to fit.
+    """Choose validation recordings among those to fit.
 
-    A fifth to a third of the recorded time validates, by whole recordings. Every condition
-    (controller, payload, temperature) keeps recordings to fit, and those validate whose range of
-    positions and speeds the others cover best. The order of the recordings does not matter. Below
-    four recordings all are fitted, and effects are accepted by an information criterion alone.
+    Whole recordings of one fifth to one third of the recorded time are used for validation. Every
+    condition (controller, payload, temperature) keeps recordings to fit. Recordings whose range of
+    positions and speeds is best covered by the others are chosen. The order of the recordings does
+    not matter. With fewer than four recordings all are fitted, and effects are accepted by an
+    information criterion alone.
+
+    Args:
+        read: the trials to fit, and the held-out ones, which become test trials.
     """
     paths = sorted(dict.fromkeys(t.path for t in read.fit), key=str)
     if len(paths) < _FEWEST:
@@ -81,7 +85,8 @@ def _of_few(count: int) -> str:
     which = "one recording" if count == 1 else f"{count} recordings"
     return (
         f"{which} to fit, too few to set one aside for validation: effects are accepted by an "
-        f"information criterion on what is fitted; from {_FEWEST} on some validate"
+        f"information criterion on the fitted recordings; with {_FEWEST} or more recordings some "
+        "are used for validation"
     )
 
 
@@ -94,7 +99,7 @@ def _of_different(count: int) -> str:
 
 
 def _chosen(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
-    """Recordings that validate."""
+    """Paths of the validation recordings; empty if not every condition can have one."""
     of = {p: [t for t in trials if t.path == p] for p in paths}
     seconds = {p: sum(t.duration for t in of[p]) for p in paths}
     kind = {p: tuple(of[p][0].metadata.get(c) for c in _CONDITIONS) for p in paths}
@@ -103,7 +108,7 @@ def _chosen(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
     chosen: set[Path] = set()
 
     def taken(p: Path) -> float:
-        """Share of the time of a recording's condition that validates already."""
+        """Share of the recorded time of a condition that is already used for validation."""
         alike = [q for q in paths if kind[q] == kind[p]]
         return sum(seconds[q] for q in alike if q in chosen) / sum(seconds[q] for q in alike)
 
@@ -111,21 +116,21 @@ def _chosen(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
         return {kind[p] for p in chosen} == set(kind.values())
 
     while sum(seconds[p] for p in chosen) < _LEAST_SHARE * whole or not covers_all():
-        left = [p for p in paths if p not in chosen]
-        spare = [
-            p for p in left
-            if sum(kind[q] == kind[p] for q in left) > 1
+        to_fit = [p for p in paths if p not in chosen]
+        possible = [
+            p for p in to_fit
+            if sum(kind[q] == kind[p] for q in to_fit) > 1
             and sum(seconds[q] for q in (*chosen, p)) <= _MOST_SHARE * whole
         ]  # fmt: skip
-        if not spare:
+        if not possible:
             break
-        chosen.add(min(spare, key=lambda p: (taken(p), _uncovered(p, left, ranges), str(p))))
-    # What shows under one condition alone (cold, one payload) has to be validated there.
+        chosen.add(min(possible, key=lambda p: (taken(p), _uncovered(p, to_fit, ranges), str(p))))
+    # An effect that acts under one condition only (cold, one payload) must be validated there.
     return chosen if covers_all() else set()
 
 
 def _ranges(trials: Sequence[Trial]) -> dict[str, FloatArray]:
-    """Joint -> (2, 2) lower and upper end of positions and of speeds."""
+    """Joint -> (2, 2): lower and upper bound of positions (first row) and velocities (second)."""
     found = {}
     for j in trials[0].joints:
         ends = []
@@ -141,15 +146,15 @@ def _ranges(trials: Sequence[Trial]) -> dict[str, FloatArray]:
 def _uncovered(
     path: Path, left: Sequence[Path], ranges: dict[Path, dict[str, FloatArray]]
 ) -> float:
-    """Share of the range of positions and speeds that only this recording covers, over joints."""
+    """Share of the position and velocity ranges that only ``path`` covers, summed over joints."""
     lost = 0.0
-    for joint, mine in ranges[path].items():
+    for joint, own in ranges[path].items():
         others = np.array([ranges[q][joint] for q in left if q != path and joint in ranges[q]])
         if not len(others):
             lost += 2.0
             continue
         low, high = others[:, :, 0].min(axis=0), others[:, :, 1].max(axis=0)
-        outside = np.maximum(low - mine[:, 0], 0.0) + np.maximum(mine[:, 1] - high, 0.0)
-        span = np.maximum(high, mine[:, 1]) - np.minimum(low, mine[:, 0])
+        outside = np.maximum(low - own[:, 0], 0.0) + np.maximum(own[:, 1] - high, 0.0)
+        span = np.maximum(high, own[:, 1]) - np.minimum(low, own[:, 0])
         lost += float(np.sum(outside / np.maximum(span, 1e-12)))
     return lost

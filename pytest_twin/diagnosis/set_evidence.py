@@ -1,7 +1,8 @@
-"""Evidence for whole sets of effects, with the error of the model counted.
+"""Penalized likelihood of whole sets of effects that takes model error into account.
 
-It differs from the score of the search in three ways: residuals at the level of noise count as
-equal, efforts agree within one time step, and model error does not average out in a recording.
+It differs from the score of the search in three ways. Residuals at the level of noise count as
+equal. Efforts are compared with a tolerance of one time step. Model error does not average out
+within a recording.
 """
 
 from __future__ import annotations
@@ -26,12 +27,17 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 
-# Floors below which what a parameter changes is none.
+# A parameter is idle if it changes the prediction by less than this number of noise floors.
 _IDLE = 0.5
 
 
 def misfit(residual: FloatArray, floor: FloatArray) -> float:
-    """Sum over signals of the log mean square, not below the level of noise."""
+    """Sum over signals of the log of the mean squared residual, which is at least that of noise.
+
+    Args:
+        residual: (samples, signals).
+        floor: (signals,) noise floor.
+    """
     mean_square = np.nan_to_num(np.mean(residual**2, axis=0), nan=np.inf)
     return float(np.log(np.maximum(mean_square, (NOISE_FLOORS * floor) ** 2)).sum())
 
@@ -39,15 +45,28 @@ def misfit(residual: FloatArray, floor: FloatArray) -> float:
 def set_price(
     comparison: ModelComparison, h: Hypothesis, samples: FloatArray, idle: int = 0
 ) -> float:
-    """What the parameters and the effects of a set cost, without those that change nothing."""
+    """Penalty of the log-likelihood for the parameters and the effects of a set.
+
+    Args:
+        comparison: model comparison of the problem.
+        h: the set.
+        samples: (signals,) effective samples.
+        idle: number of parameters without influence, which are not penalized.
+    """
     return float(
         parameter_penalty(samples) * (h.free - idle) + comparison.name_price * len(h.terms)
     )
 
 
 def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]) -> list[int]:
-    """How many switches of each set are neutral to within the noise: the set predicts the same
-    without them, so they are no parameters of it. Each effect keeps one.
+    """Number of switches of each set that change the prediction by less than the noise.
+
+    They are not penalized. Each effect keeps at least one penalized switch.
+
+    Args:
+        problem: the problem.
+        linear: linearization by which the change is computed.
+        sets: the sets of effects.
     """
     tried, base = list(sets), list[dict[tuple[Term, int], int]]()
     for h in sets:
@@ -78,13 +97,13 @@ def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]
 
 
 def _movable_switches(term: Term, h: Hypothesis) -> list[int]:
-    """Parameters of a term that are free and neutral at some value."""
+    """Indices of the estimated parameters of a term that switch it on."""
     theta = h.theta[h.slice_of(term)]
     return [k for k in term.switches(theta) if term.movable(theta)[k]]
 
 
 def recordings_of(problem: Problem, *, fitted: bool) -> int:
-    """How many recordings are fitted, or are not."""
+    """Number of fitted recordings, or of held-out recordings."""
     which = problem.fit if fitted else problem.held_out
     return len({problem.simulator.segments[s].trial for s in which})
 
@@ -92,14 +111,18 @@ def recordings_of(problem: Problem, *, fitted: bool) -> int:
 def set_evidence(
     comparison: ModelComparison, rivals: Sequence[ScoredModel], idle: Sequence[int]
 ) -> tuple[FloatArray, float]:
-    """Penalized log-likelihood of sets on fitted and validation recordings, with model error
-    counted by :func:`~pytest_twin.diagnosis.evidence.tempered`; and the share of the effective
-    samples that remains.
+    """Penalized log-likelihood of sets on fit and validation recordings.
+
+    Model error reduces the effective samples
+    (:func:`~pytest_twin.diagnosis.evidence.tempered_samples`).
 
     Args:
-        comparison: of the problem.
+        comparison: model comparison of the problem.
         rivals: the sets.
-        idle: parameters of each that cost nothing.
+        idle: number of parameters of each set that are not penalized.
+
+    Returns:
+        The log-likelihood of each set, and the share of the effective samples that remains.
     """
     problem, sets = comparison.problem, [r.hypothesis for r in rivals]
     residuals = within_a_step(problem, sets, [r.fitted.residual for r in rivals], problem.fit)
@@ -125,8 +148,19 @@ def evidence_on(
     fitted: bool,
     idle: Sequence[int] = (),
 ) -> tuple[FloatArray, float, float]:
-    """Log-likelihood of sets on some recordings, less their price where these are fitted; effective
-    samples, and those that remain with model error counted.
+    """Log-likelihood of sets on fit or on validation recordings.
+
+    Args:
+        comparison: model comparison of the problem.
+        sets: the sets.
+        residuals: (samples, signals) residual of each set on these recordings.
+        lengths: number of samples of each segment.
+        fitted: whether these are the fit recordings; the penalty is then subtracted.
+        idle: number of parameters of each set that are not penalized; none by default.
+
+    Returns:
+        The log-likelihood of each set, the sum of the effective samples, and the sum that remains
+        with model error.
     """
     problem, floor = comparison.problem, comparison.problem.signal_floor
     closest = min(residuals, key=lambda r: misfit(r, floor))

@@ -1,4 +1,4 @@
-"""Confidence shared among the final set of effects and its rivals."""
+"""Posterior confidence of effects from the comparison of the final set with its rivals."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pytest_twin.diagnosis.equivalent_sets import ComparedSets
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.scored_model import Alternative, SelectedModel
 
-# Odds below which a structure does not widen the intervals of parameters.
+# Structures with smaller odds do not widen the intervals of parameters.
 _NEARLY = 0.01
-# Share up to which a remainder is rounding, and its logarithm no evidence.
+# Shares up to this value are rounding errors, so their logarithm is not used.
 _ROUNDING = 1e-12
 
 
 def share_confidence(selected: SelectedModel, compared: ComparedSets) -> SelectedModel:
-    """The selection with confidence shared among the likeliest set and all its rivals.
+    """The selection with the confidence of each effect against all rival sets.
 
-    The odds of a set are exp(evidence). Each effect competes with the sets that lack it:
-    its confidence is 1 / (1 + their odds), so that doubt at one joint is none at another. Rivals of
-    single effects that the search compared keep the odds that they had there, to the power by which
-    model error tempers all evidence.
+    The odds of a set are exp(evidence). The confidence of an effect is 1 / (1 + sum of the odds of
+    sets that lack it). Doubt about an effect at one joint therefore does not reduce the confidence
+    at another. Rivals of single effects from the search keep their odds, raised to the power by
+    which model error tempers all evidence.
 
     Args:
         selected: result of the search.
@@ -35,7 +35,7 @@ def share_confidence(selected: SelectedModel, compared: ComparedSets) -> Selecte
     structures = [
         _Structure(s.terms, _new(s.rival.hypothesis, own), odds[s.terms], s.apart)
         for s in compared.sets
-        if not _says_the_same(s.rival.hypothesis, own)
+        if not _only_generalizes(s.rival.hypothesis, own)
     ]
     structures += _of_the_search(selected, own, set(odds), compared.tempering)
     confidence: dict[Term, float] = {}
@@ -65,7 +65,14 @@ def share_confidence(selected: SelectedModel, compared: ComparedSets) -> Selecte
 
 
 class _Structure:
-    """A rival set: all its effects, those that the final set lacks, its odds against that."""
+    """A rival set.
+
+    Args:
+        terms: all its terms.
+        new: its terms that the final set lacks.
+        odds: its posterior odds against the final set.
+        apart: largest RMS difference of the predictions in noise floors; None if unknown.
+    """
 
     def __init__(
         self, terms: frozenset[Term], new: tuple[Term, ...], odds: float, apart: float | None
@@ -73,21 +80,22 @@ class _Structure:
         self.terms, self.new, self.odds, self.apart = terms, new, odds, apart
 
 
-def _says_the_same(other: Hypothesis, own: Hypothesis) -> bool:
-    """Whether a set only has general laws instead of their special cases."""
+def _only_generalizes(other: Hypothesis, own: Hypothesis) -> bool:
+    """Whether a set differs from another only by general laws instead of their special cases."""
     new = _new(other, own)
-    gone = _new(own, other)
-    return len(new) == len(gone) > 0 and all(
-        any(special.effect in law.law.generalizes for special in gone) for law in new
+    replaced = _new(own, other)
+    return len(new) == len(replaced) > 0 and all(
+        any(special.effect in law.law.generalizes for special in replaced) for law in new
     )
 
 
 def _new(other: Hypothesis, own: Hypothesis) -> tuple[Term, ...]:
+    """Terms of ``other`` that ``own`` lacks."""
     return tuple(t for t in other.terms if t not in own.terms)
 
 
 def _offsets(other: Hypothesis, own: Hypothesis) -> dict[Term, FloatArray]:
-    """How far the parameters of common terms lie apart."""
+    """Shared term -> difference of its parameters, in multiples of their scales."""
     return {
         t: other.theta[other.slice_of(t)] - own.theta[own.slice_of(t)]
         for t in own.terms
@@ -98,8 +106,9 @@ def _offsets(other: Hypothesis, own: Hypothesis) -> dict[Term, FloatArray]:
 def _of_the_search(
     selected: SelectedModel, own: Hypothesis, known: set[frozenset[Term]], tempering: float
 ) -> list[_Structure]:
-    """Rivals in single places that the search compared, and nothing there: what its confidence
-    leaves beside the alternatives that it lists.
+    """Rival sets in which one effect is replaced or removed, from the confidence of the search.
+
+    The share of the removal is one minus the confidence of the effect and of its alternatives.
     """
     out: list[_Structure] = []
     terms = frozenset(own.terms)

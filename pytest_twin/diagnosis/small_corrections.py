@@ -1,7 +1,7 @@
-"""Corrections that are statistically sure and of no consequence.
+"""Corrections that are statistically significant but of no practical consequence.
 
-Such a correction belongs into the patched model, but it is no missing physics: 0.4 ms of delay in
-recordings with 4 ms between samples, 1 % of a gain.
+Examples: 0.4 ms of delay in recordings with 4 ms between samples, or 1 % of a gain. Such a
+correction belongs into the patched model, but it is not missing physics.
 """
 
 from __future__ import annotations
@@ -15,32 +15,35 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.pruning_rules import longest_shift
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
-# Share of the error of the nominal model at a joint below which the change of a prediction is of no
-# consequence: 1 % of the squared error.
+# A change of a prediction is of no consequence below this share of the nominal model's error: 1 %
+# of the squared error.
 _OF_MISMATCH = 0.1
-# Share of the sampling interval below which a shift in time is: stamps do not tell more.
+# A shift in time is of no consequence below this share of the sampling interval, the resolution of
+# the stamps.
 _OF_SAMPLE = 0.25
-# Share of the model's own value within which friction, armature and spring stiffness are usually
-# known (Janot et al. 2019 repeat identifications within 5 to 10 %); relative errors of gains and
-# motor constants, and of masses and inertias, within which data sheets and CAD models are.
-_OF_OWN, _OF_GAIN, _OF_BODY = 0.1, 0.02, 0.03
+# Usual relative accuracy of friction, armature and spring stiffness (Janot et al. 2019 repeat
+# identifications within 5 to 10 %).
+_OF_OWN = 0.1
+# Usual relative accuracy of gains and motor constants in data sheets, and of masses and inertias in
+# CAD models.
+_OF_GAIN, _OF_BODY = 0.02, 0.03
 _USUAL = "it is within the accuracy to which such parameters are usually known"
 
 
 def small_corrections(
     problem: Problem, hypothesis: Hypothesis, changes: FloatArray, before: FloatArray
 ) -> dict[Term, str]:
-    """Terms that are corrections of no consequence, and why.
+    """Terms that are corrections of no consequence, and the reason of each.
 
-    A term is one if its parameters are within the accuracy to which such parameters are usually
-    known, or if it changes no prediction by a tenth of the error of the nominal model while other
-    terms explain that error.
+    There are two reasons. The parameters of the term are within their usual accuracy. Or the term
+    changes every prediction by less than a tenth of the nominal model's error, and other terms
+    explain that error.
 
     Args:
-        problem: what was explained.
+        problem: the problem.
         hypothesis: all effects.
-        changes: (terms, joints) RMS change of the predicted positions without each.
-        before: (joints,) RMS error of the nominal model.
+        changes: (terms, joints) RMS change of predicted positions without each term, rad or m.
+        before: (joints,) RMS error of the nominal model, rad or m.
     """
     floor = problem.floor
     mismatch = np.sqrt(np.maximum(before**2 - floor**2, 0.0))
@@ -52,20 +55,20 @@ def small_corrections(
         why = _usual(problem, hypothesis, term)
         if why:
             out[term] = why
-    rest = [t for t in hypothesis.terms if t not in out]
+    others = [t for t in hypothesis.terms if t not in out]
     slight = [
-        t for t in rest
+        t for t in others
         if np.isfinite(row := changes[hypothesis.terms.index(t)]).all()
         and row.any() and (row <= limit).all()
     ]  # fmt: skip
-    if len(slight) < len(rest):
+    if len(slight) < len(others):
         why = f"it changes predictions by less than {_OF_MISMATCH:g} of the model's error"
         out.update(dict.fromkeys(slight, why))
     return out
 
 
 def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
-    """Why a correction is within the usual accuracy of a model; empty if it is not."""
+    """Reason why a correction is within the usual accuracy of a model; empty if it is not."""
     shift = longest_shift(problem, hypothesis, term)
     if shift > 0.0:
         intervals = [np.median(np.diff(s.time)) for s in problem.simulator.segments]
@@ -96,6 +99,4 @@ def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
             within = False
         if not within:
             return ""
-    return (
-        "it is within the accuracy to which such parameters are usually known" if switches else ""
-    )
+    return _USUAL if switches else ""

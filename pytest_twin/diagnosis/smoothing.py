@@ -1,4 +1,4 @@
-"""Smooth motions and their derivatives from samples, by local cubics."""
+"""Smoothing and differentiation of sampled motions by local cubics."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 
 SMOOTH = 0.12
-"""s over which motions are differentiated."""
+"""Width in s of the window in which motions are differentiated."""
 
 
 def derivatives(
@@ -17,7 +17,11 @@ def derivatives(
 
     Args:
         time: (n,) s, ascending; may be irregular.
-        values: (n, k).
+        values: (n, k) samples.
+        width: width of the window, s.
+
+    Returns:
+        Smoothed values, first and second derivatives, (n, k) each.
     """
     n = len(time)
     usual = float(np.median(np.diff(time))) if n > 1 else 1.0
@@ -43,7 +47,17 @@ def derivatives(
 def smooth_state(
     time: FloatArray, position: FloatArray, at: float, width: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Position and velocity (joints,) at a time, by a local cubic over ``width`` s."""
+    """Position and velocity at one time, by a local cubic.
+
+    Args:
+        time: (n,) s.
+        position: (n, joints) rad or m.
+        at: time of the state, s.
+        width: width of the window, s; at least the six nearest samples are used.
+
+    Returns:
+        (joints,) position, rad or m, and velocity, rad/s or m/s.
+    """
     near = np.flatnonzero(np.abs(time - at) <= width / 2)
     if len(near) < 6:
         near = np.argsort(np.abs(time - at))[:6]

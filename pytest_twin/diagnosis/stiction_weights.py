@@ -1,12 +1,12 @@
-"""How far windows under effort commands are trusted where joints stick, slip or turn around.
+"""Weights of windows under effort commands in which joints stick, slip or reverse.
 
-Dry friction yields a little before it slides, and damps as it does (Armstrong-Helouvry, Dupont,
-Canudas de Wit, Automatica 30, 1994), and where a joint breaks loose depends on a few per cent of
-its level. Neither is in any data sheet, and both are less than what the catalogue has names for. A
-servo holds at bay what they change. Under effort commands they change the speed with which a joint
-leaves a turn, and that stays for the rest of a window: by ten floors and more in a few windows,
-while all others are followed to the noise. Such windows would earn names that none of the others
-supports, and draw the parameters of those that are right.
+Before sliding, dry friction yields a little and damps (presliding; Armstrong-Helouvry, Dupont,
+Canudas de Wit, Automatica 30, 1994). The time at which a joint breaks away depends on a few per
+cent of the friction level. No data sheet contains these quantities, and they are smaller than any
+effect of the catalogue. A servo corrects their influence. Under effort commands they change the
+velocity after a reversal, and this error remains for the rest of the window. A few windows then
+have errors of ten noise floors or more, while all others are at the noise. Without weights, such
+windows would support wrong effects and bias the parameters of the right ones.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.friction import CoulombFriction, PreslidingHysteresis
 
-# Of the least distance at which yielding has a name, and of the level, what is open.
-_DISTANCE, _LEVEL = 0.05, 0.05
+# Uncertain presliding distance, as a share of the smallest one in the catalogue.
+_DISTANCE = 0.05
+# Uncertainty of the friction level, as a share of it.
+_LEVEL = 0.05
 
 
 def stiction_weights(problem: Problem) -> dict[int, FloatArray]:
@@ -34,10 +36,12 @@ def stiction_weights(problem: Problem) -> dict[int, FloatArray]:
         return {}
     hypotheses = [EMPTY, _yielding(problem, levels)]
     hypotheses += [_with_more(problem, share * levels) for share in (_LEVEL, -_LEVEL)]
-    as_it_is, yielding, more, less = problem.errors(hypotheses, problem.everywhere)
-    leaps = more + less - 2.0 * as_it_is
-    moved = np.hypot(_of_segments(problem, yielding - as_it_is), _of_segments(problem, leaps))
-    weights = 1.0 / np.hypot(1.0, np.nan_to_num(moved))
+    nominal, yielding, more, less = problem.errors(hypotheses, problem.everywhere)
+    second_difference = more + less - 2.0 * nominal
+    change = np.hypot(
+        _of_segments(problem, yielding - nominal), _of_segments(problem, second_difference)
+    )
+    weights = 1.0 / np.hypot(1.0, np.nan_to_num(change))
     weights /= np.sqrt(np.mean(weights**2, axis=0))
     return dict(enumerate(weights))
 
@@ -58,7 +62,7 @@ def _levels(problem: Problem) -> FloatArray:
 
 
 def _yielding(problem: Problem, levels: FloatArray) -> Hypothesis:
-    """All dry friction by bristles."""
+    """The hypothesis with presliding friction over a short distance for all dry friction."""
     found = _with_more(problem, -levels)
     for joint in np.flatnonzero(levels):
         term = Term(PreslidingHysteresis.id, int(joint))
@@ -69,7 +73,7 @@ def _yielding(problem: Problem, levels: FloatArray) -> Hypothesis:
 
 
 def _with_more(problem: Problem, levels: FloatArray) -> Hypothesis:
-    """Dry friction of so much more at each of the joints."""
+    """The hypothesis with ``levels`` (joints,) of additional dry friction, N*m or N."""
     found = EMPTY
     for joint in np.flatnonzero(levels):
         term = Term(CoulombFriction.id, int(joint))

@@ -12,11 +12,11 @@ KEY = "temperature"
 _NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+)?)\s*(?:°|deg)?\s*([CK]?)\s*")
 
 Coldness = Mapping[str, float]
-"""Temperature in the metadata -> 1 for the coldest, 0 for the warmest, linear in between."""
+"""Temperature in the metadata -> coldness: 1 for the coldest, 0 for the warmest trial."""
 
 
 def coldness_of(trials: Iterable[Trial]) -> Coldness:
-    """Normalized coldness by the metadata of trials; empty where it gives no order.
+    """Normalized coldness from the metadata of trials; empty if temperatures cannot be ordered.
 
     Numbers (``20``, ``20 C``, ``293.15 K``, all in one unit) are ordered. Of two names, such as
     ``cold`` and ``warm``, the first in the alphabet counts as the colder one; the other order only
@@ -36,7 +36,7 @@ def coldness_of(trials: Iterable[Trial]) -> Coldness:
 
 
 def coldness_in(known: Coldness, trial: Trial) -> float:
-    """Coldness of one trial; 1 where no temperatures are known.
+    """Coldness of one trial; 1 if no temperatures are known.
 
     Raises:
         RecordingError: temperatures are known, but this trial has none that can be compared.
@@ -60,7 +60,7 @@ def coldness_in(known: Coldness, trial: Trial) -> float:
 
 
 def degrees(names: Iterable[str]) -> dict[str, float] | None:
-    """Temperatures in the metadata -> numbers in one unit; None where one is no number of it."""
+    """Temperatures in the metadata -> numbers; None if one is no number or units differ."""
     found, units = {}, set()
     for name in names:
         read = _NUMBER.fullmatch(name)

@@ -22,8 +22,8 @@ class UnexplainedResidual:
     """The unexplained residual of one joint.
 
     Attributes:
-        fraction: share of the squared error.
-        where: when and in which regime.
+        fraction: remaining share of the squared error above the noise floor.
+        where: times and regime of motion in which it occurs.
     """
 
     fraction: float
@@ -36,9 +36,9 @@ def unexplained(
     """The joints at which a force is missing, the largest signal-to-noise ratio first.
 
     Args:
-        diagnosed: the findings on the recordings that they are tested on.
-        near: problem in which the missing force is computed. Where whole predictions diverge from
-            the recordings it consists of short windows, because the force is computed for small
+        diagnosed: the findings on the recordings on which they are tested.
+        near: problem in which the missing force is computed. If predictions of whole recordings
+            diverge it consists of short windows, because the force is computed for small
             deviations.
         trials: recordings of ``near``.
     """
@@ -65,8 +65,8 @@ def unexplained(
         if problem.joints[j] in errors and errors[problem.joints[j]].fraction > 0.0:
             add(j, np.maximum((force.force[:, j] / force.noise[j]) ** 2 - 1.0, 0.0))
     if not found:
-        # No missing force is above the encoder noise: the residual is slow, so report it where it
-        # shows.
+        # No missing force is above the encoder noise, because the residual is slow. It is then
+        # reported at the joints whose position has it.
         for joint, error in errors.items():
             if not error.explained:
                 j = problem.joints.index(joint)

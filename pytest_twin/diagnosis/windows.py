@@ -1,8 +1,8 @@
-"""Trials in the model's terms: whole, or in short windows where errors would grow.
+"""Segments of trials: whole trials, or short windows if errors of the prediction would grow.
 
-Under an effort command errors integrate twice, and a servo that hunts or an arm that falls does not
-do the same twice: a simulation is held to the recording for a while, then starts anew from the
-measured state (multiple shooting; Bock, 1981).
+Under effort commands errors are integrated twice. The motion of an oscillating servo or of a
+falling arm is not repeatable. A simulation therefore starts again from the measured state at the
+beginning of each window (multiple shooting; Bock, 1981).
 """
 
 from __future__ import annotations
@@ -28,13 +28,16 @@ from pytest_twin.realization.mjcf import compiled
 from pytest_twin.trial import Trial
 
 WINDOW = 0.5
-"""s, of windows, where motions are not too wild for it."""
+"""Length of windows, s; halved if the discretization error of a window is too large."""
+# Samples from which the initial state of a window is estimated, and the fewest in a window.
 _START_SAMPLES, _FEWEST_SAMPLES = 12, 8
-# s by which a first command may be late and be held from the start.
+# A first command that is at most this late, in s, is assumed to hold from the start.
 _LATE = 0.05
-# Mean square, of its usual size, by which samples are off a smooth motion where a command jumps;
-# the median of the squares of a unit normal distribution.
-_ROUGH, _MEDIAN_SQUARE = 4.0, 0.455
+# A window does not begin where the mean squared deviation from a smooth motion exceeds this
+# multiple of its typical value: a command jumps there.
+_ROUGH = 4.0
+# Median of the square of a standard normal variable.
+_MEDIAN_SQUARE = 0.455
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +45,13 @@ class Cutting:
     """Which parts of a trial become segments.
 
     Attributes:
-        window: length of a window in s; None: effort commands have :data:`WINDOW`, others are not
-            cut.
-        moving: whether a whole trial without velocities begins with what its first samples say, and
-            not at rest.
-        commanded: whether what lies well before the first command is left out: what the robot was
-            told until then is in no recording. A part after a hole begins amid a motion.
-        contact: what the robot meets, if its windows are to lie where it is far from that; a trial
-            may have none.
+        window: length of a window in s. None: trials under effort commands are cut into windows of
+            :data:`WINDOW`, others are not cut.
+        moving: whether the initial velocity of a whole trial without measured velocities is
+            estimated from its first samples; otherwise the trial starts at rest.
+        commanded: whether samples well before the first command are left out, because the commands
+            until then are not recorded. A part after a hole then begins during a motion.
+        contact: surfaces from which windows keep a distance; a trial may then have no window.
     """
 
     window: float | None = None
@@ -71,26 +73,26 @@ def segments_of(
     coldness: float = 1.0,
     creeps: bool = False,
 ) -> list[Segment]:
-    """A trial in the model's terms: one segment, or short windows.
+    """Segments of a trial: one whole segment, or short windows.
 
     Args:
-        realization: what it is stepped on, under the trial's own controller and payload.
-        trial: what was recorded.
-        index: of the trial, kept in its segments.
-        joints: columns; all are in the trial.
-        cutting: which parts become segments; all of it by default.
-        coldness: of the trial, as its segments have it.
-        creeps: whether dry friction does, as MuJoCo's default constraint has it.
+        realization: the model, which gets the controller and payload of the trial.
+        trial: the recording.
+        index: index of the trial, stored in its segments.
+        joints: names of the columns; the trial has all of them.
+        cutting: which parts become segments; the whole trial by default.
+        coldness: normalized temperature of the trial.
+        creeps: whether a joint creeps under dry friction, as with MuJoCo's default constraint.
 
     Raises:
-        SpecError: a controller or payload that the model lacks.
+        SpecError: the model lacks the trial's controller or payload.
     """
     recorded = replace(_recorded(realization, trial, index, joints, coldness), creeps=creeps)
     first = _first_commanded(recorded) if cutting.commanded else 0
     after_hole = cutting.commanded and trial.offset > 0.0
     clear = np.arange(len(recorded.time)) >= first
     if after_hole:
-        # What the robot was told in the hole acts on for a while.
+        # Unknown commands during the hole still influence the motion for a while.
         clear &= recorded.time >= LEAD
     if cutting.window is None and recorded.mode != "effort":
         if after_hole:
@@ -106,33 +108,33 @@ def segments_of(
 def _recorded(
     realization: Realization, trial: Trial, index: int, joints: Sequence[str], coldness: float
 ) -> Segment:
-    """All of a trial in the model's terms, from rest."""
+    """The whole trial as one segment that starts at rest, in the model's joint coordinates."""
     columns = [trial.joints.index(j) for j in joints]
     encoders = Encoders.of(calibration_of(realization), joints)
     keep = np.concatenate([[True], np.diff(trial.time) > 0])
     position = encoders.model_position(trial.position[keep][:, columns])
-    asked = trial.setpoint
-    command = np.full((len(asked.time), len(joints)), np.nan)
+    setpoint = trial.setpoint
+    command = np.full((len(setpoint.time), len(joints)), np.nan)
     for j, joint in enumerate(joints):
         if joint in trial.command_joints:
-            command[:, j] = asked.value[:, trial.command_joints.index(joint)]
+            command[:, j] = setpoint.value[:, trial.command_joints.index(joint)]
     modes = [trial.mode_of(joint) for joint in joints]
     hardest = trial.hardest_mode
     each = tuple(mode or hardest for mode in modes)
-    # Of commands with one stamp the last counts.
-    ascending = np.append(np.diff(asked.time) > 0, True)
+    # The last of several commands with the same stamp is used.
+    ascending = np.append(np.diff(setpoint.time) > 0, True)
     return Segment(
         trial=index,
         model=_model(realization, trial),
         mode=hardest,
         modes=() if set(each) == {hardest} else each,
-        moving=asked.linear,
+        moving=setpoint.linear,
         start=0.0,
         time=trial.time[keep],
         position=position,
         velocity=_columns(trial.velocity, keep, columns, encoders),
         effort=_columns(trial.effort, keep, columns, encoders),
-        command_time=asked.time[ascending],
+        command_time=setpoint.time[ascending],
         command=encoders.model_command(command, each)[ascending],
         initial_position=position[0],
         initial_velocity=np.zeros(len(joints)),
@@ -141,8 +143,9 @@ def _recorded(
 
 
 def _first_commanded(recorded: Segment) -> int:
-    """Number of the first sample under a command; 0 where none is well before it, or hardly any are
-    left.
+    """Index of the first sample under a command.
+
+    It is 0 if the command is not late, or if too few samples would remain.
     """
     time, since = recorded.time, recorded.command_time[0]
     first = int(np.searchsorted(time, since))
@@ -152,7 +155,7 @@ def _first_commanded(recorded: Segment) -> int:
 def _around(
     recorded: Segment, joints: Sequence[str], position: FloatArray, velocity: FloatArray
 ) -> HiddenState:
-    """The rest of the model, along a motion."""
+    """The unmeasured state of the model along a motion."""
     motion = recorded.time, position, velocity
     return HiddenState(
         recorded.model,
@@ -164,7 +167,7 @@ def _around(
 
 
 def _whole(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -> Segment:
-    """From the sample ``first`` to the last."""
+    """The segment from sample ``first`` to the last."""
     time, position = recorded.time, recorded.position
     start = float(time[first]) if first else 0.0
     velocity = recorded.initial_velocity
@@ -173,10 +176,10 @@ def _whole(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -
     elif moving:
         velocity = smooth_state(time[first:], position[first:], start, 2.0 * SMOOTH)[1]
     around = _around(recorded, joints, position, np.zeros_like(position))
-    (rest,) = around.at([start], [(position[first], velocity)])
+    (unrecorded,) = around.at([start], [(position[first], velocity)])
     return recorded.part(
         np.arange(len(time)) >= first, start=start, initial_position=position[first],
-        initial_velocity=velocity, unrecorded=rest,
+        initial_velocity=velocity, unrecorded=unrecorded,
     )  # fmt: skip
 
 
@@ -188,13 +191,14 @@ def _windows(
     *,
     whole: bool,
 ) -> list[Segment]:
-    """Windows of about ``window`` s of the (n,) samples that are ``clear``; at least one where the
-    ``whole`` trial is meant.
+    """Windows of about ``window`` s from the (n,) samples that are ``clear``.
+
+    If ``whole`` is set, there is at least one window.
     """
     time, position = recorded.time, recorded.position
     width = start_width(time)
     smooth, speed, _ = derivatives(time, position, width)
-    # A cubic says little of a velocity where its samples lie on one side.
+    # A local cubic gives a poor velocity at the edge of its samples.
     between = clear & (time >= time[0] + width / 2)
     spans = []
     for run in runs(between):
@@ -207,31 +211,32 @@ def _windows(
     if whole and not spans:
         spans = [(float(time[clear][0]), clear)]
     states = [smooth_state(time, position, start, width) for start, _ in spans]
-    rests = _around(recorded, joints, smooth, speed).at([start for start, _ in spans], states)
+    hidden = _around(recorded, joints, smooth, speed).at([start for start, _ in spans], states)
     return [
         recorded.part(
             inside, start=start, initial_position=q, initial_velocity=v,
-            history=(time, smooth, speed), unrecorded=rest,
+            history=(time, smooth, speed), unrecorded=unrecorded,
         )
-        for (start, inside), (q, v), rest in zip(spans, states, rests, strict=True)
+        for (start, inside), (q, v), unrecorded in zip(spans, states, hidden, strict=True)
     ]  # fmt: skip
 
 
 def runs(inside: NDArray[np.bool_]) -> list[slice]:
-    """Stretches of consecutive samples that are ``inside``."""
+    """Slices of consecutive samples that are ``inside``, an (n,) mask."""
     ends = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(np.int8), [0]])))
     return [slice(a, b) for a, b in zip(ends[::2], ends[1::2], strict=True)]
 
 
 def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:
-    """Where windows begin and end, s.
+    """Times in s at which windows begin and end.
 
-    A velocity is not known where a command jumps: there, they begin a little before or after.
+    The velocity is uncertain where a command jumps. Edges are moved away from such places by at
+    most a quarter of a window.
 
     Args:
         time: (n,) s.
-        off: (n, joints) samples less a smooth motion.
-        window: s, about.
+        off: (n, joints) samples minus a smooth motion.
+        window: desired length of a window, s.
     """
     count = max(1, round((time[-1] - time[0]) / window))
     edges = np.linspace(time[0], time[-1], count + 1)
@@ -259,7 +264,7 @@ _MODELS: weakref.WeakKeyDictionary[Realization, dict[tuple[str | None, ...], muj
 
 
 def _model(realization: Realization, trial: Trial) -> mujoco.MjModel:
-    """What a trial is stepped on: one model for all trials of a controller and a payload."""
+    """The model of a trial, shared by all trials with the same controller and payload."""
     twin = realization.twin
     chosen: list[str | None] = [None, None]
     if twin is not None:
@@ -272,12 +277,13 @@ def _model(realization: Realization, trial: Trial) -> mujoco.MjModel:
     if tuple(chosen) not in known:
         spec = realization.variant(*chosen).spec.copy()
         for body in spec.bodies:
-            # MuJoCo's shortcut for bodies that turn about their centre: effects move centres.
+            # MuJoCo's simplification for bodies that rotate about their centre of mass is not valid
+            # under effects that move this centre.
             body.simple = 0
         known[tuple(chosen)] = compiled(spec)[0]
     return known[tuple(chosen)]
 
 
 def start_width(time: FloatArray) -> float:
-    """Seconds of samples that a window's initial state is taken from."""
+    """Duration in s of the samples from which the initial state of a window is estimated."""
     return _START_SAMPLES * float(np.median(np.diff(time)))
