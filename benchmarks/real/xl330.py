@@ -201,7 +201,7 @@ def neighbours(patched: Patched) -> list[Patched]:
     ]
 
 
-def diagnosed(out: Path, gain: int) -> tuple[str, FloatArray, FloatArray]:
+def diagnosed(out: Path, gain: int, seconds: float) -> tuple[str, FloatArray, FloatArray]:
     """Verdict and findings in words, the error of each log of the gain held out, and that of each
     neighbour, (neighbours, logs).
     """
@@ -210,7 +210,7 @@ def diagnosed(out: Path, gain: int) -> tuple[str, FloatArray, FloatArray]:
     paths = {g: [folder / "recordings" / f"kp{g}_{log}.mcap" for log in LOGS] for g in GAINS}
     if not (why / "diagnosis.json").is_file():
         command = [str(Path(sys.executable).with_name("pytest-twin")), "diagnose"]
-        command += ["--seconds", "0"]
+        command += ["--seconds", f"{seconds:g}"]
         fit = [str(p) for g in GAINS if g != gain for p in paths[g]]
         held_out = [str(p) for p in paths[gain]]
         subprocess.run(
@@ -260,6 +260,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--gains", type=int, nargs="+", default=[400], choices=GAINS)
+    parser.add_argument(
+        "--seconds", type=float, default=0.0, help="of each diagnosis; 0: as long as it takes"
+    )
     parser.add_argument("--no-diagnosis", action="store_true", help="without pytest-twin diagnose")
     parser.add_argument("--structure", action="store_true", help="fit the structure that is given")
     parser.add_argument("--generations", type=int, default=170)
@@ -275,7 +278,7 @@ def main() -> None:
         lines = [row("data sheet", absolute_errors(problem, [EMPTY], problem.held_out)[0])]
         notes = []
         if not args.no_diagnosis:
-            words, errors, near = diagnosed(args.out, gain)
+            words, errors, near = diagnosed(args.out, gain, args.seconds)
             lines.append(row("diagnosed", errors))
             means = 1e3 * near[:, :3].mean(axis=1)
             notes.append(f"diagnosed: {words}")
