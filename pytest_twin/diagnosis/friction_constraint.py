@@ -1,8 +1,9 @@
-"""Whether dry friction holds or creeps, by what the recordings say.
+"""Detection of creep under dry friction from the recordings.
 
-A joint at rest under its friction stays where it is. In MuJoCo's default constraint it creeps, and
-so does what MuJoCo recorded: less than any effect has a name for, and above the floor where little
-noise is. The recordings are asked, where dry friction is in the model or was found.
+A real joint at rest under its friction does not move. With MuJoCo's default friction constraint it
+creeps, and so it does in recordings that MuJoCo made. The creep is smaller than any effect of the
+catalogue, but larger than the noise of such recordings. Both friction constraints are compared if
+the model or the findings contain dry friction.
 """
 
 from __future__ import annotations
@@ -44,11 +45,17 @@ _LEFT, _UNFITTED = 0.5, 0.8
 def build_problem_as_friction_acts(
     given: ModelSetup, trials: TrialSet, notes: list[str]
 ) -> tuple[ModelSetup, Prepared, TrialSet]:
-    """The problem, with dry friction the way that leaves less where a model is nearly right as it
-    came.
+    """The problem, with the friction constraint that explains the recordings better.
+
+    The constraints are compared only if the nominal model is nearly right.
+
+    Args:
+        given: the model with its simulation settings.
+        trials: the recordings.
+        notes: receives notes for the reader.
 
     Raises:
-        SimulationError: as :func:`~pytest_twin.diagnosis.search_result.pose`.
+        SimulationError: as :func:`~pytest_twin.diagnosis.search_result.build_problem`.
     """
     prepared, kept = build_problem(given, trials, notes)
     problem = prepared.problem
@@ -56,7 +63,7 @@ def build_problem_as_friction_acts(
         return given, prepared, kept
     left = residuals_everywhere(problem, EMPTY)
     near = VERDICT.stands_out < _greatest(problem, left) < VERDICT.left_floors
-    if near and _leaves_less(problem, _left_otherwise(problem, EMPTY), left):
+    if near and _leaves_less(problem, _residuals_with_other_constraint(problem, EMPTY), left):
         given = replace(given, creeps=not given.creeps)
         prepared, _ = build_problem(given, kept, [])
     return given, prepared, kept
@@ -69,23 +76,25 @@ def search_as_friction_acts(
     run: Run,
     start: Hypothesis,
 ) -> tuple[ModelSetup, SearchResult]:
-    """What a search finds, gone on with dry friction the other way once that leaves far less.
+    """Search for effects, and change the friction constraint when the other one explains far more.
 
-    Where the model has dry friction at every joint, what a simulation's does otherwise hides behind
-    what was hidden, and stands out when that is nearly explained: a search that went on would
-    gather names for it at every joint.
+    The error of a wrong constraint is small. It becomes visible only when other effects are nearly
+    explained, and a search would then add wrong effects at every joint.
 
     Args:
-        given: the model.
-        prepared, trials: its problem.
-        run: the diagnosis.
-        start: what is known already.
+        given: the model with its simulation settings.
+        prepared, trials: its problem, and the trials.
+        run: the running diagnosis.
+        start: hypothesis from which the search starts.
+
+    Returns:
+        The simulation settings with the better constraint, and the result.
     """
     problem = prepared.problem
     stepped = replace(given, creeps=not given.creeps)
     other: tuple[Prepared, TrialSet] | None = None
 
-    def better_so(best: ScoredModel) -> bool:
+    def other_constraint_is_better(best: ScoredModel) -> bool:
         nonlocal other
         left = np.concatenate([best.fitted.residual, best.held_residual])
         if not has_dry_friction(problem, EMPTY) or _greatest(problem, left) <= VERDICT.stands_out:
@@ -95,36 +104,41 @@ def search_as_friction_acts(
             run.budget.add(other[0].problem)
         return _leaves_less(problem, residuals_everywhere(other[0].problem, best.hypothesis), left)
 
-    selection = StepwiseSelection(problem, run, leave=better_so)
+    selection = StepwiseSelection(problem, run, leave=other_constraint_is_better)
     selected = from_start(selection, start)
     if other is None or not selection.left_off:
         return given, conclude(prepared, trials, selection, selected)
-    # Trials on which the model diverges that way are left out of it.
-    there, kept = other
-    run.begin("whole recordings, dry friction that creeps otherwise", there.problem)
+    # ``kept`` lacks trials on which the model diverges with the other constraint.
+    changed, kept = other
+    run.begin("whole recordings, other friction constraint", changed.problem)
     return stepped, search(
-        there, kept, StepwiseSelection(there.problem, run), selected.best.hypothesis
+        changed, kept, StepwiseSelection(changed.problem, run), selected.best.hypothesis
     )
 
 
 def refit_as_friction_acts(
     found: SearchResult, given: ModelSetup, run: Run
 ) -> tuple[ModelSetup, SearchResult]:
-    """What was found, fitted with dry friction the other way, where that leaves far less.
+    """Fit the findings with the other friction constraint; return the better result.
 
     Args:
-        found: with dry friction as ``given``.
-        given: the model.
-        run: the diagnosis.
+        found: result with the friction constraint of ``given``.
+        given: the model with its simulation settings.
+        run: the running diagnosis.
+
+    Returns:
+        The simulation settings with the better constraint, and the result.
     """
     before, start = found.prepared.problem, found.explained.hypothesis
     if not has_dry_friction(before, start) or _greatest(before, found.after) <= VERDICT.stands_out:
         return given, found
-    if not _leaves_less(before, _left_otherwise(before, start), found.after, _UNFITTED):
+    if not _leaves_less(
+        before, _residuals_with_other_constraint(before, start), found.after, _UNFITTED
+    ):
         return given, found
     stepped = replace(given, creeps=not given.creeps)
     prepared, trials = build_problem(stepped, found.trials, [])
-    run.begin("whole recordings, dry friction that creeps otherwise", prepared.problem)
+    run.begin("whole recordings, other friction constraint", prepared.problem)
     selection = StepwiseSelection(prepared.problem, run)
     comparison = selection.comparison
     rival = (
@@ -140,14 +154,14 @@ def refit_as_friction_acts(
 
 
 def has_dry_friction(problem: Problem, hypothesis: Hypothesis) -> bool:
-    """Whether dry friction is in the model, or was found."""
+    """Whether the model or the hypothesis contains dry friction."""
     layout, models = problem.simulator.layout, {s.model for s in problem.simulator.segments}
     own = any(m.dof_frictionloss[layout.dof_index].any() for m in models)
     return own or any(t.dry_level is not None for t in hypothesis.terms)
 
 
 def with_other_constraint(problem: Problem) -> Problem:
-    """The same with dry friction the other way, the error of the step as it was measured."""
+    """The same problem with the other friction constraint; its discretization error is kept."""
     stepped = problem.simulator
     segments = [replace(s, creeps=not s.creeps) for s in stepped.segments]
     other = BatchSimulator(
@@ -157,24 +171,27 @@ def with_other_constraint(problem: Problem) -> Problem:
     return replace(problem, simulator=other, refined=None)
 
 
-def _left_otherwise(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
-    """(samples, signals) residuals with dry friction the other way."""
+def _residuals_with_other_constraint(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
+    """(samples, signals) residuals with the other friction constraint."""
     return with_other_constraint(problem).residuals([hypothesis], problem.everywhere)[0]
 
 
 def _squares(problem: Problem, left: FloatArray) -> FloatArray:
-    """(joints,) mean squares, in noise floors, of the positions of (samples, signals) residuals."""
+    """(joints,) mean squared position residuals in squared noise floors."""
     return in_noise_floors(left[:, : len(problem.joints)], problem.floor) ** 2
 
 
 def _greatest(problem: Problem, left: FloatArray) -> float:
-    """Root mean square, in noise floors, at the joint that shows most."""
+    """RMS position residual of the worst joint, in noise floors."""
     return float(np.sqrt(_squares(problem, left).max()))
 
 
 def _leaves_less(
     problem: Problem, left: FloatArray, than: FloatArray, share: float = _LEFT
 ) -> bool:
-    """Whether the residual above the noise floor is this small, summed over joints."""
-    here, there = (np.maximum(_squares(problem, x) - 1.0, 0.0).sum() for x in (left, than))
-    return bool(here <= share * there)
+    """Whether the squared residual above the noise floor is at most ``share`` of that of ``than``.
+
+    Both are summed over joints.
+    """
+    new, old = (np.maximum(_squares(problem, x) - 1.0, 0.0).sum() for x in (left, than))
+    return bool(new <= share * old)

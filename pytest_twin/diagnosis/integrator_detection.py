@@ -1,9 +1,9 @@
-"""Whether recordings were made by a simulation, with a step of its own.
+"""Detection of recordings that a simulation made, from its discretization error.
 
-A prediction has the error of the model's step taken out, for a robot has none. A simulation has:
-what MuJoCo recorded of the very same model at the very same step would be off by it, and damping
-and inertia would be found that nobody hid. The recordings are asked, where the step's error stands
-out of their noise: with it left in, all or the part that a finer step has, only noise may be left.
+Predictions are corrected for the discretization error, because a robot has none. Recordings of a
+simulation contain it. With the correction, even the exact model would have a residual, and wrong
+damping and inertia would be found. If the error is above the noise, predictions with and without
+the correction are compared. Recordings come from a simulation if only noise remains without it.
 """
 
 from __future__ import annotations
@@ -38,26 +38,29 @@ from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.segment import Predicted
 
 SUBSTEPS = (1, 2, 4, 5)
-"""Steps, for each of the model's, of simulations that are told from a robot: what more of them
-leave of the error is in the floor."""
+"""Substeps for each step of the model that are compared. With more of them the discretization error
+is below the noise floor."""
 # Greatest share of the residual above the noise if recordings were simulated, and of the linearized
 # residual for a search to be worth its time.
 _LEFT, _FAR_LESS = 0.5, 0.25
-# Of a joint's travel, up to which the step's error is taken for one of first order.
+# The discretization error is of first order up to this share of a joint's travel.
 _SMALL = 0.05
-# rad or m, of what neither moves nor has noise.
+# Smallest noise and travel of a joint, rad or m.
 _LEAST = 1e-9
 
 
 def as_simulated_before(
     given: ModelSetup, prepared: Prepared, trials: TrialSet, run: Run
 ) -> tuple[ModelSetup, Prepared, TrialSet]:
-    """The problem, stepped as the recordings were simulated, where the nominal model explains them.
+    """The problem with the substeps of a simulation, if the nominal model then explains all.
 
     Args:
-        given: the model.
-        prepared, trials: the problem as a robot would have it.
-        run: the diagnosis.
+        given: the model with its simulation settings.
+        prepared, trials: the problem for recordings of a robot, and its trials.
+        run: the running diagnosis.
+
+    Returns:
+        Settings, problem and trials; unchanged if no simulation is detected.
     """
     substeps = _substeps_of(prepared)
     if not substeps:
@@ -68,17 +71,16 @@ def as_simulated_before(
 
 
 def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | None:
-    """How a simulation may have made the recordings, by the residual once effects were found; None
-    where none is seen.
+    """Settings of the simulation that may have made the recordings; None if none is detected.
 
-    Held against each other to first order around what was found: its values give way, and smooth
-    laws that any joint may have take what they can, whichever way the step's error is taken. Where
-    there is dry friction it may creep as well. Of a gear nothing is asked: its motor is stepped
-    apart from the link, its teeth meet within a step, and no simulation has that error.
+    Numbers of substeps, and both friction constraints if there is dry friction, are compared to
+    first order around the findings. For each, parameters of the findings and further nearly linear
+    effects are fitted. Models with elastic transmissions are not compared, because this package
+    integrates their motors with its own method.
 
     Args:
-        found: with the error of the step taken out.
-        given: the model, so stepped.
+        found: result with the correction of the discretization error.
+        given: the model with its simulation settings.
     """
     problem, best = found.prepared.problem, found.selected.best
     noise = _noise(found.prepared)
@@ -103,21 +105,27 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
     most = _FAR_LESS * float(np.maximum(before - 1.0, 0.0).sum())
     if seen and ways[creeps, substeps] <= most:
         return replace(given, creeps=creeps, substeps=substeps)
-    # The linearization around a wrong effect shows nothing: the residual may be the step's error.
-    named = found.explained.findings
-    may_be = named and integration_errors(problem, found.errors, 1.0)
+    # A linearization around a wrong effect is not conclusive: the discretization error may still be
+    # the cause of the residual.
+    findings = found.explained.findings
+    may_be = findings and integration_errors(problem, found.errors, 1.0)
     return replace(given, substeps=1) if may_be else None
 
 
 def explains_more(stepped: SearchResult, found: SearchResult) -> bool:
-    """Whether a search with the error of a simulation's step left in explains the recordings with
-    no more effects than one without, and leaves far less.
+    """Whether a result for recordings of a simulation is better than that for a robot.
+
+    It must explain the recordings, have no more effects, and have a far smaller residual.
+
+    Args:
+        stepped: result without the correction of the discretization error.
+        found: result with the correction.
     """
     if stepped.verdict not in ("explained", "no_mismatch"):
         return False
-    mine, others = (s.explained.hypothesis for s in (stepped, found))
-    if mine.more_terms(others) > 0:
-        # An integration error that needs new physics is that physics.
+    of_simulation, of_robot = (s.explained.hypothesis for s in (stepped, found))
+    if of_simulation.more_terms(of_robot) > 0:
+        # A further effect would explain the recordings as well without an integration error.
         return False
     less = [e.after / max(found.errors[j].after, 1e-12) for j, e in stepped.errors.items()]
     return max(less) <= 1.0 and min(less) <= _LEFT
@@ -133,8 +141,9 @@ def describe_integrator(prepared: Prepared) -> str:
 
 
 def _substeps_of(prepared: Prepared) -> int:
-    """Steps for each of the model's with which the nominal model leaves noise alone; 0 where
-    none does, or without the step's error nothing more is left.
+    """Number of substeps with which only noise remains under the nominal model.
+
+    It is 0 if more than noise remains with every number, or if the correction makes no difference.
     """
     problem, noise = prepared.problem, _noise(prepared)
     if not _measured(problem, EMPTY):
@@ -149,8 +158,10 @@ def _substeps_of(prepared: Prepared) -> int:
 
 
 def _noise(prepared: Prepared) -> FloatArray:
-    """(joints,) deviations, rad or m, of what is told from the error of the step: that of the
-    sensors and a little of the error itself; of an encoder that says nothing, its floor.
+    """(joints,) standard deviation against which the discretization error is compared, rad or m.
+
+    It is the sensor noise with a small share of the error itself. A joint with a stuck encoder has
+    its noise floor.
     """
     floor, parts = prepared.problem.floor, prepared.floor_parts
     noise = np.hypot(parts[NOISE], PREPARE.step_of_simulation * parts[STEP])
@@ -159,8 +170,9 @@ def _noise(prepared: Prepared) -> FloatArray:
 
 
 def _error_stays_small(problem: Problem) -> bool:
-    """Whether the step's error stays small against the motion. Where it grows (a hunting servo, a
-    falling arm) it is not of first order, and whole recordings tell nothing of it; windows do.
+    """Whether the discretization error is small against the motion.
+
+    If it grows (an oscillating servo, a falling arm), it is not of first order in whole recordings.
     """
     travel = np.array([np.ptp(s.position, axis=0) for s in problem.simulator.segments])
     size = _SMALL * np.sqrt(np.mean(travel**2, axis=0))
@@ -168,14 +180,14 @@ def _error_stays_small(problem: Problem) -> bool:
 
 
 def _measured(problem: Problem, hypothesis: Hypothesis) -> bool:
-    """Measure the error of the model's step at a hypothesis; whether it is known everywhere."""
+    """Measure the discretization error at a hypothesis; return whether all segments have one."""
     problem.refine_at(hypothesis)
     known = len(problem.defect) == len(problem.simulator.segments)
     return problem.refined is not None and known
 
 
 def _with_part(problem: Problem, share: float) -> Problem:
-    """The same with a share of the step's error taken out."""
+    """The same problem with a correction by only a share of the discretization error."""
     part = {
         i: Predicted(share * e.position, share * e.velocity, share * e.effort)
         for i, e in problem.defect.items()
@@ -184,7 +196,10 @@ def _with_part(problem: Problem, share: float) -> Problem:
 
 
 def _ways(problem: Problem, hypothesis: Hypothesis, given: ModelSetup) -> dict[bool, Problem]:
-    """Whether dry friction creeps -> the problem so stepped, the other way where there is some."""
+    """Whether joints creep under dry friction -> the problem with that friction constraint.
+
+    Without dry friction there is only one.
+    """
     ways = {given.creeps: problem}
     if has_dry_friction(problem, hypothesis):
         ways[not given.creeps] = with_other_constraint(problem)
@@ -192,15 +207,13 @@ def _ways(problem: Problem, hypothesis: Hypothesis, given: ModelSetup) -> dict[b
 
 
 def _squares(problem: Problem, hypothesis: Hypothesis, noise: FloatArray) -> FloatArray:
-    """(joints,) mean squares, in those of the noise, of the residual of the fitted positions."""
+    """(joints,) mean squared position residuals on the fit segments, in noise variances."""
     (left,) = problem.residuals([hypothesis], problem.fit)
     return in_noise_floors(left[:, : len(noise)], noise) ** 2
 
 
 class _Span:
-    """What may take a residual away to first order around a fit: its own values, and smooth laws
-    that it lacks.
-    """
+    """Sensitivities around a fit: to its parameters, and to nearly linear effects that it lacks."""
 
     def __init__(self, problem: Problem, best: ScoredModel) -> None:
         self.hypothesis = best.hypothesis
@@ -221,15 +234,16 @@ class _Span:
         self.columns = np.concatenate([np.zeros(signals), *columns], axis=2)
 
     def left(self, problem: Problem, noise: FloatArray) -> FloatArray:
-        """(joints,) mean squares of means over bins, in those of the noise, of what it cannot take
-        away of the positions that are fitted.
+        """(joints,) mean squared position residuals after a linear fit, in noise variances.
+
+        Residuals are means over bins.
         """
         joints = len(noise)
-        off = noise / np.sqrt(self.bins.counts.mean())
+        bin_noise = noise / np.sqrt(self.bins.counts.mean())
         (residual,) = problem.residuals([self.hypothesis], problem.fit)
-        left = self.bins.mean(residual)[:, :joints] / off
-        along = (self.columns[:, :joints] / off[:, None]).reshape(left.size, -1)
-        # What differs in size by powers of ten is solved as well as what does not.
-        along = along / np.maximum(np.linalg.norm(along, axis=0), 1e-30)
-        moved = along @ np.linalg.lstsq(along, left.ravel(), rcond=None)[0]
-        return in_noise_floors(left - moved.reshape(left.shape), np.ones(joints)) ** 2
+        binned = self.bins.mean(residual)[:, :joints] / bin_noise
+        design = (self.columns[:, :joints] / bin_noise[:, None]).reshape(binned.size, -1)
+        # Columns of very different size would make the least-squares problem ill-conditioned.
+        design = design / np.maximum(np.linalg.norm(design, axis=0), 1e-30)
+        fitted = design @ np.linalg.lstsq(design, binned.ravel(), rcond=None)[0]
+        return in_noise_floors(binned - fitted.reshape(binned.shape), np.ones(joints)) ** 2

@@ -1,9 +1,9 @@
-"""Whether recordings have a simulation's own step in them, by the effects that were found.
+"""Detection of recordings that a simulation made, with the findings.
 
-The same effects are fitted with the integration error of a step left in. Recordings come from a
-simulation only if that follows every recording better, leaves noise alone and needs no new effect.
-So a step of 2 ms under a damping of 0.8 N*m*s/rad, which would read 5 % too little damping, is seen
-where it is three hundredths of the noise.
+The effects of the findings are fitted again without the correction of the integration error.
+Recordings come from a simulation only if every recording is then predicted better, only noise
+remains, and no further effect is needed. Example: a time step of 2 ms with a damping of
+0.8 N*m*s/rad biases the damping by -5 %, and is detected although its error is 3 % of the noise.
 """
 
 from __future__ import annotations
@@ -27,28 +27,30 @@ from pytest_twin.diagnosis.search_result import (
 )
 
 SUBSTEPS = (1, 2, 4, 5)
-"""Steps, for each of the model's, of the simulations that are tried."""
+"""Substeps for each step of the model that are compared."""
 _NATS = 5.0
-"""Log-likelihood ratio over all recordings from which a simulation made them: odds of 150 to 1.
-Three recordings of 4 s at 100 Hz that MuJoCo made at 2 ms reach 13, where the step's error is
-a fifth of the noise; two reach 10."""
+"""Smallest log-likelihood ratio over all recordings for a simulation: odds of 150 to 1. Three
+recordings of 4 s at 100 Hz, made by MuJoCo at 2 ms, reach 13 if the integration error is 20 % of
+the noise; two reach 10."""
 _NOISE_ALONE = 1.1
-"""RMS residual, in units of the encoder noise as it was estimated, that is noise alone."""
+"""Largest RMS residual that counts as noise only, in standard deviations of the encoder noise."""
 _SEEN = 0.2
-"""The same of the integration error from which it can be seen at all: under a fifth of the noise a
-thousand samples tell it from none no more."""
+"""Smallest RMS integration error that is tested, in standard deviations of the encoder noise. A
+smaller one is not detectable with a thousand samples."""
 
 
 def with_detected_timestep(
     found: SearchResult, given: ModelSetup, run: Run
 ) -> tuple[ModelSetup, SearchResult] | None:
-    """The same effects with the error of a simulation's step left in, where every recording is
-    followed better so; None where not.
+    """The findings without the correction of the integration error, if all recordings agree better.
 
     Args:
-        found: with the error of the step taken out.
-        given: the model, so stepped.
-        run: the diagnosis.
+        found: result with the correction of the integration error.
+        given: the model with its simulation settings.
+        run: the running diagnosis.
+
+    Returns:
+        Settings with the detected substeps, and the result; None if no simulation is detected.
     """
     prepared, start = found.prepared, found.explained.hypothesis
     problem = prepared.problem
@@ -74,8 +76,9 @@ def with_detected_timestep(
 
 
 def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int:
-    """Steps for each of the model's that explain most to first order, the parameters of what was
-    found free; 0 where none explains more than none.
+    """Number of substeps with the largest likelihood; 0 if the correction explains more.
+
+    The parameters of the findings are refitted to first order.
     """
     problem, fitted = found.prepared.problem, found.pruned.fitted
     rows = problem.fit
@@ -91,8 +94,8 @@ def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int
 
     def left(residual: FloatArray) -> float:
         flat = (residual / noise).ravel()
-        rest = flat - design @ np.linalg.lstsq(design, flat, rcond=None)[0]
-        return float(np.sum(np.log(np.mean(rest.reshape(-1, joints) ** 2, axis=0))))
+        remaining = flat - design @ np.linalg.lstsq(design, flat, rcond=None)[0]
+        return float(np.sum(np.log(np.mean(remaining.reshape(-1, joints) ** 2, axis=0))))
 
     none = left(robot[inside])
     each = {k: left(robot[inside] + error / k) for k in SUBSTEPS}
@@ -101,7 +104,7 @@ def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int
 
 
 def _confirmed(problem: Problem, left: FloatArray, robot: FloatArray, noise: FloatArray) -> bool:
-    """Whether every recording is followed better, and noise alone is left."""
+    """Whether every recording is predicted better, and only noise remains."""
     if not np.isfinite(left).all():
         return False
     if (np.sqrt(np.mean(left**2, axis=0)) > _NOISE_ALONE * noise).any():
@@ -110,9 +113,9 @@ def _confirmed(problem: Problem, left: FloatArray, robot: FloatArray, noise: Flo
     ends = np.cumsum([0, *problem.lengths(problem.everywhere)])
     ratio = []
     for trial in dict.fromkeys(owner):
-        mine = [i for i, o in enumerate(owner) if o == trial]
-        rows = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in mine])
-        lengths = [int(ends[i + 1] - ends[i]) for i in mine]
+        of_trial = [i for i, o in enumerate(owner) if o == trial]
+        rows = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in of_trial])
+        lengths = [int(ends[i + 1] - ends[i]) for i in of_trial]
         counts = np.minimum(
             effective_samples(left[rows], lengths), effective_samples(robot[rows], lengths)
         )

@@ -1,8 +1,7 @@
-"""Whether model and findings together are physically possible.
+"""Physical limits of the sum of model and findings.
 
-A passive joint cannot push itself: damping, dry friction, armature and spring stiffness of the
-model plus all corrections are at least zero. A correction below that compensates for something
-else.
+A passive joint cannot generate energy: damping, dry friction, armature and spring stiffness of the
+model plus all corrections are at least zero. A negative total compensates for another effect.
 """
 
 from __future__ import annotations
@@ -16,12 +15,11 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
 
-# A total may be below zero by this share of the model's own value: the accuracy to which a
-# correction that removes all of it is known (1.7 % where damping of 0.1 N m s/rad was removed from
-# simulated recordings).
+# A total may be below zero by this share of the model's value, the accuracy of a correction that
+# removes all of it (1.7 % if damping of 0.1 N m s/rad was removed from simulated recordings).
 _TOLERANCE = 0.05
-# The same of what is typical of the joint, such as the drive's RMS effort: where the model has none
-# of a quantity, a fit ends within this of zero.
+# It may also be below zero by this share of the typical size of the correction, such as the drive's
+# RMS effort. This accuracy matters if the model's value is zero.
 _OF_TYPICAL = 0.01
 
 
@@ -30,8 +28,8 @@ class Total:
     """A quantity of a joint: the model's own value and all corrections of it, SI units.
 
     Attributes:
-        name: of the quantity.
-        joint: column.
+        name: name of the quantity.
+        joint: column of the joint.
         own: the model's value.
         parts: (term, index in theta, value) of each correction.
         typical: scale of the corrections, SI units.
@@ -45,21 +43,21 @@ class Total:
 
     @property
     def value(self) -> float:
-        """Of model and corrections."""
+        """Sum of the model's value and all corrections, SI units."""
         return self.own + sum(value for _, _, value in self.parts)
 
     @property
     def is_impossible(self) -> bool:
-        """Whether it is below zero by more than corrections are accurate."""
+        """Whether the total is below zero by more than the accuracy of corrections."""
         return self.value < -max(_TOLERANCE * self.own, _OF_TYPICAL * self.typical, 0.0)
 
 
 _ADDED = {"damping": "viscous friction", "inertia": "armature", "stiffness": "spring stiffness"}
-"""Quantity of a parameter that is added to the model's own -> what the total is called."""
+"""Quantity of a parameter that is added to the model's value -> name of the total."""
 
 
 def totals(problem: Problem, hypothesis: Hypothesis) -> list[Total]:
-    """Every quantity that some effect of a hypothesis corrects."""
+    """The total of every quantity that an effect of the hypothesis corrects."""
     model = problem.simulator.segments[0].model
     layout = problem.simulator.layout
     own = {
@@ -91,7 +89,7 @@ def totals(problem: Problem, hypothesis: Hypothesis) -> list[Total]:
 
 
 def _quantity(term: Term, k: int, parameter: Parameter) -> str | None:
-    """What total a parameter is a part of, if any."""
+    """Quantity to whose total a parameter belongs; None if there is none."""
     if k == term.dry_level:
         return "dry friction"
     if parameter.relation == "added" and parameter.quantity in _ADDED:
@@ -100,7 +98,7 @@ def _quantity(term: Term, k: int, parameter: Parameter) -> str | None:
 
 
 def impossible(problem: Problem, hypothesis: Hypothesis) -> dict[Term, str]:
-    """Effects that make a total impossible, and why: of several corrections those below zero."""
+    """Effects with a negative correction of an impossible total, and the reason of each."""
     out: dict[Term, str] = {}
     for total in totals(problem, hypothesis):
         if total.is_impossible:
@@ -110,8 +108,9 @@ def impossible(problem: Problem, hypothesis: Hypothesis) -> dict[Term, str]:
 
 
 def at_zero(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
-    """(parameters,) of a hypothesis, with totals that are slightly below zero at zero: the largest
-    negative correction gives way.
+    """(parameters,) of a hypothesis, with negative totals set to zero.
+
+    The largest negative correction of the total is changed.
     """
     theta = hypothesis.theta.copy()
     for total in totals(problem, hypothesis):

@@ -1,4 +1,4 @@
-"""Effects that no finding may contain: impossible totals, and shapes that no recording shows."""
+"""Effects that are refused: impossible totals, and shape parameters that are not identifiable."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pytest_twin.diagnosis.recorded_range import RecordedRange, not_shown
 def refused(
     problem: Problem, hypothesis: Hypothesis, recorded: RecordedRange | None = None
 ) -> dict[Term, str]:
-    """Effects of a hypothesis that no finding may contain, and why.
+    """Effects of a hypothesis that are refused, and the reason of each.
 
     Args:
-        problem: what to explain.
+        problem: the problem.
         hypothesis: effects with parameters.
-        recorded: range of the recordings, where it is known.
+        recorded: ranges of the recordings; computed from the problem by default.
     """
     return {**not_shown(problem, hypothesis, recorded), **impossible(problem, hypothesis)}

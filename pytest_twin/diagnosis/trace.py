@@ -1,4 +1,4 @@
-"""The record of a search: what was proposed, its score, and why it was accepted or rejected."""
+"""The trace of a search: each proposal, its score, and why it was accepted or rejected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 
 Decision = Literal["accepted", "rejected", "shortlisted", "started", "ended"]
 MOST_STEPS = 2000
-"""Steps that are kept; a diagnosis of six joints takes some hundred."""
+"""Largest number of steps that are kept; a diagnosis of six joints has several hundred."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,16 +20,16 @@ class Step:
     """One step of a search.
 
     Attributes:
-        stage: what the search works on, ``whole recordings``.
-        move: what kind of change was proposed, ``addition``.
-        proposed: effects with their joints, ``viscous_friction at elbow``; all of the proposal.
-        score: of the proposal, above the nominal model's; None where none was computed.
+        stage: data of the search, for example ``whole recordings``.
+        move: kind of the proposed change, for example ``addition``.
+        proposed: all effects of the proposal, for example ``viscous_friction at elbow``.
+        score: score of the proposal minus that of the nominal model; None if it was not computed.
         best: effects of the best model so far.
-        best_score: its score, above the nominal model's.
-        decision: what became of the proposal.
-        reason: why, in one sentence.
-        simulations: of all data, taken so far by the whole diagnosis.
-        seconds: since the diagnosis began.
+        best_score: score of the best model minus that of the nominal model.
+        decision: decision about the proposal.
+        reason: reason of the decision, in one sentence.
+        simulations: simulations of all data so far, in the whole diagnosis.
+        seconds: time since the diagnosis began, s.
     """
 
     stage: str
@@ -44,7 +44,7 @@ class Step:
     seconds: float
 
     def to_json(self) -> dict[str, Any]:
-        """As ``diagnosis.json`` has it."""
+        """The step as an object of ``diagnosis.json``."""
         return {
             "stage": self.stage,
             "move": self.move,
@@ -69,9 +69,9 @@ class Trace:
         listeners: called with each step.
 
     Attributes:
-        stage: what is searched now.
-        steps: the first ``MOST_STEPS``.
-        left_out: how many came after these.
+        stage: data of the present search.
+        steps: the first ``MOST_STEPS`` steps.
+        left_out: number of later steps, which are not kept.
     """
 
     def __init__(self, *listeners: Callable[[Step], None]) -> None:
@@ -81,7 +81,7 @@ class Trace:
         self.left_out = 0
 
     def add(self, step: Step) -> None:
-        """Keep a step, or count it where there are too many."""
+        """Keep a step, or only count it after ``MOST_STEPS``; call the listeners."""
         if len(self.steps) < MOST_STEPS:
             self.steps.append(step)
         else:
@@ -95,10 +95,10 @@ class Trace:
 
 
 def named(joints: Sequence[str], terms: Sequence[Term]) -> tuple[str, ...]:
-    """Effects with their joints, as a step has them."""
+    """Names of effects with their joints, for example ``viscous_friction at elbow``."""
     return tuple(t.effect if t.joint < 0 else f"{t.effect} at {joints[t.joint]}" for t in terms)
 
 
 def in_words(joints: Sequence[str], hypothesis: Hypothesis) -> str:
-    """Effects of a hypothesis, ``the nominal model`` where it has none."""
+    """Names of the effects of a hypothesis; ``the nominal model`` if it has none."""
     return ", ".join(named(joints, hypothesis.terms)) or "the nominal model"

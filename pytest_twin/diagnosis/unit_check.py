@@ -1,8 +1,8 @@
 """Detection of recordings in degrees or encoder counts, by comparison with the model.
 
-States in another unit than their commands are detected without a model. Where both have the same
-wrong unit, or commands are efforts, the model decides: it follows the recording in the right unit
-and not in rad.
+If states and commands have different units, no model is needed to detect it. If both have the same
+wrong unit, or commands are efforts, the model decides: its prediction agrees with the recording in
+the right unit, and not in rad.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from pytest_twin.realization import Realization
 from pytest_twin.replay import Replayed, replay
 from pytest_twin.trial import Trial
 
-# rad that every moving hinge must travel before the unit of a recording is tested; rad that counts
-# as moving.
+# Smallest travel in rad of every moving hinge for a test of the unit.
 _FAR = 2.0 * np.pi
+# Smallest travel in rad of a moving hinge.
 _MOVES = 1e-6
-# Least number of such hinges by command mode. A single wheel under a servo may turn many times, and
-# a model with a weak servo follows any small motion.
+# Smallest number of such hinges by command mode. A single wheel under a servo may turn many times,
+# and a model with a weak servo follows any small motion.
 _FEWEST = {"position": 2, "velocity": 2, "effort": 1}
 # The replay ends when a hinge has moved this part of its range, plus some s: under effort commands
 # small errors grow.
@@ -47,7 +47,7 @@ def drop_other_units(realization: Realization, trials: TrialSet, notes: list[str
     Args:
         realization: the nominal model.
         trials: the recordings.
-        notes: gets a line for each recording that is left out.
+        notes: receives a line for each recording that is left out.
 
     Raises:
         RecordingError: no recording remains to fit.
@@ -89,7 +89,7 @@ def _turns_far(trial: Trial, hinges: Sequence[int]) -> bool:
 
 
 def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
-    """The unit in which the model follows the trials, where it does not in rad; else None."""
+    """The unit in which the prediction agrees with the trials; None if it agrees in rad."""
     scales = (1.0, *_UNITS.values())
     angles = [_hinges(realization, t) for t in trials]
     starts = [_beginning(t, hinges) for t, hinges in zip(trials, angles, strict=True)]
@@ -101,11 +101,11 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
     off = np.reshape(
         [_error(r, hinges) for r, (_, hinges, _) in zip(read, rows, strict=True)], (-1, len(scales))
     )
-    came, others = off[:, 0], off[:, 1:]
+    in_rad, others = off[:, 0], off[:, 1:]
     least = np.median(others, axis=0)
     best = int(np.argmin(least * [_COUNTS_CLOSER, *[1.0] * (len(least) - 1)]))
-    closer = np.mean(others[:, best] <= _CLOSER * came) > 0.5
-    if came.max() < _FAILS or least[best] > _FOLLOWS or not closer:
+    closer = np.mean(others[:, best] <= _CLOSER * in_rad) > 0.5
+    if in_rad.max() < _FAILS or least[best] > _FOLLOWS or not closer:
         return None
     return list(_UNITS)[best]
 
@@ -116,8 +116,8 @@ def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
     A velocity from positions carries their noise, which grows under effort commands.
     """
     position = trial.position[:, hinges]
-    gone = np.abs(position - position[0]) > _PART[trial.hardest_mode] * np.ptp(position, axis=0)
-    until = float(trial.time[gone.any(axis=1).argmax()]) + _ON
+    moved = np.abs(position - position[0]) > _PART[trial.hardest_mode] * np.ptp(position, axis=0)
+    until = float(trial.time[moved.any(axis=1).argmax()]) + _ON
     return trial.until(until)
 
 
@@ -140,9 +140,9 @@ def _scaled(trial: Trial, hinges: Iterable[int], scale: float) -> Trial:
 
 
 def _error(replayed: Replayed, hinges: Sequence[int]) -> float:
-    """RMS error of the hinges divided by their RMS motion; infinite where the model diverged."""
+    """RMS error of the hinges divided by their RMS motion; infinite if the simulation diverged."""
     measured = replayed.trial.position[:, hinges]
-    left = replayed.position[:, hinges] - measured
-    if not np.isfinite(left).all():
+    error = replayed.position[:, hinges] - measured
+    if not np.isfinite(error).all():
         return np.inf
-    return float(np.linalg.norm(left)) / float(np.linalg.norm(measured - measured[0]))
+    return float(np.linalg.norm(error)) / float(np.linalg.norm(measured - measured[0]))
