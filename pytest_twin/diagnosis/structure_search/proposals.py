@@ -67,12 +67,13 @@ def proposals(
                          for m in t.movable(hypothesis.theta[hypothesis.slice_of(t)])])  # fmt: skip
         pool.setdefault((frozenset(hypothesis.terms), form.tobytes()), hypothesis)
     starts = list(pool.values())
-    if look.linear is None:
+    linear = look.linear
+    if linear is None:
         return [Proposal(h, 0.0) for h in starts]
     incumbent = LinearizedFit(own, look.view.residual)
 
     def fitted(models: Sequence[Hypothesis], iterations: int) -> list[Proposal]:
-        fits = fit_linearized(look.linear, look.view, models, iterations)
+        fits = fit_linearized(linear, look.view, models, iterations)
         worth = linearized_evidence(look.view, [incumbent, *fits], scorer.name_price)
         gains = np.nan_to_num(worth[1:] - worth[0], nan=-np.inf)
         found = [Proposal(f.hypothesis, float(g)) for f, g in zip(fits, gains, strict=True)]
