@@ -110,7 +110,7 @@ def answer(folder: Path) -> dict[str, Any]:
 
 
 def names_read(folder: Path) -> tuple[dict[str, Any], set[str]]:
-    """The answer to a case, and the names that functions of the diagnosis read on the way."""
+    """The answer to a case, and all attribute names in the functions that the diagnosis called."""
     codes = set()
 
     def note(frame: Any, event: str, argument: object) -> None:

@@ -22,6 +22,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "adaptation"))
+
+import plants
+
 from pytest_twin.adaptation.recursive import Recursion, base_parameters, track
 from pytest_twin.adaptation_spec import UpdateSpec
 from pytest_twin.formats.mcap import write_recording
@@ -32,17 +36,6 @@ from pytest_twin.trial import make_trials
 from pytest_twin.trial.read import recording_at
 from pytest_twin.twin import DEFAULT_TOPICS
 
-MODEL = """<mujoco>
-  <option timestep="0.002" integrator="implicitfast"/>
-  <worldbody>
-    <body name="arm">
-      <inertial pos="0 0 -0.1" mass="0.5" diaginertia="1e-4 1e-4 1e-4"/>
-      <joint name="a" axis="0 -1 0" damping="{damping}" frictionloss="{dry}" armature="0.001"/>
-    </body>
-  </worldbody>
-  <actuator><position name="servo" joint="a" kp="1.0"/></actuator>
-</mujoco>
-"""
 GOLDEN = """schema: 1
 kind: fk
 target: {frames: [arm]}
@@ -84,7 +77,7 @@ def drawn(seed: int) -> Friction:
 
 def record(path: Path, plant: Friction, age: float, phase: float) -> None:
     """A motion at 100 Hz; ``age`` from 0 (new) to 1 (worn out)."""
-    model = mujoco.MjModel.from_xml_string(MODEL.format(damping=plant.damping, dry=plant.dry))
+    model = mujoco.MjModel.from_xml_string(plants.model(plant.damping, plant.dry))
     data = mujoco.MjData(model)
     rng = np.random.default_rng(int(1e6 * phase) + round(1e3 * age))
     model.dof_frictionloss[0] = plant.dry * (1.0 + (WORN - 1.0) * age)
@@ -147,7 +140,7 @@ def tried(folder: Path, seed: int, count: int) -> dict[str, object]:
     (twin / "golden/fk").mkdir(parents=True)
     (twin / "golden/fk/home.yaml").write_text(GOLDEN)
     (twin / "twin.yaml").write_text(TWIN)
-    new = MODEL.format(damping=plant.damping, dry=plant.dry)
+    new = plants.model(plant.damping, plant.dry)
     (twin / "model.xml").write_text(new)
     recordings = []
     for number in range(count):
@@ -161,7 +154,7 @@ def tried(folder: Path, seed: int, count: int) -> dict[str, object]:
     (twin / "twin.yaml").write_text(TWIN + UPDATE)
     promoted = told(twin, *shadow, "releases/0001", ".", *paths, "--promote") == 0
     released = promoted and gate(twin, "--twin-release") == 0
-    (twin / "model.xml").write_text(MODEL.format(damping=FAULT * plant.damping, dry=plant.dry))
+    (twin / "model.xml").write_text(plants.model(FAULT * plant.damping, plant.dry))
     rejected = told(twin, *shadow, "releases/0002", ".", *paths) == 1
     restored = told(twin, "pytest_twin.cli", "rollback") == 0
     back = restored and (twin / "model.xml").read_text() == new

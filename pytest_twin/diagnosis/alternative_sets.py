@@ -7,7 +7,7 @@ from dataclasses import replace
 from pytest_twin.diagnosis.equivalent_sets import compare_sets
 from pytest_twin.diagnosis.evidence import log_likelihood
 from pytest_twin.diagnosis.recorded_range import RecordedRange
-from pytest_twin.diagnosis.refusal import refused
+from pytest_twin.diagnosis.refusal import allowed_without, refused
 from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import label
@@ -51,12 +51,8 @@ def with_alternative_sets(
     run = Run() if run is None else run
     run.begin("comparison with other sets", problem)
     comparison = ModelComparison(problem, run)
-    rejected = {*found.pruned.closest}
-    compared = compare_sets(
-        comparison,
-        final,
-        lambda h: rejected.isdisjoint(h.terms) and not refused(problem, h, recorded),
-    )
+    allowed = allowed_without(problem, found.pruned.closest, recorded)
+    compared = compare_sets(comparison, final, allowed)
     for other in compared.sets:
         run.step(
             problem, "exchange of a set", "rejected",

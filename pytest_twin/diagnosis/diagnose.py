@@ -60,7 +60,7 @@ class Diagnosis:
         notes: one line each, for the reader.
         prepared, selected: estimation problem at the final parameters, and model selection.
         tested: problem, recordings and residuals from which the errors were computed.
-        free: laws without a name that explain a part of the residual.
+        free: fitted free laws, for forces that no effect of the catalogue explains.
         roles: which recordings were fitted, validated, and held out.
         trace: every step of the search.
         cost: computing time.

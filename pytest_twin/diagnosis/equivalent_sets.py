@@ -90,7 +90,7 @@ class ComparedSets:
         sets: all other sets with their evidence over ``best``, likeliest first.
         tempering: effective samples with model error counted, over those without.
         simulations: of all recordings that the comparison took.
-        gain: evidence of ``best`` over the final set, reported or not.
+        gain: evidence of ``best`` over the final set; minus infinity where no set is possible.
     """
 
     best: ScoredModel
@@ -426,7 +426,6 @@ def _compared(
         values[1:] = [
             _decided(v, r, best, comparison) for v, r in zip(values[1:], rivals, strict=True)
         ]
-    measured = values.copy()
     if not possible and rivals:
         values[0] = -np.inf
     top = int(np.argmax(values))
@@ -450,7 +449,7 @@ def _compared(
         if np.isfinite(values[i])
     ]
     sets.sort(key=lambda s: -s.evidence)
-    return ComparedSets(chosen, tuple(sets), tempering, count.spent, float(measured[top]))
+    return ComparedSets(chosen, tuple(sets), tempering, count.spent, float(values[top]))
 
 
 def _decided(

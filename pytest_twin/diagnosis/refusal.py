@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
+
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import impossible
 from pytest_twin.diagnosis.problem import Problem
@@ -19,3 +21,17 @@ def refused(
         recorded: ranges of the recordings; computed from the problem by default.
     """
     return {**not_shown(problem, hypothesis, recorded), **impossible(problem, hypothesis)}
+
+
+def allowed_without(
+    problem: Problem, rejected: Collection[Term], recorded: RecordedRange
+) -> Callable[[Hypothesis], bool]:
+    """Whether a set of effects may be reported: none of it is refused or was rejected before.
+
+    Args:
+        problem: the problem.
+        rejected: effects that pruning rejected as only the closest known ones.
+        recorded: ranges of the recordings.
+    """
+    barred = frozenset(rejected)
+    return lambda other: barred.isdisjoint(other.terms) and not refused(problem, other, recorded)

@@ -10,10 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pytest_twin.diagnosis.equivalent_sets import compare_sets
-from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
-from pytest_twin.diagnosis.refusal import refused
+from pytest_twin.diagnosis.refusal import allowed_without
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.pruning import PrunedModel, prune
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
@@ -38,15 +37,10 @@ def replace_closest_known(
     Returns:
         The other set and what pruning leaves of it; else what was given.
     """
-    barred, final = {*pruned.closest}, selected.best.hypothesis
-    if not barred:
+    if not pruned.closest:
         return selected, pruned
-    recorded = RecordedRange.of(problem)
-
-    def allowed(other: Hypothesis) -> bool:
-        return barred.isdisjoint(other.terms) and not refused(problem, other, recorded)
-
-    compared = compare_sets(comparison, final, allowed)
+    allowed = allowed_without(problem, pruned.closest, RecordedRange.of(problem))
+    compared = compare_sets(comparison, selected.best.hypothesis, allowed)
     other = compared.best.hypothesis
     if not allowed(other) or not other.terms or compared.gain < -SELECTION.earns:
         return selected, pruned

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class VerdictSettings:
-    """When a residual is noise, when it is explained, and when an effect is worth a name.
+    """Thresholds for three decisions: a residual is noise, it is explained, an effect is reported.
 
     They were chosen on simulated development cases and recordings of real arms. Floors are
     multiples of a signal's noise floor; shares are of a squared error above the floor.

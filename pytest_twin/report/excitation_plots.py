@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.report.drawn import svg
+from pytest_twin.report.log_axes import logarithmic
 from pytest_twin.report.plot_style import BAND, DIM, FAIL, INK, NOW, PASS
 from pytest_twin.report.text import printable
 
@@ -55,8 +56,6 @@ def deviations_figure(parameters: Sequence[Mapping[str, Any]]) -> bytes:
     most = max(100 * one["relative_std"] for one in parameters)
 
     def draw(figure: Figure) -> None:
-        from matplotlib.ticker import NullFormatter
-
         height = 0.55 + 0.19 * len(parameters)
         axes = figure.add_axes((0.36, 0.42 / height, 0.58, 1.0 - 0.5 / height))
         for row, one in enumerate(parameters):
@@ -65,10 +64,8 @@ def deviations_figure(parameters: Sequence[Mapping[str, Any]]) -> bytes:
             axes.plot([0.5 * least, value], [row, row], color=BAND, linewidth=1.0)
             axes.plot([value], [row], "o", color=colour, markersize=4)
             axes.text(value * 1.12, row, f"{value:.2g}", va="center", color=INK, fontsize=7)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlim(0.5 * least, max(3.0 * most, 2.0 * least))
+        logarithmic(axes, "x")
         axes.set_ylim(len(parameters) - 0.5, -0.5)
         axes.set_yticks(range(len(parameters)), [_short(one) for one in parameters], fontsize=7)
         axes.grid(visible=False, axis="y")

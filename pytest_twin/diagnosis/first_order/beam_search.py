@@ -189,6 +189,8 @@ class CandidateSensitivities:
     def with_columns(self, other: FloatArray) -> FloatArray:
         """(signals, columns, k) inner products with other columns, (bins, signals, k)."""
         moved = np.ascontiguousarray(np.moveaxis(other, 0, 1), dtype=np.float32)
+        if not self.responses:
+            return np.zeros((len(moved), 0, moved.shape[2]))
         return np.asarray(np.matmul(self.columns, moved), dtype=np.float64)
 
     def products(self, response: int) -> FloatArray:
@@ -357,7 +359,7 @@ class NormalEquations:
             _, mean_square = self._solved(normal, right, lower, upper)
             misfit[group.which] = np.log(np.maximum(mean_square, floor**2))
         excluded = {*parent.starts, *barred}
-        new = [r.term not in excluded for r in answers.responses]
+        new = np.array([r.term not in excluded for r in answers.responses], dtype=bool)
         possible = np.flatnonzero(new & np.isfinite(misfit).all(axis=1))
         if not len(possible):
             return []

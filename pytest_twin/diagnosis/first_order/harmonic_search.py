@@ -104,9 +104,6 @@ def _best_of(
     best: list[Sensitivity] = []
     for first in range(0, len(sizes), _AT_ONCE):
         found = [*best, *linear.at_sizes([term], sizes[first : first + _AT_ONCE])]
-        if not found:
-            # None of these waves changes the prediction.
-            continue
         answers = CandidateSensitivities(found)
         equations = NormalEquations(view, answers)
         best = [answers.responses[i] for (i,) in equations.children(equations.bare, 1)]

@@ -75,8 +75,8 @@ class RefitComparison:
     def is_likely(self, term: Term) -> bool:
         """Whether an effect is likelier than all else together, or as likely as the likeliest.
 
-        Two names that the recordings do not distinguish have half the confidence each: that is no
-        sign of a third.
+        Two effects that the recordings cannot distinguish have a confidence of about 0.5 each. That
+        is no evidence for a third effect.
         """
         chance = self.chance(term)
         rival = self.rivals.get(term, 1.0 - chance)

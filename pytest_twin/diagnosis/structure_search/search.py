@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -19,7 +18,11 @@ from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView, linearize_around
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
-from pytest_twin.diagnosis.structure_search.proposals import Proposal, proposals
+from pytest_twin.diagnosis.structure_search.proposals import (
+    Proposal,
+    best_of_each_size,
+    proposals,
+)
 from pytest_twin.diagnosis.structure_search.refit import as_fitted, corrected_fits, settled
 from pytest_twin.diagnosis.structure_search.score import Model, Scorer
 from pytest_twin.diagnosis.structure_search.settings import SETTINGS, StructureSearchSettings
@@ -159,11 +162,7 @@ class StructureSearch:
         ranked = sorted(found, key=rank, reverse=True)
         # Large models can fit errors of the linearization. The best proposals of each number of
         # effects are simulated, so that large ones do not displace a single right effect.
-        chosen, others, taken = list[Proposal](), list[Proposal](), Counter[int]()
-        for proposal in ranked:
-            count = len(proposal.hypothesis.terms)
-            (chosen if taken[count] < settings.of_each_count else others).append(proposal)
-            taken[count] += 1
+        chosen, others = best_of_each_size(ranked, settings.of_each_count)
         return chosen + others[: max(settings.proposals - len(chosen), 0)]
 
     def _fitted(
