@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -30,6 +31,12 @@ def test_nothing_imports_pytest_internals() -> None:
         if internal.search(path.read_text())
     ]
     assert offenders == []
+
+
+def test_modules_of_tests_have_names_of_their_own() -> None:
+    """Pytest imports them by bare name: a second one of the same name is refused."""
+    names = Counter(path.name for path in (PROJECT / "tests").rglob("test_*.py"))
+    assert [name for name, times in names.items() if times > 1] == []
 
 
 LOADS = re.compile(r"\b(from_xml_\w+|from_file|from_string|buildModelFrom\w+)\(")
