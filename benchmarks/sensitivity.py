@@ -3,11 +3,12 @@
     python benchmarks/sensitivity.py --out DIR [--minutes 60] [FIELD ...]
 
 Each number in a settings object of ``pytest_twin.diagnosis`` is halved and doubled, one at a time,
-and small cases are diagnosed again: a pendulum whose reality is integrated at 10 kHz, with one
-effect, with two, and with none. A field that no function reads in a case is not tried there.
-Answers are kept in DIR/answers.jsonl, so that a second run goes on where the first one stopped.
-Writes DIR/sensitivity.md: for each field its value, what each change does to the answers, and the
-simulations that the searches take.
+and small cases are diagnosed again. In each, a pendulum or an arm of one joint is integrated at 4
+or 10 kHz with one effect, two effects, or none that the model lacks. A field that a diagnosis of a
+case does not read is not tried there. No diagnosis has a time limit, so the load of the machine
+changes no answer. Answers are kept in DIR/answers.jsonl: a second run continues the first one.
+Writes DIR/sensitivity.md: for each field its value, in how many cases it was tried, what each
+change does to the answers, and the number of simulations.
 
 FIELD: ``CLASS`` or ``CLASS.field``, such as ``SelectionSettings.earns``; all by default.
 """
@@ -21,7 +22,7 @@ import json
 import pkgutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,18 +30,102 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "diagnosis"))
 
+import recorded_pendulum
+import touching_arm
 import two_pendulums
 
 import pytest_twin.diagnosis
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.first_answer import first_answer
 from pytest_twin.diagnosis.trials import read_trials
 
-CASES: dict[str, dict[str, float]] = {
-    "delay": {"delay": 0.02},
-    "friction and lag": {"dry": 0.08, "lag": 0.01},
-    "nothing": {},
-}
+Answer = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One diagnosis: its name in the table, what writes model and recordings, what diagnoses."""
+
+    name: str
+    write: Callable[[Path], object]
+    diagnose: Callable[[Path], Answer]
+
+    def answer(self, out: Path) -> Answer:
+        """Its answer; ``out`` has a folder of model and recordings for each case."""
+        return self.diagnose(self.folder(out))
+
+    def folder(self, out: Path) -> Path:
+        """Folder of its model and recordings."""
+        return out / "cases" / self.name.replace(" ", "_")
+
+
+def full_diagnosis(folder: Path) -> Answer:
+    """Verdict, parameters of the findings, and number of simulations of a diagnosis."""
+    loaded = load_model(folder / "model.xml")
+    files = sorted(folder.glob("*.mcap"))
+    trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
+    found = diagnose(loaded.realization, trials, threads=1)
+    return {
+        "verdict": found.verdict,
+        "findings": {
+            f"{f.effect} at {f.joint}": {name: e.value for name, e in f.parameters.items()}
+            for f in found.explained.findings
+            if not f.small
+        },
+        "simulations": round(found.cost.simulations),
+    }
+
+
+def first_diagnosis(folder: Path) -> Answer:
+    """The first answer, within seconds, to the recordings that are not held out."""
+    loaded = load_model(folder / "model.xml")
+    files = sorted(folder.glob("*.mcap"))
+    trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
+    found = first_answer(loaded.realization, trials.fit, None, 1e6)
+    if found is None:
+        return {"verdict": "no first answer", "findings": {}, "simulations": 0}
+    return {
+        "verdict": f"{found.joint} fails, unexplained: {', '.join(found.unexplained) or 'none'}",
+        "findings": {
+            f"{s.place[0]} at {', '.join(s.place[1])}, else {[e for e, _ in s.rivals]}": {
+                name: value for name, (value, _) in s.values.items()
+            }
+            for s in found.suspects
+        },
+        "simulations": 0,
+    }
+
+
+def pendulum(**hidden: float) -> Callable[[Path], object]:
+    """Writer of a pendulum that has what the model lacks."""
+    return lambda folder: two_pendulums.case(folder, ("left",), seconds=1.2, **hidden)
+
+
+def logged_effort(folder: Path) -> None:
+    """A pendulum with dry friction whose log has the effort, 6 ms late, and the velocity."""
+    reality = recorded_pendulum.Reality(
+        dry=3.0, effort="measured", effort_late=0.006, velocity="sensor"
+    )
+    recorded_pendulum.cell(folder, reality, (2, 3, 4), seconds=1.6)
+
+
+def table_too_high(folder: Path) -> None:
+    """An arm of one joint whose tip touches a table 4 mm higher than the model's."""
+    folder.mkdir(parents=True, exist_ok=True)
+    touching_arm.case(folder, ("left",), seconds=1.5, offset=0.004)
+
+
+CASES = (
+    Case("friction and lag", pendulum(dry=0.08, lag=0.01), full_diagnosis),
+    Case("contact", table_too_high, full_diagnosis),
+    Case("logged effort", logged_effort, full_diagnosis),
+    Case("stick-slip", pendulum(dry=0.3), full_diagnosis),
+    Case("delay", pendulum(delay=0.02), full_diagnosis),
+    Case("nothing", pendulum(), full_diagnosis),
+    Case("first answer", pendulum(dry=0.08, lag=0.01), first_diagnosis),
+)
+"""In the order in which they are tried: each field first in the first case that reads it."""
 FACTORS = (0.5, 2.0)
 SAME_SHARE = 0.01
 """Of a parameter's value, by which answers may differ and count as the same."""
@@ -92,37 +177,23 @@ def settings_fields() -> list[Field]:
     ]
 
 
-def answer(folder: Path) -> dict[str, Any]:
-    """What the diagnosis of a case says, and its cost."""
-    loaded = load_model(folder / "model.xml")
-    files = sorted(folder.glob("*.mcap"))
-    trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
-    found = diagnose(loaded.realization, trials, threads=1)
-    return {
-        "verdict": found.verdict,
-        "findings": {
-            f"{f.effect} at {f.joint}": {name: e.value for name, e in f.parameters.items()}
-            for f in found.explained.findings
-            if not f.small
-        },
-        "simulations": round(found.cost.simulations),
-    }
+@contextmanager
+def reads_of(fields: list[Field]) -> Iterator[set[str]]:
+    """Within, collects the names of the fields that are read."""
+    read: set[str] = set()
 
+    def noting(owner: object, attribute: str) -> object:
+        read.add(f"{type(owner).__name__}.{attribute}")
+        return object.__getattribute__(owner, attribute)
 
-def names_read(folder: Path) -> tuple[dict[str, Any], set[str]]:
-    """The answer to a case, and all attribute names in the functions that the diagnosis called."""
-    codes = set()
-
-    def note(frame: Any, event: str, argument: object) -> None:
-        if event == "call" and "pytest_twin/diagnosis" in frame.f_code.co_filename:
-            codes.add(frame.f_code)
-
-    sys.setprofile(note)
+    owners = {type(field.owner) for field in fields}
+    for owner in owners:
+        owner.__getattribute__ = noting
     try:
-        said = answer(folder)
+        yield read
     finally:
-        sys.setprofile(None)
-    return said, {name for code in codes for name in code.co_names}
+        for owner in owners:
+            del owner.__getattribute__
 
 
 def difference(base: dict[str, Any], other: dict[str, Any]) -> str:
@@ -169,45 +240,68 @@ class Answers:
 
 
 def row(
-    field: Field, answers: Answers, base: dict[str, dict[str, Any]], read: dict[str, set[str]]
+    field: Field, answers: Answers, base: dict[str, Answer], read: dict[str, set[str]]
 ) -> str | None:
-    """The field's line of the table; None where not all its runs are done."""
+    """The field's line of the table; None where no case is done that reads it."""
+    reading = [case for case in base if field.name in read[case]]
+    if not reading:
+        return f"| `{field.name}` | {field.value:g} | 0 | read in no case | read in no case | |"
+    values = [field.changed(factor) for factor in FACTORS]
+    tried = [
+        case
+        for case in reading
+        if all(v == field.value or (case, field.name, v) in answers.known for v in values)
+    ]
+    if not tried:
+        return None
     cells, simulations = [], []
-    cases = [case for case in CASES if field.attribute in read[case]]
-    for factor in FACTORS:
-        value = field.changed(factor)
-        words, total = [], 0
-        for case in cases if value != field.value else []:
-            said = answers.known.get((case, field.name, value))
-            if said is None:
-                return None
-            total += said.get("simulations", 0)
-            if different := difference(base[case], said):
-                words.append(f"{case}: {different}")
+    usual = sum(base[case]["simulations"] for case in tried)
+    for value in values:
+        if value == field.value:
+            cells.append("(rounds to the value)")
+            simulations.append(usual)
+            continue
+        said = {case: answers.known[case, field.name, value] for case in tried}
+        words = [
+            f"{case}: {different}"
+            for case, one in said.items()
+            if (different := difference(base[case], one))
+        ]
         cells.append("; ".join(words) or "same")
-        simulations.append(f"{total}" if total else "")
-    if not cases:
-        cells, simulations = ["read in no case"] * 2, [""] * 2
-    usual = sum(base[case]["simulations"] for case in cases)
-    work = f"{simulations[0] or usual} / {usual} / {simulations[1] or usual}" if cases else ""
-    return f"| `{field.name}` | {field.value:g} | {cells[0]} | {cells[1]} | {work} |"
+        simulations.append(sum(one.get("simulations", 0) for one in said.values()))
+    work = f"{simulations[0]} / {usual} / {simulations[1]}"
+    of = f"{len(tried)} of {len(reading)}"
+    return f"| `{field.name}` | {field.value:g} | {of} | {cells[0]} | {cells[1]} | {work} |"
 
 
 def table(
     fields: list[Field],
     answers: Answers,
-    base: dict[str, dict[str, Any]],
+    base: dict[str, Answer],
     read: dict[str, set[str]],
 ) -> str:
-    """The page: one line for each field whose runs are done."""
+    """The page: one line for each field that was tried."""
     lines = [row(field, answers, base, read) for field in fields]
     done = [line for line in lines if line is not None]
     head = [
-        "| field | value | halved | doubled | simulations: halved / as it is / doubled |",
-        "|---|---|---|---|---|",
+        "| field | value | cases tried | halved | doubled | simulations: half / default / double |",
+        "|---|---|---|---|---|---|",
     ]
     rest = f"\n{len(lines) - len(done)} of {len(lines)} fields are not tried yet.\n"
     return "\n".join([*head, *done]) + "\n" + (rest if len(done) < len(lines) else "")
+
+
+def attempt(case: Case, field: Field, value: float, answers: Answers, out: Path) -> None:
+    """Diagnose a case with one field changed, unless its answer is known."""
+    if value == field.value or (case.name, field.name, value) in answers.known:
+        return
+    with field.set_to(value):
+        try:
+            said = case.answer(out)
+        except Exception as error:
+            said = {"error": type(error).__name__}
+    answers.add(case.name, field.name, value, said)
+    print(f"{field.name} = {value:g}: {case.name}: {said}", flush=True)
 
 
 def main() -> int:
@@ -220,34 +314,28 @@ def main() -> int:
     until = time.monotonic() + 60.0 * args.minutes
     args.out.mkdir(parents=True, exist_ok=True)
     answers = Answers(args.out / "answers.jsonl")
+    every = settings_fields()
     fields = [
         field
-        for field in settings_fields()
+        for field in every
         if not args.fields or {field.name, field.name.partition(".")[0]} & {*args.fields}
     ]
-    base: dict[str, dict[str, Any]] = {}
+    base: dict[str, Answer] = {}
     read: dict[str, set[str]] = {}
-    for case, hidden in CASES.items():
-        folder = args.out / "cases" / case.replace(" ", "_")
-        two_pendulums.case(folder, ("left",), **hidden)
-        base[case], read[case] = names_read(folder)
-        print(f"{case}: {json.dumps(base[case])}", flush=True)
-    for field in fields:
-        for factor in FACTORS:
-            value = field.changed(factor)
-            for case in CASES:
-                known = (case, field.name, value) in answers.known
-                if known or value == field.value or field.attribute not in read[case]:
-                    continue
-                if time.monotonic() > until:
-                    break
-                with field.set_to(value):
-                    try:
-                        said = answer(args.out / "cases" / case.replace(" ", "_"))
-                    except Exception as error:
-                        said = {"error": type(error).__name__}
-                answers.add(case, field.name, value, said)
-                print(f"{field.name} = {value:g}: {case}: {said}", flush=True)
+    for case in CASES:
+        case.write(case.folder(args.out))
+        since = time.process_time()
+        with reads_of(every) as names:
+            base[case.name] = case.answer(args.out)
+        read[case.name] = {*names}
+        took = time.process_time() - since
+        print(f"{case.name}: {took:.0f} s: {json.dumps(base[case.name])}", flush=True)
+    for turn in range(len(CASES)):
+        for field in fields:
+            reading = [case for case in CASES if field.name in read[case.name]]
+            for value in map(field.changed, FACTORS):
+                if turn < len(reading) and time.monotonic() < until:
+                    attempt(reading[turn], field, value, answers, args.out)
     (args.out / "sensitivity.md").write_text(table(fields, answers, base, read))
     return 0
 
