@@ -228,8 +228,8 @@ def main() -> None:
         pieces = rms(open_loop(held_out, values, WINDOW, 0.0))
         print(f"  {name}: {errors} %; {1e3 * whole:.3g} mm, {1e3 * pieces:.3g} mm")
     patched = load_model(find_model(why))
-    beside = patched.patched or Patched((JOINT,))
-    predicted = replay_patched(patched.realization, beside, [held_out], threads=1)[0]
+    outside_mjcf = patched.patched or Patched((JOINT,))
+    predicted = replay_patched(patched.realization, outside_mjcf, [held_out], threads=1)[0]
     off = 1e3 * rms(predicted.position - held_out.position)
     print(f"  the patched model, replayed by the package: {off:.3g} mm over the whole run")
     error = diagnosis["held_out"][JOINT]

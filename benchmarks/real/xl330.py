@@ -196,7 +196,7 @@ def neighbours(patched: Patched) -> list[Patched]:
         return replace(effect, values={name: value * draw for (name, value), draw in values})
 
     return [
-        replace(patched, effects=tuple(e if e.in_model else off(e) for e in patched.effects))
+        replace(patched, effects=tuple(e if e.is_in_mjcf else off(e) for e in patched.effects))
         for _ in range(NEIGHBOURS)
     ]
 
@@ -274,7 +274,7 @@ def main() -> None:
         fit = recordings(realization, [g for g in GAINS if g != gain])
         problem = prepare(realization, fit, recordings(realization, [gain]), threads=1).problem
         # Errors here are a hundred times what the step costs: it need not be measured.
-        problem.refined, problem.defect = None, {}
+        problem.refined, problem.discretization_error = None, {}
         lines = [row("data sheet", absolute_errors(problem, [EMPTY], problem.held_out)[0])]
         notes = []
         if not args.no_diagnosis:

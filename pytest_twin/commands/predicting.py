@@ -37,7 +37,7 @@ def predict(
     Raises:
         SimulationError: a simulation diverged.
     """
-    from pytest_twin.diagnosis.patched.replay import beside_in_words, replay_patched
+    from pytest_twin.diagnosis.patched.replay import describe_effects_outside_mjcf, replay_patched
     from pytest_twin.replay import replay
 
     if patched is None:
@@ -49,7 +49,7 @@ def predict(
         return [_series(t, t.joints, r) for t, r in zip(trials, results, strict=True)], notes
     predicted = replay_patched(realization, patched, trials)
     parts = [_series(t, patched.joints, p) for t, p in zip(trials, predicted, strict=True)]
-    return parts, beside_in_words(patched)
+    return parts, describe_effects_outside_mjcf(patched)
 
 
 def _series(trial: Trial, names: tuple[str, ...], values: Replayed | Predicted) -> JointSeries:

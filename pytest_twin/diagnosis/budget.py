@@ -84,7 +84,7 @@ class Budget:
         return max(self.seconds - self.elapsed, 0.0) if self.seconds else float("inf")
 
     @property
-    def out_of_time(self) -> bool:
+    def is_out_of_time(self) -> bool:
         """Whether the search must end: its share of the time is over, or it was stopped."""
         over = bool(self.seconds) and self.elapsed > (1.0 - RESERVED) * self.seconds
         return self.stopped or over
@@ -92,10 +92,10 @@ class Budget:
     @property
     def work(self) -> float:
         """Number of simulations of all data so far, those for free initial states included."""
-        return sum((p.stepped + p.in_starts) / p.once for p in self.problems)
+        return sum((p.stepped + p.steps_for_initial_states) / p.once for p in self.problems)
 
     @property
-    def spent(self) -> bool:
+    def is_spent(self) -> bool:
         """Whether the searches have used all simulations, or those of the present :meth:`part`."""
         return self._searched > self._most
 
@@ -154,7 +154,7 @@ class Budget:
             self._apart += self._stepped - before
 
     def _check(self) -> None:
-        if self.out_of_time:
+        if self.is_out_of_time:
             raise OutOfTime
 
     def _check_last(self) -> None:

@@ -134,7 +134,7 @@ def _possible(problem: Problem, pruned: PrunedModel) -> PrunedModel:
 def _refitted(found: SearchResult, budget: Budget) -> tuple[Prepared, PrunedModel]:
     """Problem of fit and validation recordings together, and the effects fitted to it."""
     problem, start = found.prepared.problem, found.pruned.fitted.hypothesis
-    hurried = budget.out_of_time
+    hurried = budget.is_out_of_time
     if not len(problem.held_out) and not hurried:
         return found.prepared, found.pruned
     every = replace(problem, fit=problem.everywhere, held_out=problem.held_out[:0])
@@ -199,7 +199,7 @@ def _tested(
             notes.append(f"joint {j!r} is not tested: {', '.join(lacking)} {lack} it")
     scales = Scales({name: of[list(column)] for name, of in fitted.problem.scales.of.items()})
     both = replace(found.trials, held_out=test, unseen=trials.unseen | trials.untested)
-    given = replace(structure.given, coldness=fitted.coldness)
+    given = replace(structure.given, cold_fractions=fitted.cold_fractions)
     prepared, kept = build_problem(given, both, notes, window=fitted.window, scales=scales)
     if not kept.held_out:
         raise SimulationError(
@@ -250,7 +250,7 @@ def _near(
     own = tested.prepared, tested.trials
     if structure.near is None or tested.verdict not in ("improved", "unexplained"):
         return own, ()
-    given = replace(structure.given, coldness=tested.prepared.coldness)
+    given = replace(structure.given, cold_fractions=tested.prepared.cold_fractions)
     scales = tested.prepared.problem.scales
     cut = build_problem(given, tested.trials, [], window=structure.near, scales=scales)
     return cut, (cut[0].problem,)

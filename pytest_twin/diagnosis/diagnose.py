@@ -290,7 +290,7 @@ def find_structure(
             (without_alternative_sets(likeliest), 0.0),
         )
     found = with_final_parameters(found, run.budget)
-    if given.creeps:
+    if given.has_friction_creep:
         notes.append(CREEPS)
     if given.substeps:
         notes.append(describe_integrator(found.prepared))

@@ -39,15 +39,17 @@ def within_a_step(
         return list(residuals)
     each = [h for h in hypotheses for _ in segments]
     rows = np.tile(segments, len(hypotheses))
-    efforts = problem.simulator.efforts_beside(rows, effect_values(each, joints, problem.scales))
+    efforts = problem.simulator.efforts_at_neighbouring_steps(
+        rows, effect_values(each, joints, problem.scales)
+    )
     out = []
     for i, residual in enumerate(residuals):
         lows, highs = list[FloatArray](), list[FloatArray]()
         of_set = efforts[i * len(segments) : (i + 1) * len(segments)]
         for s, (at_stamp, earlier, later) in zip(segments, of_set, strict=True):
             around = np.stack([at_stamp, earlier, later])
-            lows.append(problem.trusted(int(s), around.min(axis=0) - at_stamp))
-            highs.append(problem.trusted(int(s), around.max(axis=0) - at_stamp))
+            lows.append(problem.weigh_efforts(int(s), around.min(axis=0) - at_stamp))
+            highs.append(problem.weigh_efforts(int(s), around.max(axis=0) - at_stamp))
         error = residual[:, joints:]
         low, high = np.concatenate(lows), np.concatenate(highs)
         banded = np.maximum(error - high, 0.0) + np.minimum(error - low, 0.0)

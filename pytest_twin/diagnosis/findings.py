@@ -320,7 +320,7 @@ def _changes(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[_Change
     soon = [
         slice(
             int(np.searchsorted(s.time, s.start + FINDINGS.soon))
-            if s.mode == "effort" and s.amid
+            if s.mode == "effort" and s.starts_in_motion
             else None
         )
         for s in segments

@@ -97,7 +97,7 @@ def free_shifts(segment: Segment) -> int:
     and an error of the position remains.
     """
     joints = len(segment.initial_position)
-    if segment.amid:
+    if segment.starts_in_motion:
         return 2 * joints
     return joints if segment.mode == "velocity" else 0
 

@@ -64,7 +64,7 @@ def build_problem_as_friction_acts(
     left = residuals_everywhere(problem, EMPTY)
     near = VERDICT.stands_out < _greatest(problem, left) < VERDICT.left_floors
     if near and _leaves_less(problem, _residuals_with_other_constraint(problem, EMPTY), left):
-        given = replace(given, creeps=not given.creeps)
+        given = replace(given, has_friction_creep=not given.has_friction_creep)
         prepared, _ = build_problem(given, kept, [])
     return given, prepared, kept
 
@@ -91,7 +91,7 @@ def search_as_friction_acts(
         The simulation settings with the better constraint, and the result.
     """
     problem = prepared.problem
-    stepped = replace(given, creeps=not given.creeps)
+    stepped = replace(given, has_friction_creep=not given.has_friction_creep)
     other: tuple[Prepared, TrialSet] | None = None
 
     def other_constraint_is_better(best: ScoredModel) -> bool:
@@ -136,7 +136,7 @@ def refit_as_friction_acts(
         before, _residuals_with_other_constraint(before, start), found.after, _UNFITTED
     ):
         return given, found
-    stepped = replace(given, creeps=not given.creeps)
+    stepped = replace(given, has_friction_creep=not given.has_friction_creep)
     prepared, trials = build_problem(stepped, found.trials, [])
     run.begin("whole recordings, other friction constraint", prepared.problem)
     selection = StepwiseSelection(prepared.problem, run)
@@ -163,7 +163,7 @@ def has_dry_friction(problem: Problem, hypothesis: Hypothesis) -> bool:
 def with_other_constraint(problem: Problem) -> Problem:
     """The same problem with the other friction constraint; its discretization error is kept."""
     stepped = problem.simulator
-    segments = [replace(s, creeps=not s.creeps) for s in stepped.segments]
+    segments = [replace(s, has_friction_creep=not s.has_friction_creep) for s in stepped.segments]
     other = BatchSimulator(
         segments, problem.joints, threads=stepped.threads, refine=stepped.refine,
         fixed=stepped.fixed,

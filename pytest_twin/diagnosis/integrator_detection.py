@@ -96,15 +96,15 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
     before = span.left(problem, noise)
     seen = bool((before > VERDICT.stands_out**2).any())
     ways = {}
-    for creeps, stepped in _ways(problem, best.hypothesis, given).items():
+    for has_friction_creep, stepped in _ways(problem, best.hypothesis, given).items():
         for k in SUBSTEPS:
             part = _with_part(stepped, 1.0 - 1.0 / k)
             above = np.maximum(span.left(part, noise) - 1.0, 0.0).sum()
-            ways[creeps, k] = float(above)
-    creeps, substeps = min(ways, key=lambda way: ways[way])
+            ways[has_friction_creep, k] = float(above)
+    has_friction_creep, substeps = min(ways, key=lambda way: ways[way])
     most = _FAR_LESS * float(np.maximum(before - 1.0, 0.0).sum())
-    if seen and ways[creeps, substeps] <= most:
-        return replace(given, creeps=creeps, substeps=substeps)
+    if seen and ways[has_friction_creep, substeps] <= most:
+        return replace(given, has_friction_creep=has_friction_creep, substeps=substeps)
     # A linearization around a wrong effect is not conclusive: the discretization error may still be
     # the cause of the residual.
     findings = found.explained.findings
@@ -182,7 +182,7 @@ def _error_stays_small(problem: Problem) -> bool:
 def _measured(problem: Problem, hypothesis: Hypothesis) -> bool:
     """Measure the discretization error at a hypothesis; return whether all segments have one."""
     problem.refine_at(hypothesis)
-    known = len(problem.defect) == len(problem.simulator.segments)
+    known = len(problem.discretization_error) == len(problem.simulator.segments)
     return problem.refined is not None and known
 
 
@@ -190,9 +190,9 @@ def _with_part(problem: Problem, share: float) -> Problem:
     """The same problem with a correction by only a share of the discretization error."""
     part = {
         i: Predicted(share * e.position, share * e.velocity, share * e.effort)
-        for i, e in problem.defect.items()
+        for i, e in problem.discretization_error.items()
     }
-    return replace(problem, refined=None, defect=part)
+    return replace(problem, refined=None, discretization_error=part)
 
 
 def _ways(problem: Problem, hypothesis: Hypothesis, given: ModelSetup) -> dict[bool, Problem]:
@@ -200,9 +200,9 @@ def _ways(problem: Problem, hypothesis: Hypothesis, given: ModelSetup) -> dict[b
 
     Without dry friction there is only one.
     """
-    ways = {given.creeps: problem}
+    ways = {given.has_friction_creep: problem}
     if has_dry_friction(problem, hypothesis):
-        ways[not given.creeps] = with_other_constraint(problem)
+        ways[not given.has_friction_creep] = with_other_constraint(problem)
     return ways
 
 

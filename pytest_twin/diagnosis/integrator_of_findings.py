@@ -54,7 +54,9 @@ def with_detected_timestep(
     """
     prepared, start = found.prepared, found.explained.hypothesis
     problem = prepared.problem
-    positions = all(s.mode == "position" and not s.amid for s in problem.simulator.segments)
+    positions = all(
+        s.mode == "position" and not s.starts_in_motion for s in problem.simulator.segments
+    )
     if given.substeps or not start.terms or not positions or found.verdict != "explained":
         return None
     robot = residuals_everywhere(problem, start)[:, : len(problem.joints)]
@@ -82,12 +84,15 @@ def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int
     """
     problem, fitted = found.prepared.problem, found.pruned.fitted
     rows = problem.fit
-    if len(problem.defect) < len(problem.simulator.segments) or not fitted.jacobian.size:
+    if (
+        len(problem.discretization_error) < len(problem.simulator.segments)
+        or not fitted.jacobian.size
+    ):
         return 0
     inside = np.repeat(np.isin(problem.everywhere, rows), problem.lengths(problem.everywhere))
     joints = len(problem.joints)
     slopes = fitted.jacobian[:, :joints]
-    error = np.concatenate([problem.defect[int(s)].position for s in rows])
+    error = np.concatenate([problem.discretization_error[int(s)].position for s in rows])
     if len(slopes) != len(error) or (np.sqrt(np.mean(error**2, axis=0)) < _SEEN * noise).all():
         return 0
     design = (slopes / noise[:, None]).reshape(len(error) * joints, -1)

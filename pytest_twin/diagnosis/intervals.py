@@ -240,14 +240,14 @@ def _discretization_pull(problem: Problem, jacobian: FloatArray, weight: FloatAr
     """(parameters,) gradient of the cost by the discretization error that may remain."""
     parts = []
     for s in problem.fit:
-        segment, add = problem.simulator.segments[s], problem.defect.get(int(s))
+        segment, add = problem.simulator.segments[s], problem.discretization_error.get(int(s))
         width = jacobian.shape[1]
         if add is None:
             parts.append(np.zeros((len(segment.time), width)))
             continue
         columns = [add.position]
         if problem.effort_floor is not None and segment.effort is not None:
-            columns.append(problem.trusted(int(s), add.effort))
+            columns.append(problem.weigh_efforts(int(s), add.effort))
         parts.append(np.concatenate(columns, axis=1))
     step_error = problem.weighed(np.nan_to_num(np.concatenate(parts)), problem.fit)
     change = problem.step_left * step_error

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from pytest_twin.diagnosis.hypothesis import Scales
-from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.patched.replay import fixed_values
 from pytest_twin.diagnosis.prepare import Prepared, Simulated, prepare, shared_joints
-from pytest_twin.diagnosis.temperature import Coldness
+from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
@@ -22,19 +22,20 @@ class ModelSetup:
 
     Attributes:
         realization: the nominal model, without delay lines.
-        beside: effects that are simulated in addition to the model.
-        coldness: normalized temperatures of an earlier diagnosis; empty to take them from the
+        outside_mjcf: effects that are simulated in addition to the model.
+        cold_fractions: normalized temperatures of an earlier diagnosis; empty to take them from the
             trials.
-        creeps: whether a joint creeps under dry friction, as with MuJoCo's default constraint.
+        has_friction_creep: whether a joint creeps under dry friction, as with MuJoCo's default
+            constraint.
         substeps: if a simulation made the recordings: its steps for each step of the model; 0 for
             recordings of a robot.
         threads: threads of the simulation, 0 for all cores.
     """
 
     realization: Realization
-    beside: tuple[AppliedEffect, ...] = ()
-    coldness: Coldness = field(default_factory=dict)
-    creeps: bool = False
+    outside_mjcf: tuple[AppliedEffect, ...] = ()
+    cold_fractions: ColdFractions = field(default_factory=dict)
+    has_friction_creep: bool = False
     substeps: int = 0
     threads: int = 0
 
@@ -51,10 +52,16 @@ class ModelSetup:
             inherited: effects of an earlier diagnosis that its MJCF cannot hold.
             threads: threads of the simulation, 0 for all cores.
         """
-        coldness = {} if inherited is None else inherited.coldness
-        creeps = inherited is not None and inherited.creeps
-        beside = stepped_beside(realization, inherited)
-        return cls(without_delays(realization), beside, coldness, creeps, threads=threads)
+        cold_fractions = {} if inherited is None else inherited.cold_fractions
+        has_friction_creep = inherited is not None and inherited.has_friction_creep
+        outside_mjcf = effects_outside_mjcf(realization, inherited)
+        return cls(
+            without_delays(realization),
+            outside_mjcf,
+            cold_fractions,
+            has_friction_creep,
+            threads=threads,
+        )
 
     def prepared(
         self,
@@ -73,7 +80,7 @@ class ModelSetup:
             self.realization, fit, held_out,
             threads=self.threads, window=window, contact=contact,
             simulated=Simulated(
-                self.coldness, fixed_values(self.beside, joints, 1), self.creeps, self.substeps,
-                scales,
+                self.cold_fractions, fixed_values(self.outside_mjcf, joints, 1),
+                self.has_friction_creep, self.substeps, scales,
             ),
         )  # fmt: skip

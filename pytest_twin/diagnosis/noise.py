@@ -230,7 +230,7 @@ def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[
     for trial in sorted(set(owner)):
         measured, modelled, step_error = [], [], []
         for i, o in enumerate(owner):
-            effort, add = problem.simulator.segments[i].effort, problem.defect.get(i)
+            effort, add = problem.simulator.segments[i].effort, problem.discretization_error.get(i)
             if o == trial and effort is not None and add is not None:
                 measured.append(effort)
                 modelled.append(nominal[i].effort + add.effort)

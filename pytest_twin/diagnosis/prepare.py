@@ -29,7 +29,11 @@ from pytest_twin.diagnosis.problem import (
     step_errors,
 )
 from pytest_twin.diagnosis.stiction_weights import stiction_weights
-from pytest_twin.diagnosis.temperature import Coldness, coldness_in, coldness_of
+from pytest_twin.diagnosis.temperature import (
+    ColdFractions,
+    cold_fraction_of_trial,
+    cold_fractions_of,
+)
 from pytest_twin.diagnosis.windows import WINDOW, Cutting, segments_of
 from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.batch_simulator import BatchSimulator
@@ -53,7 +57,7 @@ class Prepared:
         problem: the problem.
         segment_trial: index of the trial of each segment.
         floor_parts: source of noise -> (joints,) standard deviation, rad or m.
-        coldness: normalized temperatures of the trials; empty if they are not known.
+        cold_fractions: normalized temperatures of the trials; empty if they are not known.
         substeps: substeps of the simulation that made the recordings, as in :class:`Simulated`.
         window: length in s of the windows that motions are cut into, as in :func:`prepare`.
     """
@@ -61,7 +65,7 @@ class Prepared:
     problem: Problem
     segment_trial: tuple[int, ...]
     floor_parts: dict[str, FloatArray]
-    coldness: Coldness
+    cold_fractions: ColdFractions
     substeps: int = 0
     window: float | None = None
 
@@ -77,7 +81,7 @@ class Prepared:
         """
         problem = self.problem
         problem.refine_at(hypothesis)
-        if len(problem.defect) < len(problem.simulator.segments):
+        if len(problem.discretization_error) < len(problem.simulator.segments):
             return False
         noise = self.floor_parts[NOISE]
         steps = discretization(problem)
@@ -95,18 +99,19 @@ class Simulated:
     """Settings of the simulation that are not part of the model.
 
     Attributes:
-        coldness: normalized temperatures of an earlier diagnosis; empty to take them from the
+        cold_fractions: normalized temperatures of an earlier diagnosis; empty to take them from the
             trials.
         fixed: effects in addition to the model, values (1, joints) of :func:`shared_joints`.
-        creeps: whether a joint creeps under dry friction, as with MuJoCo's default constraint.
+        has_friction_creep: whether a joint creeps under dry friction, as with MuJoCo's default
+            constraint.
         substeps: if a simulation made the recordings: its steps for each step of the model. The
             recordings then contain its discretization error. 0 for recordings of a robot.
         scales: reference scales of the parameters; None to compute them from the recordings.
     """
 
-    coldness: Coldness = field(default_factory=dict)
+    cold_fractions: ColdFractions = field(default_factory=dict)
     fixed: EffectValues | None = None
-    creeps: bool = False
+    has_friction_creep: bool = False
     substeps: int = 0
     scales: Scales | None = None
 
@@ -143,9 +148,9 @@ def prepare(
     trials = [*fit, *held_out]
     joints = shared_joints(realization, trials)
     fixed, substeps = simulated.fixed, simulated.substeps
-    coldness = simulated.coldness or coldness_of(trials)
+    cold_fractions = simulated.cold_fractions or cold_fractions_of(trials)
     cutting = Cutting(window, commanded=True, contact=contact)
-    cut = _cut(realization, trials, joints, cutting, coldness, simulated.creeps)
+    cut = _cut(realization, trials, joints, cutting, cold_fractions, simulated.has_friction_creep)
     owner = cut.owner
     is_fit = np.array(owner) < len(fit)
     if not is_fit.any():
@@ -167,14 +172,14 @@ def prepare(
     if _signed_efforts(segments, nominal):
         effort_floor = effort_noise(segments, nominal, owner)
     scales = simulated.scales or joint_scales(simulator, nominal)
-    defect = step_errors(nominal, nominal_replay(refined))
+    discretization_error = step_errors(nominal, nominal_replay(refined))
     allowed = np.maximum(PREPARE.wild * noise, PREPARE.wild_share * scales.of["position"])
-    changed = _rms([add.position for add in defect.values()], len(joints))
+    changed = _rms([add.position for add in discretization_error.values()], len(joints))
     if window in (None, WINDOW) and _too_wild(segments, changed, allowed):
         return prepare(
             realization, fit, held_out,
             threads=threads, window=0.5 * WINDOW, contact=contact,
-            simulated=replace(simulated, coldness=coldness, scales=scales),
+            simulated=replace(simulated, cold_fractions=cold_fractions, scales=scales),
         )  # fmt: skip
     problem = Problem(
         simulator,
@@ -186,13 +191,13 @@ def prepare(
         refined=None if substeps else refined,
     )
     problem.start_noise = noise
-    if any(s.amid or s.mode != "position" for s in segments):
+    if any(s.starts_in_motion or s.mode != "position" for s in segments):
 
         def free(hypothesis: Hypothesis) -> FreeInitialStates:
             return free_initial_states(segments, joints, noise, threads, hypothesis, scales, fixed)
 
         problem.free = free
-    problem.as_it_came({} if substeps else defect)
+    problem.refine_at_nominal({} if substeps else discretization_error)
     if substeps:
         problem.step_left = PREPARE.step_of_simulation
     elif segments[0].mode == "effort":
@@ -204,7 +209,7 @@ def prepare(
         steps = changed if substeps else discretization(problem)
         problem.floor = _floor(noise, problem, steps)
         if segments[0].mode == "effort":
-            problem.trust = stiction_weights(problem)
+            problem.position_weights = stiction_weights(problem)
     if effort_floor is not None:
         _weigh_efforts(problem, nominal, owner, effort_floor)
     parts = {
@@ -213,7 +218,7 @@ def prepare(
         "of it, sample timing": np.minimum(timing_noise(segments, owner), noise),
         STEP: steps,
     }
-    return Prepared(problem, tuple(owner), parts, coldness, substeps, window)
+    return Prepared(problem, tuple(owner), parts, cold_fractions, substeps, window)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,21 +242,35 @@ def _cut(
     trials: Sequence[Trial],
     joints: Sequence[str],
     cutting: Cutting,
-    coldness: Coldness,
-    creeps: bool,
+    cold_fractions: ColdFractions,
+    has_friction_creep: bool,
 ) -> _Cut:
     """Segments of all trials; those without velocities also with an estimated initial velocity."""
     cut = _Cut([], [], {})
     for i, trial in enumerate(trials):
-        cold = coldness_in(coldness, trial)
-        made = segments_of(realization, trial, i, joints, cutting, coldness=cold, creeps=creeps)
+        cold = cold_fraction_of_trial(cold_fractions, trial)
+        made = segments_of(
+            realization,
+            trial,
+            i,
+            joints,
+            cutting,
+            cold_fraction=cold,
+            has_friction_creep=has_friction_creep,
+        )
         if not made:
             continue
-        if made[0].velocity is None and made[0].mode == "position" and not made[0].amid:
+        if made[0].velocity is None and made[0].mode == "position" and not made[0].starts_in_motion:
             # The restriction to motion far from contact applies to windows only.
             moving = replace(cutting, moving=True, contact=None)
             (cut.moving[len(cut.segments)],) = segments_of(
-                realization, trial, i, joints, moving, coldness=cold, creeps=creeps
+                realization,
+                trial,
+                i,
+                joints,
+                moving,
+                cold_fraction=cold,
+                has_friction_creep=has_friction_creep,
             )
         cut.segments.extend(made)
         cut.owner.extend([i] * len(made))
@@ -267,10 +286,10 @@ def _weigh_efforts(
         # The drive delivers the commanded effort; its time is uncertain by one sample.
         jumps = [_steepest(p.effort) for p in nominal]
     else:
-        if problem.defect:
+        if problem.discretization_error:
             effort_floor = np.minimum(effort_floor, quiet_noise(problem, nominal, owner))
         jumps = _jumps(problem, nominal)
-    _trust_efforts(problem, np.maximum(effort_floor, finest_effort(segments)), jumps)
+    _set_effort_weights(problem, np.maximum(effort_floor, finest_effort(segments)), jumps)
 
 
 def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -> bool:
@@ -302,7 +321,7 @@ def _known(noise: FloatArray) -> FloatArray:
 def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:
     """Whether the discretization error requires shorter windows, and half of one is long enough."""
     enough = float(np.median([len(s.time) for s in segments])) >= 2 * PREPARE.fewest_samples
-    return all(s.amid for s in segments) and enough and bool((steps > allowed).any())
+    return all(s.starts_in_motion for s in segments) and enough and bool((steps > allowed).any())
 
 
 def discretization(problem: Problem) -> FloatArray:
@@ -312,12 +331,12 @@ def discretization(problem: Problem) -> FloatArray:
     explain is subtracted.
     """
     changes = []
-    for i, add in problem.defect.items():
+    for i, add in problem.discretization_error.items():
         change = add.position
         if problem.simulator.segments[i].mode == "effort":
             start = problem.starts.get(i)
             change = change if start is None else start.freed(change)
-            change = change * problem.trust.get(i, 1.0)
+            change = change * problem.position_weights.get(i, 1.0)
         changes.append(change)
     return _rms(changes, len(problem.joints))
 
@@ -360,7 +379,7 @@ def shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[st
     return joints
 
 
-def _trust_efforts(problem: Problem, noise: FloatArray, jumps: Sequence[FloatArray]) -> None:
+def _set_effort_weights(problem: Problem, noise: FloatArray, jumps: Sequence[FloatArray]) -> None:
     """Set the weights of efforts from their noise and their uncertainty near command jumps.
 
     Args:
@@ -370,7 +389,7 @@ def _trust_efforts(problem: Problem, noise: FloatArray, jumps: Sequence[FloatArr
     """
     problem.effort_floor = noise
     for i, jump in enumerate(jumps):
-        problem.effort_trust[i] = 1.0 / np.sqrt(1.0 + (jump / noise) ** 2)
+        problem.effort_weights[i] = 1.0 / np.sqrt(1.0 + (jump / noise) ** 2)
 
 
 def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
@@ -383,7 +402,7 @@ def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
     around = [_commanded_anew(s, simulator.timestep, 1) for s in simulator.segments]
     rows = np.array([i for i, near in enumerate(around) if near.any()], dtype=np.int64)
     values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
-    found = simulator.efforts_beside(rows, values) if len(rows) else []
+    found = simulator.efforts_at_neighbouring_steps(rows, values) if len(rows) else []
     shifted = dict(zip(rows.tolist(), found, strict=True))
     for i, segment in enumerate(simulator.segments):
         within = _commanded_anew(segment, simulator.timestep, 0)
@@ -392,7 +411,7 @@ def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
             effort, earlier, later = shifted[i]
             change = np.maximum(np.abs(earlier - effort), np.abs(later - effort))
             jump = np.maximum(jump, around[i] * change)
-        error = problem.defect.get(i)
+        error = problem.discretization_error.get(i)
         out.append(jump if error is None else np.maximum(jump, np.abs(error.effort)))
     return out
 

@@ -68,15 +68,16 @@ class Problem:
             explain, rad or m.
         scales: typical sizes of the joints' parameters.
         effort_floor: (joints,) noise floor of efforts, N m or N; None if efforts are not fitted.
-        trust: segment -> (joints,) weights of positions, with mean square 1. The weight is lower
-            where stiction makes the motion unpredictable. It multiplies residuals and Jacobians.
-        effort_trust: segment -> (samples, joints) weights of efforts. It is 1 where the error of an
-            effort is sensor noise only, and lower where the discretization error is larger. It
+        position_weights: segment -> (joints,) weights of positions, with mean square 1. The weight
+            is lower where stiction makes the motion unpredictable. It multiplies residuals and
+            Jacobians.
+        effort_weights: segment -> (samples, joints) weights of efforts. It is 1 where the error of
+            an effort is sensor noise only, and lower where the discretization error is larger. It
             multiplies residuals and Jacobians.
         refined: simulates the same segments with a finer step, to measure the discretization error.
-        defect: segment -> discretization error of the current best hypothesis. Every prediction is
-            corrected by it (defect correction, Stetter 1978).
-        in_starts: number of simulated steps that free initial states have cost.
+        discretization_error: segment -> discretization error of the current best hypothesis. Every
+            prediction is corrected by it (defect correction, Stetter 1978).
+        steps_for_initial_states: number of simulated steps that free initial states have cost.
         step_left: share of the discretization error that remains after the correction. It is at
             most 1/8 on simulated arms that move without contact.
         family: only effects of this family are candidates; None for all.
@@ -92,14 +93,14 @@ class Problem:
     floor: FloatArray
     scales: Scales
     effort_floor: FloatArray | None = None
-    trust: dict[int, FloatArray] = field(default_factory=dict)
-    effort_trust: dict[int, FloatArray] = field(default_factory=dict)
+    position_weights: dict[int, FloatArray] = field(default_factory=dict)
+    effort_weights: dict[int, FloatArray] = field(default_factory=dict)
     refined: BatchSimulator | None = None
-    defect: dict[int, Predicted] = field(default_factory=dict)
+    discretization_error: dict[int, Predicted] = field(default_factory=dict)
     starts: dict[int, FreeInitialState] = field(default_factory=dict)
     free: Callable[[Hypothesis], FreeInitialStates] | None = None
     start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
-    in_starts: int = 0
+    steps_for_initial_states: int = 0
     step_left: float = 0.125
     family: str | None = None
     _refined_at: dict[_Key, tuple[dict[int, Predicted], FreeInitialStates]] = field(
@@ -144,14 +145,14 @@ class Problem:
         robot then need not warm up within one trial.
         """
         constant_within_trial = (
-            catalogue()[term.effect].needs_temperature and self.differ_in_temperature
+            catalogue()[term.effect].needs_temperature and self.has_different_temperatures
         )
         values = hypothesis.theta[hypothesis.slice_of(term)]
         shapes = [v for p, v in zip(term.parameters, values, strict=True) if p.neutral is None]
         longest = [p.upper for p in term.parameters if p.neutral is None]
         return hypothesis.out_of_shape(term) and not (constant_within_trial and shapes == longest)
 
-    def less_than_none(self, hypothesis: Hypothesis, term: Term) -> bool:
+    def has_negative_mean_friction(self, hypothesis: Hypothesis, term: Term) -> bool:
         """Whether the mean dry friction of a joint is negative under a law that varies with angle.
 
         The mean sums all dry friction terms of the joint and the friction of the model. A negative
@@ -170,9 +171,9 @@ class Problem:
         return bool(level + own < 0.0)
 
     @property
-    def differ_in_temperature(self) -> bool:
+    def has_different_temperatures(self) -> bool:
         """Whether the recorded temperatures of the trials differ."""
-        return len({s.coldness for s in self.simulator.segments}) > 1
+        return len({s.cold_fraction for s in self.simulator.segments}) > 1
 
     def predict(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
@@ -209,7 +210,7 @@ class Problem:
                 out[i] = flat[k * n : (k + 1) * n]
         return out
 
-    def followed(
+    def trajectories_with_readings(
         self, hypothesis: Hypothesis, segments: NDArray[np.int64]
     ) -> tuple[FloatArray, FloatArray, list[Predicted]]:
         """Simulated positions, velocities and predictions of a hypothesis.
@@ -220,21 +221,21 @@ class Problem:
             :meth:`predict`.
         """
         values = effect_values([hypothesis] * len(segments), len(self.joints), self.scales)
-        q, v, read = self.simulator.followed(segments, values)
+        q, v, read = self.simulator.trajectories_with_readings(segments, values)
         if hypothesis.is_rough:
             return q, v, self.predict([hypothesis], segments)[0]
         return q, v, [self._corrected(int(s), p, 1.0) for s, p in zip(segments, read, strict=True)]
 
     def _corrected(self, segment: int, p: Predicted, share: float) -> Predicted:
-        error = self.defect.get(segment)
+        error = self.discretization_error.get(segment)
         return p if error is None else corrected(p, error, share)
 
-    def as_it_came(self, defect: dict[int, Predicted]) -> None:
+    def refine_at_nominal(self, discretization_error: dict[int, Predicted]) -> None:
         """Refine at the nominal model, with a discretization error that is already measured."""
         starts = self._freed(EMPTY)
         if starts.motor_shifts:
-            defect = self._defect_at(EMPTY)
-        self._refined_at[_key(EMPTY)] = defect, starts
+            discretization_error = self._discretization_error_at(EMPTY)
+        self._refined_at[_key(EMPTY)] = discretization_error, starts
         self.refine_at(EMPTY)
 
     def refine_at(self, hypothesis: Hypothesis) -> None:
@@ -245,11 +246,11 @@ class Problem:
             if len(self._refined_at) >= _CACHED_HYPOTHESES:
                 self._refined_at.pop(next(iter(self._refined_at)))
             starts = self._freed(hypothesis)
-            self._refined_at[key] = self._defect_at(hypothesis), starts
-        self.defect, starts = self._refined_at[key]
+            self._refined_at[key] = self._discretization_error_at(hypothesis), starts
+        self.discretization_error, starts = self._refined_at[key]
         self._start_at(starts)
 
-    def _defect_at(self, hypothesis: Hypothesis) -> dict[int, Predicted]:
+    def _discretization_error_at(self, hypothesis: Hypothesis) -> dict[int, Predicted]:
         if self.refined is None:
             return {}
         rows = self.everywhere
@@ -260,7 +261,7 @@ class Problem:
     def _freed(self, hypothesis: Hypothesis) -> FreeInitialStates:
         """Compute the free initial states of a hypothesis, and apply them to the segments."""
         starts = FreeInitialStates(self.starts, {}) if self.free is None else self.free(hypothesis)
-        self.in_starts += starts.stepped
+        self.steps_for_initial_states += starts.stepped
         self._start_at(starts)
         return starts
 
@@ -284,7 +285,7 @@ class Problem:
         """Measured minus predicted for each hypothesis, (samples, signals), segments stacked.
 
         Signals are the joints' positions (rad or m), then their efforts (N m or N) if these are
-        fitted. Efforts are weighted by :attr:`effort_trust`, positions are not weighted.
+        fitted. Efforts are weighted by :attr:`effort_weights`, positions are not weighted.
         """
         out = []
         for predictions in self.predict(hypotheses, segments):
@@ -295,32 +296,34 @@ class Problem:
                 start = self.starts.get(int(s))
                 columns = [error if start is None else start.freed(error)]
                 if self.effort_floor is not None and segment.effort is not None:
-                    columns.append(self.trusted(int(s), segment.effort - p.effort))
+                    columns.append(self.weigh_efforts(int(s), segment.effort - p.effort))
                 parts.append(np.concatenate(columns, axis=1))
             out.append(np.concatenate(parts))
         return out
 
     def weighed(self, stacked: FloatArray, segments: NDArray[np.int64]) -> FloatArray:
-        """(samples, signals, ...) of segments, positions multiplied by :attr:`trust`."""
-        if not self.trust:
+        """(samples, signals, ...) of segments, positions multiplied by :attr:`position_weights`."""
+        if not self.position_weights:
             return stacked
-        weights = self.trust_of(segments, self.lengths(segments))
+        weights = self.position_weights_of(segments, self.lengths(segments))
         out = stacked.copy()
         out[:, : len(self.joints)] *= weights.reshape(*weights.shape, *[1] * (stacked.ndim - 2))
         return out
 
-    def trust_of(self, segments: NDArray[np.int64], lengths: Sequence[int]) -> FloatArray:
+    def position_weights_of(
+        self, segments: NDArray[np.int64], lengths: Sequence[int]
+    ) -> FloatArray:
         """(samples, joints) weights of positions; ``lengths`` are the samples of each segment."""
-        each = np.array([self.trust[int(s)] for s in segments])
+        each = np.array([self.position_weights[int(s)] for s in segments])
         weights: FloatArray = np.repeat(each, lengths, axis=0)
         return weights
 
-    def trusted(self, segment: int, effort: FloatArray) -> FloatArray:
-        """(samples, joints, ...) differences of efforts, multiplied by :attr:`effort_trust`."""
-        trust = self.effort_trust.get(segment)
-        if trust is None:
+    def weigh_efforts(self, segment: int, effort: FloatArray) -> FloatArray:
+        """(samples, joints, ...) differences of efforts, multiplied by :attr:`effort_weights`."""
+        weights = self.effort_weights.get(segment)
+        if weights is None:
             return effort
-        weighted: FloatArray = effort * trust.reshape(*trust.shape, *[1] * (effort.ndim - 2))
+        weighted: FloatArray = effort * weights.reshape(*weights.shape, *[1] * (effort.ndim - 2))
         return weighted
 
     @property

@@ -37,7 +37,7 @@ class RecordedRange:
         step: (joints,) distance between two samples while a joint moves slowly, rad or m.
         travel: (joints,) range of the positions, rad or m.
         noise: (joints,) noise floor, rad or m.
-        differ_in_temperature: whether the recorded temperatures differ.
+        has_different_temperatures: whether the recorded temperatures differ.
     """
 
     duration: float
@@ -45,7 +45,7 @@ class RecordedRange:
     step: FloatArray
     travel: FloatArray
     noise: FloatArray
-    differ_in_temperature: bool
+    has_different_temperatures: bool
 
     @classmethod
     def of(cls, problem: Problem) -> RecordedRange:
@@ -72,7 +72,7 @@ class RecordedRange:
             fine,
             np.ptp(position, axis=0),
             problem.floor,
-            problem.differ_in_temperature,
+            problem.has_different_temperatures,
         )
 
     def hides(self, term: Term, parameter: Parameter, value: float) -> str:
@@ -82,7 +82,7 @@ class RecordedRange:
         j = max(term.joint, 0)
         name = parameter.name.replace("_", " ")
         if parameter.quantity == "time":
-            by_temperature = term.law.needs_temperature and self.differ_in_temperature
+            by_temperature = term.law.needs_temperature and self.has_different_temperatures
             if value > _LONGEST * self.duration and not by_temperature:
                 return f"a {name} of {value:.3g} s, in recordings of at most {self.duration:.3g} s"
         elif parameter.quantity == "velocity":

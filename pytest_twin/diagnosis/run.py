@@ -41,9 +41,9 @@ class Run:
         self.untried: list[str] = []
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether time or simulations ran out, so that all searches must end."""
-        return self.budget.out_of_time or self.budget.spent
+        return self.budget.is_out_of_time or self.budget.is_spent
 
     @property
     def share_done(self) -> float:
@@ -102,7 +102,7 @@ class Run:
             work: function that does it.
             otherwise: the best result so far.
         """
-        if self.over:
+        if self.is_over:
             self.skip(what)
             return otherwise
         try:
@@ -131,7 +131,7 @@ def not_tried(run: Run) -> list[str]:
     budget = run.budget
     if budget.stopped:
         why, more = "it was stopped", "Without the interruption"
-    elif budget.seconds and budget.out_of_time:
+    elif budget.seconds and budget.is_out_of_time:
         why, more = f"its {budget.seconds:g} s were over", "With more time (--seconds)"
     else:
         why = f"its {budget.simulations:g} simulations of all data were used"

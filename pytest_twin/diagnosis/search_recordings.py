@@ -117,11 +117,11 @@ def search_recordings(
         share = _share_for_whole_recordings(problem)
     with run.budget.part(share):
         given, found = search_as_friction_acts(given, prepared, trials, run, start)
-    if found.diverges_from_recordings and contact.world.size:
+    if found.has_diverged and contact.world.size:
         found = run.attempt(
             "contact effects once more", partial(add_contact_effects_again, found, run), found
         )
-    elif found.leaves_recordings and not contact.world.size:
+    elif found.has_left_recordings and not contact.world.size:
         found = run.attempt(
             "a search from shorter windows",
             partial(search_shorter_windows, found, given, run),
@@ -147,7 +147,7 @@ def search_recordings(
     if with_timestep is not None:
         given, found = with_timestep
     near: float | None = None
-    if found.diverges_from_recordings and (clear.terms or not contact.world.size):
+    if found.has_diverged and (clear.terms or not contact.world.size):
         near = WINDOW
         found, window_notes = run.attempt(
             f"windows of {WINDOW:g} s",
@@ -214,7 +214,7 @@ def _share_for_whole_recordings(problem: Problem) -> float:
 
 def _stage_of(problem: Problem) -> str:
     """Name of the stage that searches a problem."""
-    if all(s.amid for s in problem.simulator.segments):
+    if all(s.starts_in_motion for s in problem.simulator.segments):
         return f"windows of {typical_window_length(problem):.2g} s"
     return "whole recordings"
 
@@ -324,7 +324,7 @@ def _compare_with_windows(
             partial(with_alternative_sets, other, run),
             (without_alternative_sets(other), 0.0),
         )
-        if found.sticks_and_slips:
+        if found.has_stick_slip:
             with run.budget.apart():
                 whole = refit_with_full_drive(found, other, longer())
             if whole.tracks_better_than(found):

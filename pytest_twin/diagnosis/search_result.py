@@ -78,7 +78,7 @@ class SearchResult:
     @property
     def worst(self) -> float:
         """Greatest unexplained share of the squared mismatch of a joint, 0 to 1."""
-        return max((e.fraction for e in self.errors.values() if not e.explained), default=0.0)
+        return max((e.fraction for e in self.errors.values() if not e.is_explained), default=0.0)
 
     @property
     def worst_joint(self) -> int:
@@ -88,7 +88,7 @@ class SearchResult:
         return joints.index(max(levels, key=lambda joint: levels[joint]))
 
     @property
-    def sticks_and_slips(self) -> bool:
+    def has_stick_slip(self) -> bool:
         """Whether a friction effect at the worst joint leaves a large residual there."""
         joint = self.worst_joint
         error = self.errors[self.prepared.problem.joints[joint]]
@@ -98,20 +98,20 @@ class SearchResult:
         return rubs and error.after > VERDICT.left_floors * error.floor
 
     @property
-    def diverges_from_recordings(self) -> bool:
+    def has_diverged(self) -> bool:
         """Whether whole recordings were simulated and are not explained."""
-        whole = not all(s.amid for s in self.prepared.problem.simulator.segments)
+        whole = not all(s.starts_in_motion for s in self.prepared.problem.simulator.segments)
         return whole and self.verdict in ("improved", "unexplained")
 
     @property
-    def leaves_recordings(self) -> bool:
+    def has_left_recordings(self) -> bool:
         """Whether windows were simulated, are not explained, and are so long that the nominal
         model departs from the recorded motion.
         """
         problem = self.prepared.problem
-        amid = all(s.amid for s in problem.simulator.segments)
+        starts_in_motion = all(s.starts_in_motion for s in problem.simulator.segments)
         lost = self.verdict in ("improved", "unexplained")
-        return amid and lost and not model_follows_recordings(problem, self.before)
+        return starts_in_motion and lost and not model_follows_recordings(problem, self.before)
 
     def with_floor_of(self) -> SearchResult:
         """The same result with errors of the present noise floor, which a search may lower."""
@@ -168,15 +168,15 @@ def conclude(
     """
     run, problem = selection.diagnosis_run, prepared.problem
     goes_on = partial(_to_the_floor, prepared, selection, selected)
-    if not run.over:
+    if not run.is_over:
         selected = run.attempt("the search with a lower noise floor", goes_on, selected)
     with run.budget.reserved():
         _weigh_untested(run, selected)
         best = selected.best
         if best.fitted.jacobian.shape[2] != best.hypothesis.theta.size:
             selected.best = selection.comparison.scored_without_fit(best.hypothesis, slopes=True)
-        pruned = prune(problem, selected, hurried=run.budget.out_of_time)
-        if not run.budget.out_of_time:
+        pruned = prune(problem, selected, hurried=run.budget.is_out_of_time)
+        if not run.budget.is_out_of_time:
             selected, pruned = replace_closest_known(
                 problem, selection.comparison, selected, pruned
             )
@@ -187,7 +187,7 @@ def conclude(
 
 def _weigh_untested(run: Run, selected: SelectedModel) -> None:
     """Halve the confidence of effects that were not compared with alternatives in time."""
-    for term in selected.best.hypothesis.terms if run.over else ():
+    for term in selected.best.hypothesis.terms if run.is_over else ():
         if term not in selected.confidence:
             selected.confidence[term] = _UNCOMPARED
             run.skip(f"the comparison of {term.effect} with its alternatives")
@@ -249,7 +249,7 @@ def confirm(
     comparison = selection.comparison
     rival = comparison.settled(comparison.scored_without_fit(start))
     before, after = (residuals_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
-    if not all(e.explained for e in joint_errors(prepared, before, after).values()):
+    if not all(e.is_explained for e in joint_errors(prepared, before, after).values()):
         return None
     found = conclude(prepared, trials, selection, selection.run(rival))
     return found if found.verdict == "explained" else None
@@ -376,7 +376,7 @@ def build_problem(
         }
         if not lost:
             idle = _idle(given.realization, problem)
-            notes += _taken_for_granted(prepared, everything, given.beside, idle)
+            notes += _taken_for_granted(prepared, everything, given.outside_mjcf, idle)
             for joint in {*trials.unseen, *idle}:
                 # Under this noise floor no residual counts, and no fit depends on the joint.
                 problem.floor[problem.joints.index(joint)] = UNSEEN
@@ -400,15 +400,15 @@ def build_problem(
 def _taken_for_granted(
     prepared: Prepared,
     trials: Sequence[Trial],
-    beside: Sequence[AppliedEffect],
+    outside_mjcf: Sequence[AppliedEffect],
     idle: Sequence[str],
 ) -> list[str]:
     """Assumptions that no recording confirms, a line each."""
     problem = prepared.problem
     notes = [
         f"{e.effect} of joint {e.joint!r} is not applied: no recording contains this joint"
-        for e in beside
-        if not e.in_model and e.joint not in (None, *problem.joints)
+        for e in outside_mjcf
+        if not e.is_in_mjcf and e.joint not in (None, *problem.joints)
     ]
     owners = prepared.segment_trial
     for i, trial in enumerate(trials):
@@ -418,7 +418,7 @@ def _taken_for_granted(
                 f"{trial.path.name}: its first {first.start:.3g} s are not used, because the "
                 "command before the first recorded one is unknown"
             )
-        if first.velocity is None and not first.amid and first.initial_velocity.any():
+        if first.velocity is None and not first.starts_in_motion and first.initial_velocity.any():
             notes.append(
                 f"{trial.path.name}: the robot moves at the start and no velocity is recorded; the "
                 "initial velocity is estimated from the positions"
@@ -433,9 +433,9 @@ def _taken_for_granted(
 
 def _half_trusted(problem: Problem) -> list[str]:
     """A line for each joint at which some windows have less than half the weight of others."""
-    if not problem.trust:
+    if not problem.position_weights:
         return []
-    weights = np.array(list(problem.trust.values()))
+    weights = np.array(list(problem.position_weights.values()))
     few = (weights < 0.5 * weights.max(axis=0)).sum(axis=0)
     return [
         f"joint {joint!r}: {few[j]} of {len(weights)} windows have less than half the weight, in "

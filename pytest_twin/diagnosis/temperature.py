@@ -11,12 +11,12 @@ from pytest_twin.trial import Trial
 KEY = "temperature"
 _NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+)?)\s*(?:°|deg)?\s*([CK]?)\s*")
 
-Coldness = Mapping[str, float]
-"""Temperature in the metadata -> coldness: 1 for the coldest, 0 for the warmest trial."""
+ColdFractions = Mapping[str, float]
+"""Temperature in the metadata -> cold fraction: 1 for the coldest, 0 for the warmest trial."""
 
 
-def coldness_of(trials: Iterable[Trial]) -> Coldness:
-    """Normalized coldness from the metadata of trials; empty if temperatures cannot be ordered.
+def cold_fractions_of(trials: Iterable[Trial]) -> ColdFractions:
+    """Temperature in the metadata of trials -> cold fraction; empty if they cannot be ordered.
 
     Numbers (``20``, ``20 C``, ``293.15 K``, all in one unit) are ordered. Of two names, such as
     ``cold`` and ``warm``, the first in the alphabet counts as the colder one; the other order only
@@ -35,8 +35,8 @@ def coldness_of(trials: Iterable[Trial]) -> Coldness:
     return {name: (warmest - t) / (warmest - coldest) for name, t in numbers.items()}
 
 
-def coldness_in(known: Coldness, trial: Trial) -> float:
-    """Coldness of one trial; 1 if no temperatures are known.
+def cold_fraction_of_trial(known: ColdFractions, trial: Trial) -> float:
+    """Cold fraction of one trial; 1 if no temperatures are known.
 
     Raises:
         RecordingError: temperatures are known, but this trial has none that can be compared.

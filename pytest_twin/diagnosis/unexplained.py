@@ -68,7 +68,7 @@ def unexplained(
         # No missing force is above the encoder noise, because the residual is slow. It is then
         # reported at the joints whose position has it.
         for joint, error in errors.items():
-            if not error.explained:
+            if not error.is_explained:
                 j = problem.joints.index(joint)
                 add(j, (after[:, j] / problem.floor[j]) ** 2)
     return found

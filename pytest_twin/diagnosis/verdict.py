@@ -99,7 +99,7 @@ class JointError:
         return not self.is_mismatched or self.before <= VERDICT.of_travel * self.travel
 
     @property
-    def explained(self) -> bool:
+    def is_explained(self) -> bool:
         """Whether the residual is at the floor, or small enough in both measures."""
         near = self.after <= VERDICT.left_floors * self.floor and self.fraction <= VERDICT.left
         return self.after <= VERDICT.at_floor * self.floor or near
@@ -128,6 +128,6 @@ def verdict(errors: Mapping[str, JointError], findings: Sequence[Reported]) -> V
         return "unexplained" if mismatched else "no_mismatch"
     if all(f.small for f in findings) and all(e.is_inconsequential for e in errors.values()):
         return "no_mismatch"
-    if all(e.explained for e in errors.values()):
+    if all(e.is_explained for e in errors.values()):
         return "explained"
     return "unexplained" if all(f.small for f in findings) else "improved"

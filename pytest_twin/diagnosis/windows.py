@@ -70,8 +70,8 @@ def segments_of(
     joints: Sequence[str],
     cutting: Cutting = _WHOLE_TRIAL,
     *,
-    coldness: float = 1.0,
-    creeps: bool = False,
+    cold_fraction: float = 1.0,
+    has_friction_creep: bool = False,
 ) -> list[Segment]:
     """Segments of a trial: one whole segment, or short windows.
 
@@ -81,13 +81,17 @@ def segments_of(
         index: index of the trial, stored in its segments.
         joints: names of the columns; the trial has all of them.
         cutting: which parts become segments; the whole trial by default.
-        coldness: normalized temperature of the trial.
-        creeps: whether a joint creeps under dry friction, as with MuJoCo's default constraint.
+        cold_fraction: normalized temperature of the trial.
+        has_friction_creep: whether a joint creeps under dry friction, as with MuJoCo's default
+            constraint.
 
     Raises:
         SpecError: the model lacks the trial's controller or payload.
     """
-    recorded = replace(_recorded(realization, trial, index, joints, coldness), creeps=creeps)
+    recorded = replace(
+        _recorded(realization, trial, index, joints, cold_fraction),
+        has_friction_creep=has_friction_creep,
+    )
     first = _first_commanded(recorded) if cutting.commanded else 0
     after_hole = cutting.commanded and trial.offset > 0.0
     clear = np.arange(len(recorded.time)) >= first
@@ -106,7 +110,7 @@ def segments_of(
 
 
 def _recorded(
-    realization: Realization, trial: Trial, index: int, joints: Sequence[str], coldness: float
+    realization: Realization, trial: Trial, index: int, joints: Sequence[str], cold_fraction: float
 ) -> Segment:
     """The whole trial as one segment that starts at rest, in the model's joint coordinates."""
     columns = [trial.joints.index(j) for j in joints]
@@ -138,7 +142,7 @@ def _recorded(
         command=encoders.model_command(command, each)[ascending],
         initial_position=position[0],
         initial_velocity=np.zeros(len(joints)),
-        coldness=coldness,
+        cold_fraction=cold_fraction,
     )
 
 

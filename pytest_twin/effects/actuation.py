@@ -17,13 +17,13 @@ from pytest_twin.effects.fast_clip import fast_clip
 class _Follower(Protocol):
     """A filter with memory."""
 
-    acts: bool
+    is_active: bool
 
-    def mean(self, asked: FloatArray) -> FloatArray:
-        """(rows, joints) mean output over the next step for the input ``asked``."""
+    def mean(self, filter_input: FloatArray) -> FloatArray:
+        """(rows, joints) mean output over the next step for the input ``filter_input``."""
 
-    def live_through(self, asked: FloatArray, steps: FloatArray) -> None:
-        """Hold the (rows, joints) input ``asked`` for a number of steps, fractions included."""
+    def hold(self, filter_input: FloatArray, steps: FloatArray) -> None:
+        """Hold the (rows, joints) input for a number of steps, fractions included."""
 
 
 class _Follows(Effect):
@@ -42,9 +42,9 @@ class _Follows(Effect):
         self, world: World, values: Values, commands: Iterable[tuple[FloatArray, FloatArray]]
     ) -> None:
         setpoint, _ = self._followers(world, values)
-        if setpoint.acts:
+        if setpoint.is_active:
             for command, seconds in commands:
-                setpoint.live_through(command, seconds / world.timestep)
+                setpoint.hold(command, seconds / world.timestep)
 
     def drive(self, world: World, values: Values) -> None:
         world.delivered = self._followers(world, values)[1].mean(world.delivered)
@@ -101,14 +101,14 @@ class _Lag:
     Attributes:
         kept: (rows, joints) share of the difference to the input that remains after a step.
         mean_kept: the mean of that share over the step.
-        acts: whether any time constant is positive; otherwise the input passes unchanged.
-        followed: (rows, joints) output.
+        is_active: whether any time constant is positive; otherwise the input passes unchanged.
+        output: (rows, joints) output.
     """
 
     kept: FloatArray
     mean_kept: FloatArray
-    acts: bool
-    followed: FloatArray | None = None
+    is_active: bool
+    output: FloatArray | None = None
 
     @classmethod
     def of(cls, lag: FloatArray, timestep: float) -> _Lag:
@@ -117,19 +117,19 @@ class _Lag:
         mean_kept = np.where(lag > 0.0, -np.expm1(-steps) / steps, 0.0)
         return cls(np.exp(-steps), mean_kept, bool(lag.any()))
 
-    def mean(self, asked: FloatArray) -> FloatArray:
-        """(rows, joints) mean output over the next step for the input ``asked``."""
-        if not self.acts:
-            return asked
-        behind = (asked if self.followed is None else self.followed) - asked
-        self.followed = asked + self.kept * behind
-        mean: FloatArray = asked + self.mean_kept * behind
+    def mean(self, filter_input: FloatArray) -> FloatArray:
+        """(rows, joints) mean output over the next step for the input ``filter_input``."""
+        if not self.is_active:
+            return filter_input
+        behind = (filter_input if self.output is None else self.output) - filter_input
+        self.output = filter_input + self.kept * behind
+        mean: FloatArray = filter_input + self.mean_kept * behind
         return mean
 
-    def live_through(self, asked: FloatArray, steps: FloatArray) -> None:
-        """Hold the (rows, joints) input ``asked`` for a number of steps, fractions included."""
-        behind = (asked if self.followed is None else self.followed) - asked
-        self.followed = asked + self.kept**steps * behind
+    def hold(self, filter_input: FloatArray, steps: FloatArray) -> None:
+        """Hold the (rows, joints) input for a number of steps, fractions included."""
+        behind = (filter_input if self.output is None else self.output) - filter_input
+        self.output = filter_input + self.kept**steps * behind
 
 
 _SLOWNESSES = tuple(0.15 * 1.25**k for k in range(16))
@@ -184,12 +184,12 @@ class _Slew:
 
     Attributes:
         reach: (rows, joints) largest change in a step.
-        acts: whether any limit exists; otherwise the input passes unchanged.
+        is_active: whether any limit exists; otherwise the input passes unchanged.
         held: (rows, joints) output.
     """
 
     reach: FloatArray
-    acts: bool
+    is_active: bool
     held: FloatArray | None = None
 
     @classmethod
@@ -198,21 +198,21 @@ class _Slew:
         # Finite without a limit, so that no time at all is no change, and exact there.
         return cls(timestep / np.maximum(inverse_rate, 1e-200), bool(inverse_rate.any()))
 
-    def mean(self, asked: FloatArray) -> FloatArray:
-        """(rows, joints) mean output over the next step for the input ``asked``."""
-        if not self.acts:
-            return asked
-        held = asked if self.held is None else self.held
-        moved = fast_clip(asked - held, -self.reach, self.reach)
+    def mean(self, filter_input: FloatArray) -> FloatArray:
+        """(rows, joints) mean output over the next step for the input ``filter_input``."""
+        if not self.is_active:
+            return filter_input
+        held = filter_input if self.held is None else self.held
+        moved = fast_clip(filter_input - held, -self.reach, self.reach)
         self.held = held + moved
         mean: FloatArray = held + moved * (1.0 - np.abs(moved) / (2.0 * self.reach))
         return mean
 
-    def live_through(self, asked: FloatArray, steps: FloatArray) -> None:
-        """Hold the (rows, joints) input ``asked`` for a number of steps, fractions included."""
-        held = asked if self.held is None else self.held
+    def hold(self, filter_input: FloatArray, steps: FloatArray) -> None:
+        """Hold the (rows, joints) input for a number of steps, fractions included."""
+        held = filter_input if self.held is None else self.held
         reach = steps * self.reach
-        self.held = held + fast_clip(asked - held, -reach, reach)
+        self.held = held + fast_clip(filter_input - held, -reach, reach)
 
 
 class TorqueConstant(Effect):

@@ -7,6 +7,7 @@ of many simulations at one time step. Every array is (rows, joints), one row per
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
@@ -212,7 +213,8 @@ class World:
             then holds the joint's armature, damping, dry friction and drive. The last is a
             constant effort on the motor, N*m or N.
         link_inertia: smallest inertia of the link as the transmission sees it, kg*m^2 or kg.
-        coldness: (rows,) normalized temperature of the trial: 1 in the coldest, 0 in the warmest.
+        cold_fraction: (rows,) normalized temperature of the trial: 1 in the coldest, 0 in the
+            warmest.
         motor: state of the motor sides; None where all transmissions are rigid.
         state: memory of effects between steps, by effect id.
     """
@@ -239,7 +241,7 @@ class World:
     link_inertia: FloatArray
     least_setpoint: FloatArray = field(default_factory=lambda: np.full((1, 1), -np.inf))
     greatest_setpoint: FloatArray = field(default_factory=lambda: np.full((1, 1), np.inf))
-    coldness: FloatArray = field(default_factory=lambda: np.ones(1))
+    cold_fraction: FloatArray = field(default_factory=lambda: np.ones(1))
     motor: MotorSide | None = None
     state: dict[str, Any] = field(default_factory=dict)
 
@@ -267,7 +269,7 @@ class World:
         else:
             self.motor.drag += damping
 
-    def asked(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+    def control_effort(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """(rows, joints) effort of the control law before its limits, N*m or N.
 
         Args:
@@ -279,6 +281,21 @@ class World:
             - self.damping * velocity
             + self.offset
         )
+
+    def asked(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Deprecated name of :meth:`control_effort`; it goes with version 0.2."""
+        _renamed("asked", "control_effort")
+        return self.control_effort(position, velocity)
+
+    @property
+    def coldness(self) -> FloatArray:
+        """Deprecated name of :attr:`cold_fraction`; it goes with version 0.2."""
+        _renamed("coldness", "cold_fraction")
+        return self.cold_fraction
+
+
+def _renamed(old: str, new: str) -> None:
+    warnings.warn(f"World.{old} is now World.{new}", DeprecationWarning, stacklevel=3)
 
 
 class Effect:
@@ -613,7 +630,7 @@ class ModelFields:
         return np.asarray((self.center_radial != 0.0) | (self.center_tangential != 0.0))
 
     @property
-    def changes_links(self) -> bool:
+    def has_changed_links(self) -> bool:
         """Whether any link's mass, centre of mass or inertia is changed."""
         scaled = (self.mass_scale != 1.0) | (self.inertia_scale != 1.0)
         return bool((scaled | self.center_moves | (self.added_mass != 0.0)).any())

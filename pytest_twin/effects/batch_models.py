@@ -27,7 +27,7 @@ from pytest_twin.effects.segment import Segment
 OF_ROWS = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
-    "motor_constant", "link_inertia", "coldness", "least_setpoint", "greatest_setpoint",
+    "motor_constant", "link_inertia", "cold_fraction", "least_setpoint", "greatest_setpoint",
 )  # fmt: skip
 """What of a world has a row for each simulation."""
 
@@ -68,7 +68,7 @@ class _Batched:
     models: Sequence[mujoco.MjModel]
 
     @property
-    def several(self) -> bool:
+    def has_several_models(self) -> bool:
         """Whether not all rows are of one model."""
         return len({id(m) for m in self.models}) > 1
 
@@ -121,7 +121,7 @@ class BatchModels:
             model.actuator_forcelimited[free] = 1
             model.actuator_forcerange[free] = (-_UNBOUNDED, _UNBOUNDED)
             model.opt.timestep = self.timestep
-            if not of.creeps:
+            if not of.has_friction_creep:
                 hold(model, self.layout.dof_index, float(of.model.opt.timestep))
             if self.sparing:
                 disable_unused_features(model)
@@ -188,7 +188,7 @@ class BatchModels:
             motor_damping=np.zeros(count),
             motor_constant=np.zeros(count),
             link_inertia=np.full(count, np.inf),
-            coldness=np.array([self.segments[r].coldness for r in segments]),
+            cold_fraction=np.array([self.segments[r].cold_fraction for r in segments]),
             least_setpoint=np.full(count, -np.inf),
             greatest_setpoint=np.full(count, np.inf),
         )
@@ -261,15 +261,15 @@ class BatchModels:
             effect.gains(world, v)
         changed = {n for n, before in native.items() if (before != getattr(world, n)).any()}
         apart = moving_apart(effects, (len(rows), joints))
-        if batched.several:
+        if batched.has_several_models:
             for name in _INERTIAL:
                 batched.expand(name)
         friction = self._write_dofs(batched, rows, effects, fields, world, apart)
-        if (fields.gravity != gravity).any() or batched.several:
+        if (fields.gravity != gravity).any() or batched.has_several_models:
             batched.batch.expand("opt.gravity")[:] = fields.gravity
-        if fields.changes_links:
+        if fields.has_changed_links:
             self._write_inertia(batched, fields)
-        own = batched.several
+        own = batched.has_several_models
         if own or apart.any() or changed.intersection(_LAW):
             self._write_gains(batched, world, apart)
         force_range = None
@@ -318,7 +318,7 @@ class BatchModels:
         }
         for name, change in resisting.items():
             moving = name == "dof_frictionloss" and between_steps
-            if batched.several or change.any() or moving or apart.any():
+            if batched.has_several_models or change.any() or moving or apart.any():
                 batched.expand(name)[:, dof] += change
         if batch.expanded("dof_frictionloss") is not None:
             levels = batch.expand("dof_frictionloss")
@@ -354,13 +354,13 @@ class BatchModels:
         driven = self.layout.driven
         act, gear = self.layout.actuator[driven], self.layout.gear[driven]
         low, high = world.lower[:, driven] / gear, world.upper[:, driven] / gear
-        if self._reverses:
+        if self._has_reversed_drive:
             low, high = np.where(gear < 0.0, high, low), np.where(gear < 0.0, low, high)
         force_range[:, act, 0] = np.maximum(low, -_UNBOUNDED)
         force_range[:, act, 1] = np.minimum(high, _UNBOUNDED)
 
     @cached_property
-    def _reverses(self) -> bool:
+    def _has_reversed_drive(self) -> bool:
         """Whether some drive turns against its joint."""
         return bool((self.layout.gear[self.layout.driven] < 0.0).any())
 

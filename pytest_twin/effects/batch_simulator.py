@@ -189,7 +189,7 @@ class BatchSimulator:
         self._count(rows)
         return q, v
 
-    def followed(
+    def trajectories_with_readings(
         self, rows: NDArray[np.int64], values: EffectValues
     ) -> tuple[FloatArray, FloatArray, list[Predicted]]:
         """As :meth:`trajectories`, with the sensor readings of each row."""
@@ -199,7 +199,7 @@ class BatchSimulator:
         segments = [self.segments[r] for r in rows]
         return motion[0], motion[1], sampled(segments, effects, motion, self.timestep)
 
-    def efforts_beside(
+    def efforts_at_neighbouring_steps(
         self, rows: NDArray[np.int64], values: EffectValues
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         """Effort sensor readings of each row at its stamps, one step earlier, and one step later.
@@ -207,9 +207,11 @@ class BatchSimulator:
         Each is (stamps, joints), N m or N.
         """
         self._count(rows)
-        return self._each(rows, with_fixed(values, self.fixed, len(rows)), self._read_beside)
+        return self._each(
+            rows, with_fixed(values, self.fixed, len(rows)), self._read_at_neighbouring_steps
+        )
 
-    def _read_beside(
+    def _read_at_neighbouring_steps(
         self, segments: Sequence[Segment], effects: ActiveEffects, motion: Motion
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         q, v, effort = motion

@@ -36,18 +36,18 @@ class ContactGeoms:
         normal: (world, 3) outward unit normals, in the frames of their bodies.
         robot: geoms that move with the joints.
         pairs: explicit contact pairs between the two, which have parameters of their own.
-        frictional: whether any of these contacts has friction.
+        has_friction: whether any of these contacts has friction.
     """
 
     world: Ids = field(default_factory=_none)
     normal: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     robot: Ids = field(default_factory=_none)
     pairs: Ids = field(default_factory=_none)
-    frictional: bool = False
+    has_friction: bool = False
 
     def has(self, effect: str) -> bool:
         """Whether a contact effect can act on these geoms."""
-        return bool(self.world.size) and (self.frictional or effect != "contact_friction")
+        return bool(self.world.size) and (self.has_friction or effect != "contact_friction")
 
     @property
     def geoms(self) -> Ids:
@@ -295,5 +295,5 @@ def _collected(
         normal=normal,
         robot=robot,
         pairs=np.flatnonzero(_between(model, *sides)).astype(np.int64),
-        frictional=any(dim > 1 for _, _, dim in found.values()),
+        has_friction=any(dim > 1 for _, _, dim in found.values()),
     )

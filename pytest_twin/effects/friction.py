@@ -243,10 +243,10 @@ class ThermalFriction(_DryFriction):
     family = "friction"
     dry_friction_level = "excess"
     law = (
-        "cold = coldness exp(-t / warm_up_time); level = dry friction + excess cold; "
+        "cold = cold_fraction exp(-t / warm_up_time); level = dry friction + excess cold; "
         "effort = -viscous_excess cold v; "
-        "coldness: 1 in the coldest trials (metadata temperature), 0 in the warmest, 1 without "
-        "temperatures"
+        "cold_fraction: 1 in the coldest trials (metadata temperature), 0 in the warmest, 1 "
+        "without temperatures"
     )
     source = "Bittencourt, Axelsson, J. Dyn. Syst. Meas. Control 136 (2014)"
     parameters = (
@@ -283,7 +283,7 @@ class ThermalFriction(_DryFriction):
     @staticmethod
     def _cold(world: World, values: Values) -> FloatArray:
         warm = np.maximum(values["warm_up_time"], 1e-6)
-        cold: FloatArray = world.coldness[:, None] * np.exp(-world.time[:, None] / warm)
+        cold: FloatArray = world.cold_fraction[:, None] * np.exp(-world.time[:, None] / warm)
         return cold
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:

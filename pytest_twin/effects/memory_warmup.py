@@ -48,7 +48,7 @@ def run_hooks(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
         effect.servo(world, v)
     native = world.delivered
     if drives or geared:
-        law = world.asked(world.motor_position, world.motor_velocity)
+        law = world.control_effort(world.motor_position, world.motor_velocity)
         native = world.delivered = fast_clip(law, world.lower, world.upper)
     for effect, v in hooks["drive"]:
         effect.drive(world, v)

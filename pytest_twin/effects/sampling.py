@@ -29,7 +29,7 @@ def behind(
     taken = stamp
     for effect, v in effects:
         taken = effect.sample_time(taken, v)
-    window = np.array([s.amid for s in segments])
+    window = np.array([s.starts_in_motion for s in segments])
     out: FloatArray = np.where(window[:, None], (stamp - taken)[:, 0], 0.0)
     return out
 

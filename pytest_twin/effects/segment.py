@@ -55,8 +55,9 @@ class Segment:
             positions and velocities of the whole trial, smoothed.
         motor_shift: (joints,) rad or m by which motors behind gears that give start elsewhere than
             where they would carry their links at rest, or where their windows' lead brought them.
-        coldness: 1 in the coldest trial, 0 in the warmest; 1 where nobody says.
-        creeps: whether dry friction gives way under load as MuJoCo's default constraint has it.
+        cold_fraction: 1 in the coldest trial, 0 in the warmest; 1 where nobody says.
+        has_friction_creep: whether dry friction gives way under load as MuJoCo's default constraint
+            has it.
         unrecorded: the rest of the model, by default at its reference without commands.
     """
 
@@ -74,8 +75,8 @@ class Segment:
     initial_velocity: FloatArray
     history: tuple[FloatArray, FloatArray, FloatArray] | None = None
     motor_shift: FloatArray | None = None
-    coldness: float = 1.0
-    creeps: bool = False
+    cold_fraction: float = 1.0
+    has_friction_creep: bool = False
     unrecorded: Unrecorded | None = None
     modes: tuple[CommandMode, ...] = ()
     moving: bool = False
@@ -90,7 +91,7 @@ class Segment:
         return Setpoint(self.command_time, self.command, self.moving)
 
     @property
-    def amid(self) -> bool:
+    def starts_in_motion(self) -> bool:
         """Whether it starts amid a motion."""
         return self.history is not None
 
@@ -107,7 +108,7 @@ class Segment:
 
     def before(self, time: FloatArray) -> FloatArray:
         """Positions and velocities at (n,) s on the trial's clock, (2, n, joints); only
-        :attr:`amid` a motion.
+        :attr:`starts_in_motion` a motion.
         """
         assert self.history is not None
         stamps, *known = self.history

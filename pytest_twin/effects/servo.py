@@ -147,12 +147,16 @@ class IntegralGain(Effect):
         error = world.setpoint - state
         integral = world.state.get(self.id)
         if integral is None:
-            at_rest = world.asked(world.motor_position, np.zeros_like(world.motor_velocity))
+            at_rest = world.control_effort(
+                world.motor_position, np.zeros_like(world.motor_velocity)
+            )
             settled = _per_gain(world.load - at_rest, world)
             # Later in a recording the joint moves: its effort does not show the term.
             begins = world.time[:, None] <= world.timestep
             integral = np.where(begins & (rate > 0.0), settled, 0.0)
-        effort = world.asked(world.motor_position, world.motor_velocity) + world.gain * integral
+        effort = (
+            world.control_effort(world.motor_position, world.motor_velocity) + world.gain * integral
+        )
         saturated = ((effort > world.upper) & (error > 0.0)) | (
             (effort < world.lower) & (error < 0.0)
         )
@@ -221,7 +225,7 @@ class ControlPeriod(Effect):
         )
         effort = fast_clip(effort, world.lower, world.upper)
         # The control law at the present state asks for the effort that is held.
-        more = effort - world.asked(world.motor_position, world.motor_velocity)
+        more = effort - world.control_effort(world.motor_position, world.motor_velocity)
         world.setpoint = np.where(
             past.acts, world.setpoint + _per_gain(more, world), world.setpoint
         )

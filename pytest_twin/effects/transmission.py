@@ -44,7 +44,7 @@ class JointSpring(Effect):
         fields.constant_force += values["preload"]
 
 
-def _beside(x: FloatArray, way: int) -> FloatArray:
+def _of_neighbour(x: FloatArray, way: int) -> FloatArray:
     """(..., joints) values of the previous (-1) or next (1) joint; zero where there is none."""
     out = np.zeros_like(x)
     if way < 0:
@@ -97,20 +97,22 @@ class JointCoupling(Effect):
         drive = world.delivered
         for way, turns_motor, ratio in ratios:
             if not turns_motor:
-                world.delivered = world.delivered + ratio * _beside(drive, way)
+                world.delivered = world.delivered + ratio * _of_neighbour(drive, way)
                 continue
             # The servo controls its motor, whose angle differs by the neighbour's share.
-            pull = world.stiffness * _beside(world.position, way)
-            pull = pull + world.damping * _beside(world.velocity, way)
+            pull = world.stiffness * _of_neighbour(world.position, way)
+            pull = pull + world.damping * _of_neighbour(world.velocity, way)
             held = fast_clip(world.delivered + ratio * pull, world.lower, world.upper)
             turned = np.where(ratio != 0.0, held, world.delivered)
-            world.delivered = turned - _beside(ratio * turned, -way)
+            world.delivered = turned - _of_neighbour(ratio * turned, -way)
 
     def sense(
         self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
         read = [(way, ratio[:, None]) for way, ratio in self._of_encoders(values)]
-        more = [sum(ratio * _beside(x, way) for way, ratio in read) for x in (position, velocity)]
+        more = [
+            sum(ratio * _of_neighbour(x, way) for way, ratio in read) for x in (position, velocity)
+        ]
         return position + more[0], velocity + more[1]
 
     def unsense(
@@ -124,7 +126,7 @@ class JointCoupling(Effect):
         """True (rows, joints) values behind ``measured``, solved along the chain."""
         true = measured
         for _ in range(measured.shape[1] - 1 if read else 0):
-            true = measured - sum(ratio * _beside(true, way) for way, ratio in read)
+            true = measured - sum(ratio * _of_neighbour(true, way) for way, ratio in read)
         return true
 
     @staticmethod

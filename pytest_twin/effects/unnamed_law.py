@@ -47,7 +47,7 @@ SPEED = Variable("speed", ("rad/s", "m/s"))
 LOAD = Variable("load", ("N*m", "N"))
 COMMAND = Variable("command", ("rad, rad/s or N*m", "m, m/s or N"))
 SINCE_REVERSAL = Variable("time since reversal", ("s", "s"))
-COLDNESS = Variable("coldness", ("1", "1"))
+COLD_FRACTION = Variable("coldness", ("1", "1"))
 
 
 def since_reversal(
@@ -66,13 +66,13 @@ class _Table(Effect):
 
     Class attributes:
         variables: what the table may be a function of, by the parameter ``variable``.
-        against_motion: whether it is a level of dry friction, not a force.
+        is_friction: whether it is a level of dry friction, not a force.
     """
 
     source = _SOURCE
     candidate = False
     variables: ClassVar[tuple[Variable, ...]]
-    against_motion: ClassVar[bool]
+    is_friction: ClassVar[bool]
 
     def variable(self, values: Mapping[str, float]) -> Variable:
         """What the table is a function of."""
@@ -198,7 +198,7 @@ class UnnamedLaw(_Table):
     family = "transmission"
     law = "effort = table(variable), linear between knots; zero outside the range of the table"
     variables: ClassVar = (POSITION, VELOCITY, COMMAND)
-    against_motion: ClassVar = False
+    is_friction: ClassVar = False
     parameters = _parameters(variables, "force at a knot")
     confused_with: ClassVar = {
         "external_force": "repeat the motion at another time: a function of the state comes back",
@@ -225,7 +225,7 @@ class UnnamedFriction(_Table):
         "with the model's own level at least zero"
     )
     variables: ClassVar = (POSITION, SPEED, LOAD, SINCE_REVERSAL)
-    against_motion: ClassVar = True
+    is_friction: ClassVar = True
     parameters = (
         *_parameters(variables, "level at a knot"),
         Parameter(
@@ -262,8 +262,8 @@ class UnnamedFriction(_Table):
 
 
 class UnnamedThermalFriction(_Table):
-    """Dry friction that no effect with a name explains: its level is a table over the coldness of
-    the recording, 1 in the coldest and 0 in the warmest.
+    """Dry friction that no effect with a name explains: its level is a table over the cold
+    fraction of the recording, 1 in the coldest and 0 in the warmest.
 
     The search never proposes it. A diagnosis fits it to the residual that all named effects leave.
     """
@@ -271,14 +271,14 @@ class UnnamedThermalFriction(_Table):
     id = "unnamed_thermal_friction"
     family = "friction"
     law = UnnamedFriction.law
-    variables: ClassVar = (COLDNESS,)
-    against_motion: ClassVar = True
+    variables: ClassVar = (COLD_FRACTION,)
+    is_friction: ClassVar = True
     parameters = _parameters(variables, "level at a knot")
     needs_temperature = True
     confused_with: ClassVar = {"thermal_friction": "record at more temperatures"}
 
     def friction(self, world: World, values: Values) -> None:
-        at = np.broadcast_to(world.coldness[:, None], world.position.shape)
+        at = np.broadcast_to(world.cold_fraction[:, None], world.position.shape)
         world.friction_level = world.friction_level + self._of(at, world, values)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.diagnosis.diagnose import diagnose
-from pytest_twin.diagnosis.patched.frequency import responses_beside
+from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.diagnosis.patched.write import Recorded, load_written, write_realization
 from pytest_twin.diagnosis.run import Run
@@ -63,10 +63,12 @@ def write_diagnosis(
             found.prepared.problem,
             found.free.hypothesis,
             inherited,
-            Recorded(found.prepared.coldness, found.prepared.substeps, found.settled.found_between),
+            Recorded(
+                found.prepared.cold_fractions, found.prepared.substeps, found.settled.found_between
+            ),
         )
         fitted = load_written(folder / REALIZATION)
-        frequency = responses_beside(fitted, found.tested.trials.held_out or trials.fit)
+        frequency = frequency_responses(fitted, found.tested.trials.held_out or trials.fit)
     said = {**found.to_json(realization=f"{REALIZATION}/"), "frequency_response": frequency}
     atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")
     progress(0.96)

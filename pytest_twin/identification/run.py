@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.diagnosis.patched.frequency import responses_beside
+from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats.digest import file_sha256
@@ -123,7 +123,7 @@ def identify_files(
         document = effort_document(result, (*result.stages, loop))
         document["fit"] = fit
         document["frequency_response"] = (
-            [] if isinstance(tried, TwinError) else responses_beside(fitted_model, tried)
+            [] if isinstance(tried, TwinError) else frequency_responses(fitted_model, tried)
         )
         for joint, error in positions.items():
             document["held_out"].setdefault(joint, {}).update(
@@ -206,12 +206,13 @@ def _from_commands(
         write_realization(
             folder, realization, result.prepared.problem, result.hypothesis, inherited,
             Recorded(
-                result.prepared.coldness, result.prepared.substeps, result.settled.found_between
+                result.prepared.cold_fractions, result.prepared.substeps,
+                result.settled.found_between
             ),
         )  # fmt: skip
     document = simulation_document(result)
     document["fit"] = {}
-    document["frequency_response"] = responses_beside(
+    document["frequency_response"] = frequency_responses(
         load_written(folder), result.trials.held_out or result.trials.fit
     )
     document["trials"] = {

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.patched.replay import fixed_values, whole_segment
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
-from pytest_twin.diagnosis.temperature import coldness_in
+from pytest_twin.diagnosis.temperature import cold_fraction_of_trial
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
@@ -78,7 +78,7 @@ class Fleet:
     ) -> None:
         self.realization, self.patched = realization, patched
         self._stepped = without_delays(realization)
-        self._beside = stepped_beside(realization, patched)
+        self._beside = effects_outside_mjcf(realization, patched)
         self.coordinates, self.bodies = tuple(coordinates), tuple(bodies)
         self._room = _MEMORY_SHARE * memory_bytes
         self.steps = 0
@@ -148,9 +148,15 @@ class Fleet:
 
     def _one(self, trial: Trial, draws: FloatArray, progress: Callable[[float], None]) -> Traces:
         joints = self.joints_of(trial)
-        cold = 1.0 if self.patched is None else coldness_in(self.patched.coldness, trial)
-        creeps = self.patched is None or self.patched.creeps
-        segment = whole_segment(self._stepped, trial, joints, cold, creeps=creeps)
+        cold = (
+            1.0
+            if self.patched is None
+            else cold_fraction_of_trial(self.patched.cold_fractions, trial)
+        )
+        has_friction_creep = self.patched is None or self.patched.has_friction_creep
+        segment = whole_segment(
+            self._stepped, trial, joints, cold, has_friction_creep=has_friction_creep
+        )
         encoders = Encoders.of(calibration_of(self.realization), joints)
         shift = self._correction(segment, joints)
         count = len(segment.time)
@@ -264,6 +270,6 @@ class Fleet:
             return None
         beside = {(e.effect, e.joint) for e in self._beside}
         for effect in self.patched.effects:
-            if (effect.effect, effect.joint) == (one.effect, one.joint) and effect.in_model:
+            if (effect.effect, effect.joint) == (one.effect, one.joint) and effect.is_in_mjcf:
                 return None if (one.effect, one.joint) in beside else effect
         return None

@@ -84,7 +84,7 @@ class DiagnosisView:
         simulated: whether predictions contain the integration error of the time step.
         step_left: share of that error that is in the floor.
         native: changes in the patched MJCF, one line each.
-        beside: effects that MJCF cannot express, applied by ``pytest-twin replay``.
+        outside_mjcf: effects that MJCF cannot express, applied by ``pytest-twin replay``.
         tried: number of candidate effects.
         laws: effect -> (equation, source).
         at_floor, share_left, left_floors: limits of an explained joint, see
@@ -99,7 +99,7 @@ class DiagnosisView:
     simulated: bool
     step_left: float
     native: tuple[str, ...]
-    beside: tuple[str, ...]
+    outside_mjcf: tuple[str, ...]
     tried: int
     laws: Mapping[str, tuple[str, str]]
     at_floor: float
@@ -135,7 +135,7 @@ def view_of(
         simulated=patched.substeps > 0,
         step_left=tested.problem.step_left,
         native=tuple(f"{_at(e)}: {e.written}" for e in patched.effects if e.written),
-        beside=tuple(_at(e) for e in patched.beside),
+        outside_mjcf=tuple(_at(e) for e in patched.outside_mjcf),
         tried=found.selected.tried,
         laws={id: (law.law, law.source) for id, law in catalogue().items()},
         at_floor=VERDICT.at_floor,

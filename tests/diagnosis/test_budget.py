@@ -83,7 +83,7 @@ def test_no_bound_of_time_is_for_as_long_as_it_takes() -> None:
     clock = Clock()
     budget = Budget(seconds=0.0, clock=clock)
     clock.now = 1e9
-    assert not budget.out_of_time
+    assert not budget.is_out_of_time
     assert budget.left == np.inf
 
 
@@ -92,10 +92,10 @@ def test_time_that_other_programs_take_is_not_counted_if_asked() -> None:
     clock = Clock()
     strict, lenient = (Budget(100.0, clock=clock, own_time=own) for own in (False, True))
     clock.now += 200.0
-    assert strict.out_of_time
-    assert not lenient.out_of_time
+    assert strict.is_out_of_time
+    assert not lenient.is_out_of_time
     clock.now += 300.0
-    assert lenient.out_of_time
+    assert lenient.is_out_of_time
 
 
 def test_work_is_shared_by_all_searches(braked: tuple[Realization, TrialSet]) -> None:
@@ -105,10 +105,10 @@ def test_work_is_shared_by_all_searches(braked: tuple[Realization, TrialSet]) ->
     run.budget.add(problem)
     run.budget.add(problem)
     first = ModelComparison(problem, run)
-    assert not first.spent([])
+    assert not first.is_spent([])
     while run.budget.work <= 20.0:
         problem.residuals([first.nominal.hypothesis] * 10, problem.fit)
-    assert ModelComparison(problem, run).spent([]), "a second search has no budget of its own"
+    assert ModelComparison(problem, run).is_spent([]), "a second search has no budget of its own"
     assert run.attempt("more", lambda: "more", "the best so far") == "the best so far"
     (note,) = not_tried(run)
     assert "its 20 simulations of all data were used. Not tried: more" in note

@@ -46,7 +46,7 @@ def test_what_is_left_above_the_floor_may_be_the_steps(
 ) -> None:
     problem, hypothesis = soft
     problem.refine_at(hypothesis)
-    floor = 0.02 * float(abs(problem.defect[0].position[:, ELBOW]).max())
+    floor = 0.02 * float(abs(problem.discretization_error[0].position[:, ELBOW]).max())
     errors = {"elbow": JointError(1.0, floors * floor, floor, "rad")}
     said = [
         "joint 'elbow'", "time step (2 ms) is", "times the residual",
@@ -62,7 +62,7 @@ def test_what_was_explained_may_be_the_steps(
     """Of a joint that was off by little more than the step is, all may be the step's."""
     problem, hypothesis = soft
     problem.refine_at(hypothesis)
-    own = float(np.sqrt(np.mean(problem.defect[0].position[:, ELBOW] ** 2)))
+    own = float(np.sqrt(np.mean(problem.discretization_error[0].position[:, ELBOW] ** 2)))
     errors = {"elbow": JointError(mismatch * own, 0.1 * own, 0.1 * own, "rad")}
     said = [
         "time step (2 ms) is",

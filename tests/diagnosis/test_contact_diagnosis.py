@@ -105,7 +105,7 @@ def test_a_surface_that_was_hidden_behind_something_else_is_asked_for_again(
     prepared.problem.family = None
     friction = {t.effect for t in found.explained.hypothesis.terms}
     assert friction == {"viscous_friction"}
-    assert found.diverges_from_recordings
+    assert found.has_diverged
     more = add_contact_effects_again(found, Run())
     assert {f.effect for f in more.explained.findings} == friction | {"contact_stiffness"}
     assert more.verdict == "explained"
@@ -120,7 +120,7 @@ def test_windows_in_the_air_lie_far_from_the_table(tmp_path: Path) -> None:
     assert contact.world.size
     air = prepare(realization, trials, [], window=0.2, contact=contact)
     segments = air.problem.simulator.segments
-    assert all(s.amid for s in segments)
+    assert all(s.starts_in_motion for s in segments)
     far = [0.2 - 0.02 - 0.3 * np.sin(t.position[:, 0]) > NEAR for t in trials]
     for trial, clear in zip(trials, far, strict=True):
         mine = [s for s in segments if trials[s.trial] is trial]
@@ -204,7 +204,7 @@ def test_the_written_model_moves_as_the_effect(
     out.mkdir()
     patched = write_realization(out, load_model(folder / "model.xml").realization, problem, found)
     assert tuple(e.written for e in patched.effects) == written
-    assert patched.beside == ()
+    assert patched.outside_mjcf == ()
     loaded = load_model(find_model(tmp_path))
     assert loaded.patched is not None
     (replayed,) = replay_patched(loaded.realization, loaded.patched, [trial])

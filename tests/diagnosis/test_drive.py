@@ -116,8 +116,8 @@ def test_a_joint_slips_that_rubs_and_keeps_a_lot(tmp_path: Path) -> None:
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
     found = search(prepared, trials, StepwiseSelection(prepared.problem))
     assert prepared.problem.joints == ONE
-    assert not found.sticks_and_slips
+    assert not found.has_stick_slip
     for times, terms, slips in ((11.0, (RUBS,), True), (9.0, (RUBS,), False), (11.0, (), False)):
         kept = JointError(1.0, times * 0.01, 0.01, "rad")
         explained = Explained((), Hypothesis(terms, np.full(len(terms), 0.1)))
-        assert replace(found, errors={"left": kept}, explained=explained).sticks_and_slips is slips
+        assert replace(found, errors={"left": kept}, explained=explained).has_stick_slip is slips

@@ -522,8 +522,8 @@ def test_what_is_followed_is_what_is_predicted(mode: str, term: Term, rough: boo
     hypothesis = EMPTY.with_term(term, np.array([p.starts[0] for p in term.parameters]))
     assert hypothesis.is_rough is rough
     problem.refine_at(hypothesis)
-    assert problem.defect
-    _, _, followed = problem.followed(hypothesis, problem.fit)
+    assert problem.discretization_error
+    _, _, followed = problem.trajectories_with_readings(hypothesis, problem.fit)
     for once, again in zip(followed, problem.predict([hypothesis], problem.fit)[0], strict=True):
         assert (once.position == again.position).all()
         assert (once.velocity == again.velocity).all()

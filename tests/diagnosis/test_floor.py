@@ -180,19 +180,19 @@ def test_a_sample_in_the_step_in_which_a_command_jumps_is_not_trusted(tmp_path: 
     limited = POSITION.replace("/>", ' forcerange="-4 4"/>')
     trial = trial_of(tmp_path, limited, np.repeat([0.0, 0.3, -0.1], 100))
 
-    def trust(sampled: float, sent: float) -> FloatArray:
+    def weights(sampled: float, sent: float) -> FloatArray:
         """Of samples and commands at so many steps after each tick."""
         moved_on = replace(
             trial,
             time=trial.time + (sampled - 4.0) * STEP,
             command_time=trial.command_time + sent * STEP,
         )
-        (found,) = prepared(tmp_path, moved_on).problem.effort_trust.values()
+        (found,) = prepared(tmp_path, moved_on).problem.effort_weights.values()
         return found[:, 0]
 
     # The hundredth sample is the first under the second command.
     for sampled, sent in ((4.0, 4.3), (4.2, 4.3), (4.6, 4.3), (4.7, 4.6)):
-        found = trust(sampled, sent)
+        found = weights(sampled, sent)
         assert (found[[100, 200]] < 0.01).all(), found[[100, 200]]
         # All other commands repeat the one before.
         assert (np.delete(found, [100, 200]) > 0.5).mean() > 0.9

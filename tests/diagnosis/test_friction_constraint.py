@@ -120,7 +120,7 @@ def test_what_is_hidden_is_found_and_friction_told_from_what_is_left(tmp_path: P
     np.testing.assert_allclose(model.dof_solref, [[0.02, 1.0]] * 2)
     again = load_model(find_model(tmp_path))
     assert again.patched is not None
-    assert again.patched.creeps
+    assert again.patched.has_friction_creep
     (trial,) = found.roles.test
     (predicted,) = replay_patched(again.realization, again.patched, [trial], threads=1)
     off = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
@@ -140,7 +140,7 @@ def test_a_search_goes_on_the_way_that_it_sees(tmp_path: Path, holds: bool) -> N
     prepared, trials = build_problem(given, trials, [])
     run = Run()
     stepped, found = search_as_friction_acts(given, prepared, trials, run, EMPTY)
-    assert stepped.creeps is not holds
+    assert stepped.has_friction_creep is not holds
     assert [t.effect for t in found.explained.hypothesis.terms] == ["command_delay"]
     # Nothing that was left in the one way was held against more names.
     added = [

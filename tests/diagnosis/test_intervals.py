@@ -19,7 +19,7 @@ SAMPLES, SEGMENTS = 600, 3
 TRUTH = np.array([1.0, -0.5])
 
 
-def problem(defect: np.ndarray | None = None, recordings: int = 1) -> Problem:
+def problem(discretization_error: np.ndarray | None = None, recordings: int = 1) -> Problem:
     """As much of a problem as intervals read: stamps, floors, and what the time step costs."""
     segments = [
         SimpleNamespace(time=np.arange(SAMPLES) * 0.01, effort=None, trial=i % recordings)
@@ -32,9 +32,9 @@ def problem(defect: np.ndarray | None = None, recordings: int = 1) -> Problem:
         held_out=np.empty(0, int),
         floor=np.array([1e-6]),
         scales=Scales({}),
-        defect={}
-        if defect is None
-        else {i: Predicted(defect[i * SAMPLES : (i + 1) * SAMPLES], none, none)
+        discretization_error={}
+        if discretization_error is None
+        else {i: Predicted(discretization_error[i * SAMPLES : (i + 1) * SAMPLES], none, none)
               for i in range(SEGMENTS)},
     )  # fmt: skip
 

@@ -105,11 +105,11 @@ def test_a_part_that_is_too_short_is_left_out_and_said(bench: Bench) -> None:
 def test_a_part_begins_amid_its_motion_once_the_lost_commands_have_died_away(bench: Bench) -> None:
     first, second = bench.read(bench.put("a.mcap", bench.seen, (150, 180))).fit
     (from_rest,) = segments_of(bench.realization, first, 0, ("j1",), Cutting(commanded=True))
-    (amid,) = segments_of(bench.realization, second, 1, ("j1",), Cutting(commanded=True))
-    assert not from_rest.amid
-    assert amid.amid
-    assert amid.start == pytest.approx(LEAD, abs=0.1)
-    assert amid.time[-1] == pytest.approx(second.duration)
+    (later,) = segments_of(bench.realization, second, 1, ("j1",), Cutting(commanded=True))
+    assert not from_rest.starts_in_motion
+    assert later.starts_in_motion
+    assert later.start == pytest.approx(LEAD, abs=0.1)
+    assert later.time[-1] == pytest.approx(second.duration)
 
 
 def test_nothing_is_left_of_a_model_that_is_right(bench: Bench) -> None:

@@ -112,7 +112,7 @@ def test_both_forms_of_an_effect_give_the_same_motion(
     out = tmp_path / "realization"
     out.mkdir()
     patched = write_realization(out, load_model(folder / "model.xml").realization, problem, found)
-    assert (patched.beside == ()) is native
+    assert (patched.outside_mjcf == ()) is native
     loaded = load_model(find_model(tmp_path))
     assert loaded.patched is not None
     (written,) = replay_patched(loaded.realization, loaded.patched, [trial])
@@ -160,8 +160,10 @@ def test_a_diagnosis_goes_on_from_the_step_error_of_what_was_found_before(
     )
     problem.refine_at(found)
     (first,) = problem.predict([found], np.array([0]))[0]
-    uncorrected = first.position - problem.defect[0].position
-    assert np.abs(problem.defect[0].position).max() > 1e-5, "the step costs nothing to tell"
+    uncorrected = first.position - problem.discretization_error[0].position
+    assert np.abs(problem.discretization_error[0].position).max() > 1e-5, (
+        "the step costs nothing to tell"
+    )
     (tmp_path / "realization").mkdir()
     write_realization(
         tmp_path / "realization", load_model(folder / "model.xml").realization, problem, found
@@ -239,7 +241,7 @@ def test_a_controller_of_the_twin_is_still_scaled_by_a_gain(tmp_path: Path) -> N
         (lambda d: d["effects"][0].update(joint="nose"), "one of joints"),
         (lambda d: d["effects"][0]["values"].update(coulomb=float("nan")), "finite number"),
         (lambda d: d["effects"][0]["values"].update(speed=1.0), "coulomb"),
-        (lambda d: d["effects"][0].update(in_model="yes"), "true or false"),
+        (lambda d: d["effects"][0].update(is_in_mjcf="yes"), "true or false"),
         (lambda d: d.update(effects=7), "a list"),
         (lambda d: d.update(joints=[]), "names of joints"),
     ],

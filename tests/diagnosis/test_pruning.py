@@ -412,11 +412,11 @@ def test_names_at_other_joints_have_replays_of_their_own(tmp_path: Path) -> None
     apart = [*crowd[:3], Term("viscous_friction", 1)]
     once = int(problem.simulator.steps.sum())
     problem.simulator.stepped += 475 * once
-    assert here.spent([])
-    assert here.spent(crowd), "a crowd at one joint counts as three"
-    assert not here.spent(apart)
+    assert here.is_spent([])
+    assert here.is_spent(crowd), "a crowd at one joint counts as three"
+    assert not here.is_spent(apart)
     problem.simulator.stepped += 50 * once
-    assert here.spent(apart)
+    assert here.is_spent(apart)
 
 
 def test_what_moves_the_prediction_most_without_it_comes_first(tmp_path: Path) -> None:

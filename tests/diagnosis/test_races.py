@@ -36,7 +36,7 @@ def test_a_rival_is_fitted_on_where_its_own_step_moves_it(
     def refine_at(self: Problem, hypothesis: Hypothesis) -> None:
         assert hypothesis is rough.hypothesis
         none = np.zeros(shape)
-        self.defect = {first: Predicted(none + by, none, none)}
+        self.discretization_error = {first: Predicted(none + by, none, none)}
 
     none = np.zeros(shape)
     monkeypatch.setattr(problem, "defect", {first: Predicted(none, none, none)})

@@ -23,7 +23,7 @@ def with_efforts(problem: Problem) -> Problem:
     joints = len(problem.joints)
     problem.effort_floor = np.full(joints, 0.01)
     for i, n in enumerate(problem.lengths(problem.fit)):
-        problem.effort_trust[i] = RNG.uniform(0.1, 1.0, (n, joints))
+        problem.effort_weights[i] = RNG.uniform(0.1, 1.0, (n, joints))
     return problem
 
 
@@ -82,7 +82,7 @@ def stamp_by_stamp(linear: Linear, column: Column) -> FloatArray:
         if column.direct is not None:
             read += column.direct[first : first + len(time)]
         first += len(time)
-        read[:, joints:] = problem.trusted(int(s), read[:, joints:])
+        read[:, joints:] = problem.weigh_efforts(int(s), read[:, joints:])
         if i in linear.starts:
             read[:, :joints] = linear.starts[i].freed(read[:, :joints])
         parts.append(read)

@@ -71,12 +71,16 @@ def recorded(folder: Path, friction: float, distance: float) -> Trial:
 def test_dry_friction_that_yields_a_little_is_no_mismatch(tmp_path: Path) -> None:
     problem = prepared(tmp_path, recorded(tmp_path, DRY, 2e-4)).problem
     everywhere = problem.everywhere
-    (as_it_is,), (trusted,) = (f([EMPTY], everywhere) for f in (problem.errors, problem.residuals))
-    floors = [np.sqrt(np.mean((r[:, 0] / problem.floor[0]) ** 2)) for r in (as_it_is, trusted)]
+    (as_it_is,), (weigh_efforts,) = (
+        f([EMPTY], everywhere) for f in (problem.errors, problem.residuals)
+    )
+    floors = [
+        np.sqrt(np.mean((r[:, 0] / problem.floor[0]) ** 2)) for r in (as_it_is, weigh_efforts)
+    ]
     assert floors[0] > 2.0 * VERDICT.at_floor, "or there is nothing to distrust"
     assert floors[1] < VERDICT.at_floor
     assert problem.floor[0] < 3.0 * NOISE, "and not for a floor that would hide anything"
-    weights = np.array(list(problem.trust.values()))[:, 0]
+    weights = np.array(list(problem.position_weights.values()))[:, 0]
     assert np.mean(weights**2) == pytest.approx(1.0)
     (line,) = _half_trusted(problem)
     assert line.startswith(f"joint 'j': {(weights < 0.5 * weights.max()).sum()} of {len(weights)}")
@@ -84,7 +88,7 @@ def test_dry_friction_that_yields_a_little_is_no_mismatch(tmp_path: Path) -> Non
 
 def test_friction_that_the_model_lacks_is_not_excused(tmp_path: Path) -> None:
     problem = prepared(tmp_path, recorded(tmp_path, 0.0, 2e-4)).problem
-    assert problem.trust == {}
+    assert problem.position_weights == {}
     assert _half_trusted(problem) == []
     (left,) = problem.residuals([EMPTY], problem.everywhere)
     assert np.sqrt(np.mean(left[:, 0] ** 2)) > 30.0 * problem.floor[0]

@@ -13,7 +13,7 @@ from two_pendulums import mjcf, record
 from pytest_twin import cli
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.patched.model import read_effects
-from pytest_twin.diagnosis.temperature import coldness_in, coldness_of
+from pytest_twin.diagnosis.temperature import cold_fraction_of_trial, cold_fractions_of
 from pytest_twin.errors import RecordingError, SpecError
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
@@ -101,17 +101,17 @@ def test_a_replay_without_a_temperature_is_refused_with_what_is_known(
 
 
 @pytest.mark.parametrize(
-    ("coldness", "expected"),
+    ("cold_fraction", "expected"),
     [({"cold": "very"}, "a finite number"), ([1.0], "a table"),
      ({"a": 0.5, "b": 0.5}, "temperatures that differ")],
 )  # fmt: skip
 def test_a_list_of_effects_with_other_temperatures_is_refused(
-    folder: Path, tmp_path: Path, coldness: object, expected: str
+    folder: Path, tmp_path: Path, cold_fraction: object, expected: str
 ) -> None:
     listed = json.loads((folder / "out" / "realization" / EFFECTS_FILE).read_text())
     assert listed["coldness"] == {"cold": 1.0, "warm": 0.0}
     path = tmp_path / EFFECTS_FILE
-    path.write_text(json.dumps({**listed, "coldness": coldness}))
+    path.write_text(json.dumps({**listed, "coldness": cold_fraction}))
     with pytest.raises(SpecError, match=expected):
         read_effects(path)
 
@@ -126,7 +126,7 @@ def trial(tmp_path: Path, name: str, temperature: str | None) -> Trial:
 
 
 @pytest.mark.parametrize(
-    ("names", "coldness"),
+    ("names", "cold_fraction"),
     [
         (["20", "-5", "45"], {"-5": 1.0, "20": 0.5, "45": 0.0}),
         (["20 C", "40 °C"], {"20 C": 1.0, "40 °C": 0.0}),
@@ -141,16 +141,18 @@ def trial(tmp_path: Path, name: str, temperature: str | None) -> Trial:
     ],
 )
 def test_temperatures_are_ordered_where_they_can_be(
-    tmp_path: Path, names: list[str | None], coldness: dict[str, float]
+    tmp_path: Path, names: list[str | None], cold_fraction: dict[str, float]
 ) -> None:
     trials = [trial(tmp_path, f"{i}.mcap", name) for i, name in enumerate(names)]
-    assert coldness_of(trials) == pytest.approx(coldness)
+    assert cold_fractions_of(trials) == pytest.approx(cold_fraction)
 
 
 def test_a_temperature_in_between_or_beyond_is_on_the_same_line(tmp_path: Path) -> None:
     known = {"20 C": 1.0, "40 C": 0.0}
     for name, share in (("25 C", 0.75), ("10 C", 1.5), ("60 C", 0.0), ("40 C", 0.0)):
-        assert coldness_in(known, trial(tmp_path, "t.mcap", name)) == pytest.approx(share)
+        assert cold_fraction_of_trial(known, trial(tmp_path, "t.mcap", name)) == pytest.approx(
+            share
+        )
     with pytest.raises(RecordingError, match="like 20 C, 40 C"):
-        coldness_in(known, trial(tmp_path, "t.mcap", "lukewarm"))
-    assert coldness_in({}, trial(tmp_path, "t.mcap", None)) == 1.0
+        cold_fraction_of_trial(known, trial(tmp_path, "t.mcap", "lukewarm"))
+    assert cold_fraction_of_trial({}, trial(tmp_path, "t.mcap", None)) == 1.0

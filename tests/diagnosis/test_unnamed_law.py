@@ -138,13 +138,13 @@ def test_a_function_of_the_state_is_found_over_its_variable(
 ) -> None:
     laws = found(tmp_path, hidden)
     (law,) = laws.laws
-    assert (law.curve.variable.name, law.curve.against_motion) in alike
+    assert (law.curve.variable.name, law.curve.is_friction) in alike
     assert removed(tmp_path, hidden, laws) > 0.9
 
 
 def test_a_spring_with_hysteresis_is_a_force_and_a_friction(tmp_path: Path) -> None:
     laws = found(tmp_path, rubber)
-    assert {law.curve.against_motion for law in laws.laws} == {False, True}
+    assert {law.curve.is_friction for law in laws.laws} == {False, True}
     assert removed(tmp_path, rubber, laws) > 0.9
 
 
@@ -230,7 +230,7 @@ def test_a_law_is_tested_written_read_and_replayed(tmp_path: Path) -> None:
     folder.mkdir()
     write_realization(folder, realization, fitted.problem, tested.hypothesis)
     patched = read_effects(folder / "effects.json")
-    (written,) = patched.beside
+    (written,) = patched.outside_mjcf
     assert UnnamedLaw().variable(written.values).name == "position"
     table = json.loads((folder / "effects.json").read_text())["effects"][0]["table"]
     assert table["outside"] == "no force"
@@ -245,7 +245,7 @@ def test_a_replay_beyond_the_range_of_a_table_says_so(tmp_path: Path) -> None:
     record(tmp_path, magnet, seconds=0.1, count=1)
     law = UnnamedLaw()
     values = law.parameters_of(POSITION, (0.0, 1.0), (0.0, 1.0), np.ones(KNOTS))
-    patched = Patched((JOINT,), (AppliedEffect(law.id, JOINT, values, in_model=False),))
+    patched = Patched((JOINT,), (AppliedEffect(law.id, JOINT, values, is_in_mjcf=False),))
     time = np.arange(0.0, 2.0, 0.1)
     inside, beyond = np.full((20, 1), 0.5), np.linspace(0.05, 2.0, 20)[:, None]
     realization = load(tmp_path / "model.xml")

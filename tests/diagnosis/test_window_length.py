@@ -69,7 +69,7 @@ def given_up(folder: Path, load: float) -> tuple[ModelSetup, SearchResult]:
 def test_a_load_that_turns_the_arm_over_is_found_from_shorter_windows(tmp_path: Path) -> None:
     given, found = given_up(tmp_path, load=1.2)
     assert found.verdict == "unexplained"
-    assert found.leaves_recordings
+    assert found.has_left_recordings
     run = Run()
     better = search_shorter_windows(found, given, run)
     assert better.verdict == "explained"
@@ -84,7 +84,7 @@ def test_a_load_that_turns_the_arm_over_is_found_from_shorter_windows(tmp_path: 
 def test_what_stays_near_is_searched_in_the_usual_windows_alone(tmp_path: Path) -> None:
     _, found = given_up(tmp_path, load=0.02)
     assert found.verdict == "unexplained"
-    assert not found.leaves_recordings
+    assert not found.has_left_recordings
 
 
 def test_near_is_a_share_of_how_far_a_joint_moves(tmp_path: Path) -> None:

@@ -126,8 +126,8 @@ def test_windows_start_from_what_was_measured_and_are_free_to_shift(tmp_path: Pa
     realization, trials = hunting(tmp_path)
     whole = prepare(realization, trials.fit, trials.held_out, threads=1).problem
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW).problem
-    assert [s.amid for s in whole.simulator.segments] == [False] * 3
-    assert all(s.amid for s in cut.simulator.segments)
+    assert [s.starts_in_motion for s in whole.simulator.segments] == [False] * 3
+    assert all(s.starts_in_motion for s in cut.simulator.segments)
     assert len(cut.simulator.segments) == pytest.approx(3 * 4.0 / WINDOW, abs=3)
     assert {free_shifts(s) for s in whole.simulator.segments} == {0}
     assert {free_shifts(s) for s in cut.simulator.segments} == {2}

@@ -36,7 +36,7 @@ def model() -> mujoco.MjModel:
     )
 
 
-def segment(coldness: float) -> Segment:
+def segment(cold_fraction: float) -> Segment:
     time = STEP * np.arange(SAMPLES, dtype=np.float64)
     command = np.stack(
         [0.4 * np.sin(9.0 * time), -0.03 + 0.02 * np.cos(14.0 * time), np.sin(20.0 * time)], axis=1
@@ -44,7 +44,7 @@ def segment(coldness: float) -> Segment:
     return Segment(
         trial=0, model=model(), mode="velocity", modes=("position", "position", "velocity"),
         start=0.0, time=time, position=np.zeros((SAMPLES, 3)), velocity=None, effort=None,
-        command_time=time[::10], command=command[::10], coldness=coldness,
+        command_time=time[::10], command=command[::10], cold_fraction=cold_fraction,
         initial_position=np.zeros(3), initial_velocity=np.zeros(3),
     )  # fmt: skip
 
@@ -61,7 +61,7 @@ def beside(effect: Effect | None, shape: float = 0.0, trial: int = 0) -> list[Pr
         trial: 0 for the coldest, 1 for the warmest.
         shape: which of the starting values the parameters have that only shape the effect.
     """
-    plain = SIMULATOR.followed(np.array([trial]), {})[2]
+    plain = SIMULATOR.trajectories_with_readings(np.array([trial]), {})[2]
     if effect is None:
         return plain
     rows: dict[str, np.ndarray] = {}
@@ -69,7 +69,7 @@ def beside(effect: Effect | None, shape: float = 0.0, trial: int = 0) -> list[Pr
         start = p.starts[round(shape * (len(p.starts) - 1))]
         neutral = start if p.neutral is None else p.neutral
         rows[p.name] = np.array([[start] * 3, [neutral] * 3])
-    return plain + SIMULATOR.followed(np.full(2, trial), {effect.id: rows})[2]
+    return plain + SIMULATOR.trajectories_with_readings(np.full(2, trial), {effect.id: rows})[2]
 
 
 def apart(a: Predicted, b: Predicted) -> float:

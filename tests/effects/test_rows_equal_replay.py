@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
 from pytest_twin.diagnosis.patched.replay import fixed_values
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects.batch_simulator import BatchSimulator
@@ -201,7 +201,7 @@ def test_actuators_that_remember_start_as_in_a_replay(tmp_path: Path, drives: st
     assert np.abs(found.position - replayed).max() < 1e-9
     # A line of so many steps is too short for finer ones: it is stepped as an effect.
     stepped = segments_of(without_delays(realization), trial, 0, joints)
-    fixed = fixed_values(stepped_beside(realization, None), joints, 1)
+    fixed = fixed_values(effects_outside_mjcf(realization, None), joints, 1)
     coarse, fine = (
         BatchSimulator(stepped, joints, threads=1, refine=refine, fixed=fixed)
         .simulate(np.array([0]), {})[0]

@@ -13,13 +13,13 @@ from pytest_twin.effects.segment import Segment
 STEP, STEPS = 0.01, 100
 
 
-def segment(start: float, time: np.ndarray, *, amid: bool = False) -> Segment:
+def segment(start: float, time: np.ndarray, *, starts_in_motion: bool = False) -> Segment:
     none = np.zeros((len(time), 1))
     return Segment(
         trial=0, model=mujoco.MjModel.from_xml_string("<mujoco/>"), mode="effort", start=start,
         time=time, position=none, velocity=None, effort=None, command_time=time, command=none,
         initial_position=np.zeros(1), initial_velocity=np.zeros(1),
-        history=(time, none, none) if amid else None,
+        history=(time, none, none) if starts_in_motion else None,
     )  # fmt: skip
 
 
@@ -44,5 +44,5 @@ def test_a_cubic_motion_is_read_without_error() -> None:
 def test_only_windows_start_behind_their_stamp() -> None:
     time = 1.0 + STEP * np.arange(5)
     late = [(catalogue()["sensor_delay"], {"delay": np.full((2, 1), 0.03)})]
-    found = behind([segment(1.0, time), segment(1.0, time, amid=True)], late, 1)
+    found = behind([segment(1.0, time), segment(1.0, time, starts_in_motion=True)], late, 1)
     assert found[:, 0] == pytest.approx([0.0, 0.03])

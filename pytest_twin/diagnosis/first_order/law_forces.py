@@ -33,7 +33,7 @@ _BLOCK = 64
 """Number of steps that are evaluated together, so that they fit into a core's cache."""
 _PER_ROW = (
     "gain", "stiffness", "damping", "offset", "lower", "upper", "friction_level",
-    "motor_armature", "motor_damping", "link_inertia", "coldness", "least_setpoint",
+    "motor_armature", "motor_damping", "link_inertia", "cold_fraction", "least_setpoint",
     "greatest_setpoint",
 )  # fmt: skip
 _AT_ONCE, _SAMPLES, _STEPS = 0, 1, 2

@@ -88,7 +88,7 @@ def measured_trajectory(
     """
     simulator = problem.simulator
     joints = len(problem.joints)
-    q, v, predictions = problem.followed(hypothesis, segments)
+    q, v, predictions = problem.trajectories_with_readings(hypothesis, segments)
     steps = max(1, int(_GRID / simulator.timestep + 1e-9))
     q, v = q[:, ::steps], v[:, ::steps]
     samples = q.shape[1]

@@ -155,7 +155,7 @@ def slopes(
 def changes_bodies(effect: Effect, values: Values, joints: int) -> bool:
     """Whether an effect changes masses or gravity."""
     changed, tilted = _fields([(effect, values)], len(next(iter(values.values()))), joints)
-    return tilted or changed.changes_links
+    return tilted or changed.has_changed_links
 
 
 def tilts(effect: Effect, values: Values, joints: int) -> bool:

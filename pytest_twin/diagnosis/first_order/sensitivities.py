@@ -302,7 +302,7 @@ class Linear:
             n = len(segment.time)
             if i in self.starts:
                 error = self.starts[i].freed(segment.position - self.along.reading[i])
-                out[at : at + n, :joints] = error * self.problem.trust.get(int(s), 1.0)
+                out[at : at + n, :joints] = error * self.problem.position_weights.get(int(s), 1.0)
             at += n
         return self.bins.mean(out)
 

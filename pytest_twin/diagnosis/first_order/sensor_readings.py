@@ -76,19 +76,19 @@ class SensorReadings:
         self._mean = _means(bins, int(self._stamps[-1]))
         at = sparse.block_diag(self._at, format="csr")
         self._position = self._in_turn(self._mean @ at)
-        self._position_trust: FloatArray | None = None
-        if problem.trust:
-            self._position_trust = problem.trust_of(along.segments, bins.lengths)
-        self._trust: FloatArray | None = None
+        self._position_weights: FloatArray | None = None
+        if problem.position_weights:
+            self._position_weights = problem.position_weights_of(along.segments, bins.lengths)
+        self._effort_weights: FloatArray | None = None
         self._efforts = [self._position] * self.joints
-        if problem.effort_floor is not None and problem.effort_trust:
-            ones = [np.ones((n, self.joints)) for n in lengths]
-            self._trust = np.concatenate([
-                problem.trusted(int(s), one) for s, one in zip(along.segments, ones, strict=True)
-            ])  # fmt: skip
+        if problem.effort_floor is not None and problem.effort_weights:
+            pairs = zip(along.segments, lengths, strict=True)
+            self._effort_weights = np.concatenate(
+                [problem.weigh_efforts(int(s), np.ones((n, self.joints))) for s, n in pairs]
+            )
             self._efforts = [
-                self._in_turn(self._mean @ sparse.diags_array(trust) @ at)
-                for trust in self._trust.T
+                self._in_turn(self._mean @ sparse.diags_array(weights) @ at)
+                for weights in self._effort_weights.T
             ]
         self._stiffness, self._damping = (
             np.ascontiguousarray(x.swapaxes(0, 1))[..., None]
@@ -158,8 +158,8 @@ class SensorReadings:
             if c.direct is not None:
                 binned[:, :, k] += means[id(c.direct)]
         self._subtract_free_starts(binned, columns, moved)
-        if self._position_trust is not None:
-            binned[:, :joints] *= self._position_trust[..., None]
+        if self._position_weights is not None:
+            binned[:, :joints] *= self._position_weights[..., None]
         out = binned.astype(np.float32)
         return [np.asarray(out[:, :, k]) for k in range(count)]
 
@@ -236,9 +236,9 @@ class SensorReadings:
 
     def _read_off(self, direct: FloatArray) -> FloatArray:
         """(bins, signals) means of (stamps, signals) readings, with weighted efforts."""
-        if self._trust is not None:
-            trusted = direct[:, self.joints :] * self._trust
-            direct = np.concatenate([direct[:, : self.joints], trusted], axis=1)
+        if self._effort_weights is not None:
+            weigh_efforts = direct[:, self.joints :] * self._effort_weights
+            direct = np.concatenate([direct[:, : self.joints], weigh_efforts], axis=1)
         return np.asarray(self._mean @ direct)
 
 

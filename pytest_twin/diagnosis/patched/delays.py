@@ -14,7 +14,9 @@ from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
 from pytest_twin.realization.mjcf import compiled
 
 
-def stepped_beside(realization: Realization, patched: Patched | None) -> tuple[AppliedEffect, ...]:
+def effects_outside_mjcf(
+    realization: Realization, patched: Patched | None
+) -> tuple[AppliedEffect, ...]:
     """Effects that the simulator applies: those that are not in the MJCF, and its delay lines."""
     model = realization.model
     late: dict[str, float] = {}
@@ -24,14 +26,14 @@ def stepped_beside(realization: Realization, patched: Patched | None) -> tuple[A
             joint = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
             late[joint] = max(delay, late.get(joint, 0.0))
     lines = (
-        AppliedEffect(CommandDelay.id, joint, {"delay": delay}, in_model=True)
+        AppliedEffect(CommandDelay.id, joint, {"delay": delay}, is_in_mjcf=True)
         for joint, delay in late.items()
     )
-    return (*(() if patched is None else patched.beside), *lines)
+    return (*(() if patched is None else patched.outside_mjcf), *lines)
 
 
 def without_delays(realization: Realization) -> Realization:
-    """The realization without the delay lines of :func:`stepped_beside`."""
+    """The realization without the delay lines of :func:`effects_outside_mjcf`."""
     model = realization.model
     if not (model.actuator_delay > 0.0).any():
         return realization

@@ -15,7 +15,7 @@ from pytest_twin.replay import replay
 from pytest_twin.trial import Trial
 
 
-def responses_beside(realization: Realization, trials: Sequence[Trial]) -> list[dict[str, Any]]:
+def frequency_responses(realization: Realization, trials: Sequence[Trial]) -> list[dict[str, Any]]:
     """Every joint's responses in the recording that supports the most frequencies, in Hz, dB, rad.
 
     Args:

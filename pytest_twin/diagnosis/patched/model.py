@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.diagnosis.temperature import Coldness
+from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.unnamed_law import TABLES
 from pytest_twin.errors import SpecError
@@ -29,14 +29,14 @@ class AppliedEffect:
     Attributes:
         effect, joint: id and joint name; joint None for an effect of the whole robot.
         values: parameter -> SI value, as the equation takes it.
-        in_model: whether the MJCF contains it.
+        is_in_mjcf: whether the MJCF contains it.
         written: the changed elements of the MJCF; empty if it is not in there.
     """
 
     effect: str
     joint: str | None
     values: Mapping[str, float]
-    in_model: bool
+    is_in_mjcf: bool
     written: str = ""
 
 
@@ -47,22 +47,22 @@ class Patched:
     Attributes:
         joints: names in the order of the columns of parameters.
         effects: all effects, including those in the MJCF.
-        coldness: temperature -> normalized coldness, where an effect depends on it.
-        creeps: whether dry friction creeps, as with MuJoCo's default constraint.
+        cold_fractions: temperature -> cold fraction, where an effect depends on it.
+        has_friction_creep: whether dry friction creeps, as with MuJoCo's default constraint.
         substeps: substeps per step of the model in the simulation that made the recordings, whose
             integration error predictions keep; 0 for recordings of a robot.
     """
 
     joints: tuple[str, ...]
     effects: tuple[AppliedEffect, ...] = field(default=())
-    coldness: Coldness = field(default_factory=dict)
-    creeps: bool = False
+    cold_fractions: ColdFractions = field(default_factory=dict)
+    has_friction_creep: bool = False
     substeps: int = 0
 
     @property
-    def beside(self) -> tuple[AppliedEffect, ...]:
+    def outside_mjcf(self) -> tuple[AppliedEffect, ...]:
         """Effects that are not in the MJCF."""
-        return tuple(e for e in self.effects if not e.in_model)
+        return tuple(e for e in self.effects if not e.is_in_mjcf)
 
 
 def patched_of(realization: Realization) -> Patched | None:
@@ -81,15 +81,15 @@ def effects_json(patched: Patched) -> dict[str, Any]:
     return {
         "schema": 1,
         "joints": list(patched.joints),
-        **({"coldness": dict(patched.coldness)} if patched.coldness else {}),
-        **({"dry_friction": _CREEPS} if patched.creeps else {}),
+        **({"coldness": dict(patched.cold_fractions)} if patched.cold_fractions else {}),
+        **({"dry_friction": _CREEPS} if patched.has_friction_creep else {}),
         **({"simulated_in_substeps": patched.substeps} if patched.substeps else {}),
         "effects": [
             {
                 "effect": e.effect,
                 "joint": e.joint,
                 **_parameters_json(e),
-                "in_model": e.in_model,
+                "in_model": e.is_in_mjcf,
                 **({"written": e.written} if e.written else {}),
                 "law": laws[e.effect].law,
             }
@@ -135,11 +135,19 @@ def read_effects(path: Path) -> Patched:
         "joints",
         "names of joints",
     )
-    coldness = data.get("coldness", {})
-    need(isinstance(coldness, dict) and len(coldness) <= _MAX_EFFECTS, "coldness", "a table")
-    for temperature, value in coldness.items():
+    cold_fractions = data.get("coldness", {})
+    need(
+        isinstance(cold_fractions, dict) and len(cold_fractions) <= _MAX_EFFECTS,
+        "coldness",
+        "a table",
+    )
+    for temperature, value in cold_fractions.items():
         need(_finite(value), f"coldness.{temperature}", "a finite number", value)
-    need(not coldness or len(set(coldness.values())) > 1, "coldness", "temperatures that differ")
+    need(
+        not cold_fractions or len(set(cold_fractions.values())) > 1,
+        "coldness",
+        "temperatures that differ",
+    )
     dry = data.get("dry_friction")
     need(dry in (None, _CREEPS), "dry_friction", _CREEPS, dry)
     substeps = data.get("simulated_in_substeps", 0)
@@ -182,9 +190,12 @@ def read_effects(path: Path) -> Patched:
             AppliedEffect(name, joint, {k: float(v) for k, v in values.items()}, item["in_model"])
         )
     return Patched(
-        tuple(joints), tuple(found), {k: float(v) for k, v in coldness.items()}, dry is not None,
+        tuple(joints),
+        tuple(found),
+        {k: float(v) for k, v in cold_fractions.items()},
+        dry is not None,
         substeps,
-    )  # fmt: skip
+    )
 
 
 def _finite(value: object) -> bool:

@@ -50,28 +50,28 @@ class NativeWriter:
     def take(self, term: Term, values: Mapping[str, float]) -> list[AppliedEffect]:
         """Write an effect into the MJCF; a second entry holds what MJCF cannot express."""
         joint = None if term.joint < 0 else self.problem.joints[term.joint]
-        beside = AppliedEffect(term.effect, joint, dict(values), in_model=False)
+        outside_mjcf = AppliedEffect(term.effect, joint, dict(values), is_in_mjcf=False)
         write = _NATIVE.get(term.effect)
         if write is None:
-            return [beside]
+            return [outside_mjcf]
         before = self.spec.copy()
         try:
             written = write(self, term.joint, dict(values))
             if written is None:
                 self.spec = before
-                return [beside]
+                return [outside_mjcf]
             text, rest = written
             self.model = compiled(self.spec)[0]
         except (TwinError, ValueError, RuntimeError, mujoco.FatalError):
             # MJCF rejects the value, a negative damping for example.
             self.spec = before
             self.model = compiled(self.spec)[0]
-            return [beside]
+            return [outside_mjcf]
         inside = {k: v for k, v in values.items() if k not in rest}
-        out = [AppliedEffect(term.effect, joint, inside, in_model=True, written=text)]
+        out = [AppliedEffect(term.effect, joint, inside, is_in_mjcf=True, written=text)]
         if rest:
             neutral = {p.name: p.neutral or 0.0 for p in term.parameters}
-            out.append(AppliedEffect(term.effect, joint, {**neutral, **rest}, in_model=False))
+            out.append(AppliedEffect(term.effect, joint, {**neutral, **rest}, is_in_mjcf=False))
         return out
 
     def settle(self) -> None:

@@ -25,7 +25,7 @@ def outside_in_words(
     """
     slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
     said = []
-    for effect in patched.beside:
+    for effect in patched.outside_mjcf:
         if effect.effect not in TABLES or effect.joint is None:
             continue
         variable = TABLES[effect.effect].variable(effect.values)

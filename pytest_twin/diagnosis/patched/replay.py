@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.delays import stepped_beside, without_delays
+from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.patched.ranges import outside_in_words
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
-from pytest_twin.diagnosis.temperature import coldness_in
+from pytest_twin.diagnosis.temperature import cold_fraction_of_trial
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.active_effects import EffectValues
@@ -71,8 +71,8 @@ def replay_patched(
             they depend on.
         SimulationError: a simulation diverged.
     """
-    stepped, beside = without_delays(realization), stepped_beside(realization, patched)
-    values = fixed_values(beside, patched.joints, 1)
+    stepped, outside_mjcf = without_delays(realization), effects_outside_mjcf(realization, patched)
+    values = fixed_values(outside_mjcf, patched.joints, 1)
     out = []
     for trial in trials:
         missing = [j for j in patched.joints if j not in trial.joints]
@@ -83,8 +83,10 @@ def replay_patched(
                 value=", ".join(missing),
                 expected=", ".join(patched.joints),
             )
-        cold = coldness_in(patched.coldness, trial)
-        segment = whole_segment(stepped, trial, patched.joints, cold, creeps=patched.creeps)
+        cold = cold_fraction_of_trial(patched.cold_fractions, trial)
+        segment = whole_segment(
+            stepped, trial, patched.joints, cold, has_friction_creep=patched.has_friction_creep
+        )
         predicted = _predict(segment, patched, values, threads)
         if not np.isfinite(predicted.position).all():
             raise SimulationError(
@@ -121,7 +123,7 @@ def replay_whole(
         error=None,
         notes=(
             *plain.notes,
-            *beside_in_words(patched),
+            *describe_effects_outside_mjcf(patched),
             *outside_in_words(realization, patched, trial.time, predicted),
         ),
     )
@@ -133,11 +135,11 @@ def _with_columns(table: FloatArray, columns: list[int], values: FloatArray) -> 
     return changed
 
 
-def beside_in_words(patched: Patched) -> tuple[str, ...]:
+def describe_effects_outside_mjcf(patched: Patched) -> tuple[str, ...]:
     """A line that names the effects that MJCF cannot hold; empty without any."""
-    named = (e.effect + ("" if e.joint is None else f" of {e.joint}") for e in patched.beside)
+    named = (e.effect + ("" if e.joint is None else f" of {e.joint}") for e in patched.outside_mjcf)
     text = ", ".join(named)
-    return (f"effects applied beside the MJCF: {text}",) if text else ()
+    return (f"effects applied in addition to the MJCF: {text}",) if text else ()
 
 
 def _predict(segment: Segment, patched: Patched, values: EffectValues, threads: int) -> Predicted:
@@ -178,12 +180,19 @@ def whole_segment(
     realization: Realization,
     trial: Trial,
     joints: Sequence[str],
-    coldness: float,
+    cold_fraction: float,
     *,
-    creeps: bool = False,
+    has_friction_creep: bool = False,
 ) -> Segment:
     """One segment from the first state of a trial to its last."""
-    parts = segments_of(realization, trial, 0, joints, coldness=coldness, creeps=creeps)
+    parts = segments_of(
+        realization,
+        trial,
+        0,
+        joints,
+        cold_fraction=cold_fraction,
+        has_friction_creep=has_friction_creep,
+    )
     if len(parts) == 1:
         return parts[0]
     kept = [np.concatenate([[True], np.diff(p.time) > 0]) for p in parts]

@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.patched.model import MODEL_FILE, Patched, effects_json
 from pytest_twin.diagnosis.patched.native import NativeWriter
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.temperature import Coldness
+from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects import catalogue
 from pytest_twin.formats import atomic
 from pytest_twin.realization import Realization, load
@@ -30,13 +30,13 @@ class Recorded:
     """What recordings say of how they are simulated.
 
     Attributes:
-        coldness: temperature -> normalized coldness of the trials.
+        cold_fractions: temperature -> cold fraction of the trials.
         substeps: as :class:`Patched` has it.
         between: what commands do between stamps where a recording does not say it; None where that
             is not known.
     """
 
-    coldness: Coldness = field(default_factory=dict)
+    cold_fractions: ColdFractions = field(default_factory=dict)
     substeps: int = 0
     between: CommandBetween | None = None
 
@@ -79,8 +79,8 @@ def write_realization(
     patched = Patched(
         problem.joints,
         tuple(effects),
-        recorded.coldness if asked else {},
-        problem.simulator.segments[0].creeps,
+        recorded.cold_fractions if asked else {},
+        problem.simulator.segments[0].has_friction_creep,
         recorded.substeps,
     )
     writer.settle()
@@ -106,8 +106,8 @@ def load_written(folder: Path) -> Realization:
     Raises:
         TwinError: it cannot be loaded.
     """
-    beside = folder / FILE_NAME
-    return load(folder / MODEL_FILE, twin=load_twin(beside) if beside.is_file() else None)
+    twin_file = folder / FILE_NAME
+    return load(folder / MODEL_FILE, twin=load_twin(twin_file) if twin_file.is_file() else None)
 
 
 def twin_text(twin: Twin, between: CommandBetween | None) -> str:

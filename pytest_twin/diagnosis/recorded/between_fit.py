@@ -124,10 +124,13 @@ def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> J
     """The fit as it is for a robot, or to first order with the integration error of a simulation's
     step left in, whichever leaves less.
     """
-    defect = space.problem.defect
-    if any(int(s) not in defect for s in group) or not np.isfinite(fit.residual).all():
+    discretization_error = space.problem.discretization_error
+    if (
+        any(int(s) not in discretization_error for s in group)
+        or not np.isfinite(fit.residual).all()
+    ):
         return fit
-    error = np.concatenate([defect[int(s)].position for s in group])
+    error = np.concatenate([discretization_error[int(s)].position for s in group])
     best, least = fit, level(fit.residual, space.noise) - _CLEARLY
     for substeps in SUBSTEPS:
         residual = fit.residual + error / substeps
@@ -157,4 +160,4 @@ def _left(fit: JointFit, space: Parameters, lengths: Sequence[int], owner: Seque
             steps[r] = space.step(fit.theta, residual[others], fit.slopes[others])
         residual = without_own_recording(residual, steps, fit.slopes, rows)
     nominal = np.sqrt(np.mean(fit.nominal**2, axis=0))
-    return Left(residual, nominal, fit.converged, fit.theta[DELAY])
+    return Left(residual, nominal, fit.has_converged, fit.theta[DELAY])

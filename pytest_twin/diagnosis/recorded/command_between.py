@@ -46,13 +46,13 @@ class Left:
     Attributes:
         residual: (samples, joints) rad or m, parameters fitted to the other recordings.
         nominal: (joints,) RMS with the model's own parameters.
-        converged: whether the fit ended.
+        has_converged: whether the fit ended.
         delay: (joints,) s, fitted delay of the commands.
     """
 
     residual: FloatArray
     nominal: FloatArray
-    converged: bool
+    has_converged: bool
     delay: FloatArray
 
 
@@ -172,7 +172,7 @@ def _ruled_out(best: Left, other: Left, ratio: FloatArray, noise: FloatArray, la
     joint = int(np.argmin(share))
     near = bool(np.sqrt(square[0][joint]) <= _NEAR * noise[joint])
     halfway = later > 0.0 and best.delay[joint] > 0.5 * later
-    most = _SHARE if near and other.converged and not halfway else _FAR_LESS
+    most = _SHARE if near and other.has_converged and not halfway else _FAR_LESS
     return bool(ratio.sum() >= _NATS and (ratio > 0.0).all() and share[joint] <= most)
 
 

@@ -63,7 +63,7 @@ class JointFit:
         slopes: (samples, parameters, joints) of the prediction per parameter, each joint by itself.
         theta: (parameters, joints) in the parameters' scales, in the order of :data:`PRIORS`.
         log_posterior: of all joints.
-        converged: whether another step would gain nothing.
+        has_converged: whether another step would gain nothing.
     """
 
     residual: FloatArray
@@ -71,7 +71,7 @@ class JointFit:
     slopes: FloatArray
     theta: FloatArray
     log_posterior: float
-    converged: bool
+    has_converged: bool
 
 
 @dataclass(slots=True)
@@ -79,7 +79,7 @@ class _State:
     theta: FloatArray
     residual: FloatArray
     score: float
-    converged: bool = False
+    has_converged: bool = False
 
 
 def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
@@ -118,11 +118,11 @@ def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
         for i, state in enumerate(states):
             mine = [f for f, (at, _) in zip(found, tried, strict=True) if at == i]
             better = max(mine, key=lambda f: f.score)
-            better.converged = better.score < state.score + _GAIN * space.shape[1]
-            state.converged = True
+            better.has_converged = better.score < state.score + _GAIN * space.shape[1]
+            state.has_converged = True
             states[i] = better if better.score > state.score else state
     return [
-        JointFit(s.residual, before, slopes, s.theta, s.score, s.converged)
+        JointFit(s.residual, before, slopes, s.theta, s.score, s.has_converged)
         for s, before in zip(states, nominal, strict=True)
     ]
 
@@ -134,7 +134,7 @@ def _settled(states: Sequence[_State], noise: FloatArray) -> bool:
     levels = [np.sqrt(np.mean(s.residual**2, axis=0)) / noise for s in states]
     fits = [bool((level <= _AT_NOISE).all()) for level in levels]
     far = [any(fits) and bool((level >= _FAR).any()) for level in levels]
-    return all(s.converged or f or o for s, f, o in zip(states, fits, far, strict=True))
+    return all(s.has_converged or f or o for s, f, o in zip(states, fits, far, strict=True))
 
 
 class Parameters:
@@ -211,11 +211,11 @@ class Parameters:
         values = effect_values(each, len(problem.joints), problem.scales)
         parts = []
         for row, p in zip(rows, problem.simulator.simulate(rows, values), strict=True):
-            error, start = problem.defect.get(int(row)), problem.starts.get(int(row))
+            error, start = problem.discretization_error.get(int(row)), problem.starts.get(int(row))
             read = p if error is None else corrected(p, error)
             off = problem.simulator.segments[row].position - read.position
             off = off if start is None else start.freed(off)
-            parts.append(off * problem.trust.get(int(row), 1.0))
+            parts.append(off * problem.position_weights.get(int(row), 1.0))
         ends = np.cumsum([0, *(len(self.groups[i]) for i, _ in tried)])
         return [np.concatenate(parts[a:b]) for a, b in itertools.pairwise(ends)]
 

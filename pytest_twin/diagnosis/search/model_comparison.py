@@ -195,9 +195,9 @@ class ModelComparison:
         """A rival with the simulator's step corrected for itself, fitted on where that moves it: a
         elastic transmission has a larger integration error than its alternatives.
         """
-        before = self.problem.defect
+        before = self.problem.discretization_error
         self.problem.refine_at(rival.hypothesis)
-        moved = self._apart(before, self.problem.defect) > COMPARISON.moved
+        moved = self._apart(before, self.problem.discretization_error) > COMPARISON.moved
         return self.rivals([rival.hypothesis], weights, QUICK if moved else 0)[0]
 
     def _apart(self, one: Mapping[int, Predicted], other: Mapping[int, Predicted]) -> float:
@@ -229,7 +229,7 @@ class ModelComparison:
             rival = settled
         return rival
 
-    def spent(self, found: Sequence[Term]) -> bool:
+    def is_spent(self, found: Sequence[Term]) -> bool:
         """Whether as much was simulated as a search that found these may take, or as all searches
         of the diagnosis may.
         """
@@ -238,4 +238,4 @@ class ModelComparison:
             min(n, COMPARISON.effects_counted) for n in Counter(t.joint for t in found).values()
         )
         most = COMPARISON.simulations + COMPARISON.simulations_per_effect * names
-        return self.run.budget.spent or self.problem.stepped - self.since > most * once
+        return self.run.budget.is_spent or self.problem.stepped - self.since > most * once

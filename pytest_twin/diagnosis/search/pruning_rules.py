@@ -115,7 +115,7 @@ def negative_mean_friction(tested: RefitComparison) -> Rejections:
     A brake that acts at one position is in no catalogue, and resembles such a law cut off at zero.
     """
     problem, hypothesis = tested.problem, tested.fitted.hypothesis
-    joints = {t.joint for t in tested.terms if problem.less_than_none(hypothesis, t)}
+    joints = {t.joint for t in tested.terms if problem.has_negative_mean_friction(hypothesis, t)}
     return {
         k: f"rejected: {tested.label(k)}, the closest known effect: the mean dry friction of the "
         "joint would be negative. The friction probably acts at one position only"
@@ -276,7 +276,7 @@ def alternatives_more_likely(tested: RefitComparison) -> Rejections:
 def at_bound_or_in_doubt(tested: RefitComparison) -> Rejections:
     """Reject effects at unexplained joints that are at a bound, in doubt, or less likely."""
     problem, hypothesis = tested.problem, tested.fitted.hypothesis
-    explained = [error.explained for error in tested.errors]
+    explained = [error.is_explained for error in tested.errors]
     gone = {}
     for k, t in enumerate(tested.terms):
         if all(explained) if t.joint < 0 else explained[t.joint]:
@@ -305,7 +305,7 @@ def wrong_position_dependence(tested: RefitComparison) -> Rejections:
         if t.joint < 0 or not t.law.depends_only_on_position:
             continue
         error = tested.errors[t.joint]
-        if error.explained or error.fraction <= VERDICT.left:
+        if error.is_explained or error.fraction <= VERDICT.left:
             continue
         share, of_velocity = _explained_by_position_and_velocity(
             tested.problem, tested.fitted.hypothesis, t.joint

@@ -302,7 +302,7 @@ class StepwiseSelection:
         return [
             t for t in hypothesis.terms
             if t in excluded
-            or problem.less_than_none(hypothesis, t)
+            or problem.has_negative_mean_friction(hypothesis, t)
             or (
                 hypothesis.at_bound(t)
                 and (left.max() if t.joint < 0 else left[t.joint]) > VERDICT.left_floors
@@ -310,7 +310,7 @@ class StepwiseSelection:
         ]  # fmt: skip
 
     def _spent(self, best: ScoredModel) -> bool:
-        return self.comparison.spent((*best.hypothesis.terms, *self.regrown))
+        return self.comparison.is_spent((*best.hypothesis.terms, *self.regrown))
 
     def _forward(self, best: ScoredModel) -> ScoredModel | None:
         """A better fit with more terms, if there is one.
@@ -682,7 +682,7 @@ class StepwiseSelection:
                 self.comparison.judge([bare], best)
                 evidence[x.gone, None] = bare.evidence
         for (x, r), (_, e) in zip(simulated, borne, strict=True):
-            alike = len(x.gone) == 1 and not x.has_it and not x.comes_to
+            alike = len(x.gone) == 1 and not x.is_generalization and not x.is_special_case
             if not alike or abs(e) >= SELECTION.even:
                 continue
             less = compare_below_floor(r, best, self.problem.signal_floor)
@@ -695,7 +695,7 @@ class StepwiseSelection:
         friction decides in each how a joint leaves a turn.
         """
         problem = self.problem
-        if not problem.trust:
+        if not problem.position_weights:
             return rival.evidence
         mine, others = (np.concatenate([r.fitted.residual, r.held_residual]) for r in (rival, best))
         lengths = [*problem.lengths(problem.fit), *problem.lengths(problem.held_out)]

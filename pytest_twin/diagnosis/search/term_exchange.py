@@ -55,13 +55,13 @@ class TermExchange:
     doubtful: bool
 
     @property
-    def has_it(self) -> bool:
+    def is_generalization(self) -> bool:
         """Whether what is new has the one that is gone in it."""
         (one, *more), new = self.gone, self.new
         return new is not None and not more and one.effect in new.law.generalizes
 
     @property
-    def comes_to(self) -> bool:
+    def is_special_case(self) -> bool:
         """Whether what is new is a special case of the one that is gone."""
         (one, *more), new = self.gone, self.new
         return new is not None and not more and new.effect in one.law.generalizes
@@ -252,9 +252,9 @@ def _by_chance(
     if exchange.new is None:
         return 0.0
     # What a simulator does otherwise shows in all recordings; no fit follows what it has not seen.
-    if exchange.has_it:
+    if exchange.is_generalization:
         return EXCHANGE.general_ahead * lost * unseen
-    if exchange.comes_to:
+    if exchange.is_special_case:
         return -EXCHANGE.special_behind * lost * unseen
     more = exchange.hypothesis.free - own.free
     if more < 0 and len(exchange.gone) > 1:

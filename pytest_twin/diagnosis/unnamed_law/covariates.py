@@ -11,7 +11,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.first_order.sensor_readings import Column
 from pytest_twin.effects.unnamed_law import (
-    COLDNESS,
+    COLD_FRACTION,
     COMMAND,
     KNOTS,
     LOAD,
@@ -63,9 +63,9 @@ class Covariate:
     valid: tuple[float, float]
 
     @property
-    def against_motion(self) -> bool:
+    def is_friction(self) -> bool:
         """Whether it is a level of dry friction."""
-        return TABLES[self.effect].against_motion
+        return TABLES[self.effect].is_friction
 
     @property
     def knots(self) -> FloatArray:
@@ -106,7 +106,7 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
     inside = along.time <= np.array([s.time[-1] for s in segments])[:, None]
     position, velocity = along.position[..., joint], along.velocity[..., joint]
     still = STILL * float(linear.problem.scales.of["velocity"][joint])
-    cold = np.array([s.coldness for s in segments])
+    cold = np.array([s.cold_fraction for s in segments])
     against = -np.tanh(velocity / along.slip_velocity[joint])
     force, friction = np.ones_like(position), UnnamedFriction.id
     found = [
@@ -126,7 +126,7 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
         found.append((UnnamedLaw.id, COMMAND, command, force))
     if len(set(cold)) >= _FEWEST_TEMPERATURES:
         of_samples = np.repeat(cold[:, None], position.shape[1], axis=1)
-        found.append((UnnamedThermalFriction.id, COLDNESS, of_samples, against))
+        found.append((UnnamedThermalFriction.id, COLD_FRACTION, of_samples, against))
     out = []
     for effect, variable, at, sign in found:
         if not np.isfinite(at).all():

@@ -168,9 +168,7 @@ def _removed(before: FloatArray, errors: FloatArray) -> tuple[float, bool]:
 
 
 def _named(tables: Sequence[Covariate]) -> str:
-    kinds = [
-        f"{'friction' if t.against_motion else 'a force'} over {t.variable.name}" for t in tables
-    ]
+    kinds = [f"{'friction' if t.is_friction else 'a force'} over {t.variable.name}" for t in tables]
     return " with ".join(kinds)
 
 
@@ -199,7 +197,7 @@ def _laws(
             # Of a command: that of its servo, a position.
             unit = joint_unit(problem, column)
         curve = Curve(
-            table.variable, table.against_motion,
+            table.variable, table.is_friction,
             (unit, "N" if kind == "slide" else "N*m"), table.knots, values, half,
             table.occupancy, table.valid,
         )  # fmt: skip
@@ -207,7 +205,7 @@ def _laws(
                 and c.tables[0].effect == table.effect]  # fmt: skip
         others = [(c, p) for c, p in shares if (c, p) not in mine]
         rivals = tuple(
-            Rival(c.tables[0].variable.name, c.tables[0].against_motion, p)
+            Rival(c.tables[0].variable.name, c.tables[0].is_friction, p)
             for c, p in others if p > _LIKELY
         ) if count == 1 else ()  # fmt: skip
         confidence = min(sum(p for _, p in mine), _AT_MOST) if count == 1 else _AT_MOST

@@ -23,12 +23,12 @@ class Rival:
 
     Attributes:
         variable: its name.
-        against_motion: whether the table is a level of friction.
+        is_friction: whether the table is a level of friction.
         confidence: share of the evidence.
     """
 
     variable: str
-    against_motion: bool
+    is_friction: bool
     confidence: float
 
 
@@ -80,7 +80,7 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
         "path": law.term.law.path,
         "confidence": round(law.confidence, 4),
         "parameters": {
-            "peak_friction" if curve.against_motion else "peak_force": {
+            "peak_friction" if curve.is_friction else "peak_force": {
                 "value": value, "unit": force_unit, "ci95": [value - half, value + half],
             },
         },
@@ -89,14 +89,14 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
         "alternatives": [
             {
                 "effect": UnnamedLaw.id, "joint": law.joint, "confidence": round(r.confidence, 4),
-                "variable": r.variable, "acts": _acts(r.against_motion),
+                "variable": r.variable, "acts": _acts(r.is_friction),
             }
             for r in law.rivals
         ],
         "next_test": _next_test(law),
         "law": {
             "words": law.words,
-            "acts": _acts(curve.against_motion),
+            "acts": _acts(curve.is_friction),
             "variable": curve.variable.name,
             "unit": unit,
             "force_unit": force_unit,
@@ -115,8 +115,8 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _acts(against_motion: bool) -> str:
-    return "against motion" if against_motion else "as a force"
+def _acts(is_friction: bool) -> str:
+    return "against motion" if is_friction else "as a force"
 
 
 def _next_test(law: FreeLaw) -> str:

@@ -70,7 +70,7 @@ class Data:
         owner = np.repeat(self.recording, len(self.weights))
         each = [owner == r for r in np.unique(self.recording)]
         lower = np.concatenate([
-            np.full(KNOTS, -self.level if t.against_motion else -np.inf)
+            np.full(KNOTS, -self.level if t.is_friction else -np.inf)
             for t in tables
         ])  # fmt: skip
         return Regression(
@@ -135,8 +135,7 @@ def with_second(data: Data, singles: Sequence[Chosen]) -> Chosen:
     """The best single table, or a force and a friction where the second is worth it."""
     best = singles[0]
     forces, frictions = (
-        [c for c in singles if c.tables[0].against_motion is dry][:_FOREMOST]
-        for dry in (False, True)
+        [c for c in singles if c.tables[0].is_friction is dry][:_FOREMOST] for dry in (False, True)
     )
     pairs = []
     for a, b in itertools.product(forces, frictions):

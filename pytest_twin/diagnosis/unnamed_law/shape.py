@@ -32,7 +32,7 @@ class Curve:
 
     Attributes:
         variable: of the table.
-        against_motion: whether it is a level of friction, not a force.
+        is_friction: whether it is a level of friction, not a force.
         units: of the variable and of the force.
         knots, values: (n,).
         half_width: (n,) of the 95 % band.
@@ -41,7 +41,7 @@ class Curve:
     """
 
     variable: Variable
-    against_motion: bool
+    is_friction: bool
     units: tuple[str, str]
     knots: FloatArray
     values: FloatArray
@@ -62,7 +62,7 @@ def in_words(curve: Curve) -> str:
     stretches = _stretches(curve)
     if not stretches:
         return f"no force above its own uncertainty over the {curve.variable.name}"
-    if len(stretches) == 2 and curve.variable is POSITION and not curve.against_motion:
+    if len(stretches) == 2 and curve.variable is POSITION and not curve.is_friction:
         pair = _towards_or_away(curve, *stretches)
         if pair:
             return pair
@@ -73,7 +73,7 @@ def _said(curve: Curve, inside: slice, unit: str, force: str) -> str:
     values, knots = curve.values[inside], curve.knots[inside]
     peak = float(values[np.argmax(np.abs(values))])
     low, high = float(knots[0]), float(knots[-1])
-    if curve.against_motion:
+    if curve.is_friction:
         how = "against motion" if peak > 0.0 else "less friction than the model's"
         amount = f"{abs(peak):.2g} {force} {how}"
     else:
@@ -140,12 +140,12 @@ def resembles(curve: Curve, *, turns: bool) -> str | None:
             if k * span > np.pi * (len(curve.knots) - 1):
                 break
             wave = [np.sin(k * curve.knots), np.cos(k * curve.knots)]
-            if curve.against_motion:
+            if curve.is_friction:
                 wave.append(np.ones_like(curve.knots))
             if _share(curve, np.stack(wave, axis=1)) >= _RESEMBLES:
                 return (
                     friction.PositionDependentFriction.id
-                    if curve.against_motion
+                    if curve.is_friction
                     else actuation.Cogging.id
                 )
     return None
@@ -176,7 +176,7 @@ def _templates(curve: Curve) -> Mapping[str, FloatArray]:
             friction.LoadDependentFriction.id: lambda: [x],
         },
     }
-    found = known.get((curve.variable, curve.against_motion), {})
+    found = known.get((curve.variable, curve.is_friction), {})
     return {effect: np.stack(columns(), axis=1) for effect, columns in found.items()}
 
 

@@ -67,7 +67,7 @@ def laws_left(given: ModelSetup, found: SearchResult, near: float | None) -> Fre
     if found.verdict not in ("improved", "unexplained"):
         return FreeLaws((), hypothesis, ())
     prepared, trials = found.prepared, found.trials
-    if not all(s.amid for s in prepared.problem.simulator.segments):
+    if not all(s.starts_in_motion for s in prepared.problem.simulator.segments):
         # In short windows the measured motion and the simulated one stay close.
         scales = prepared.problem.scales
         prepared, trials = build_problem(given, trials, [], window=near or WINDOW, scales=scales)

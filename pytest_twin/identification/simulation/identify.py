@@ -104,7 +104,7 @@ def identify_simulation(
         problem = prepared.problem
         modes = [problem.simulator.segments[0].mode_of(j) for j in range(len(problem.joints))]
         first = first_values(problem)
-        problem.trust = _balanced(problem, start(_drives(modes), problem.scales, first))
+        problem.position_weights = _balanced(problem, start(_drives(modes), problem.scales, first))
         found = EMPTY
         stages: list[Stage] = []
         stage_of: dict[Term, StageName] = {}
@@ -119,7 +119,7 @@ def identify_simulation(
         stages = [*last, whole]
         spread = parameter_spread(problem, _with_slopes(problem, found))
         # The errors that are reported count every recording alike.
-        problem.trust = {}
+        problem.position_weights = {}
         before, after = (residuals_everywhere(problem, h) for h in (EMPTY, found))
         errors = joint_errors(prepared, before, after)
     return SimulationResult(
@@ -138,12 +138,12 @@ def _stage(
     modes: Sequence[str],
 ) -> tuple[Stage, Hypothesis]:
     """Fit one stage on top of what is frozen; its terms, where they are accepted."""
-    beside = (*given.beside, *applied(whole.problem, found))
-    prepared = replace(given, beside=beside).prepared(
+    outside_mjcf = (*given.outside_mjcf, *applied(whole.problem, found))
+    prepared = replace(given, outside_mjcf=outside_mjcf).prepared(
         trials.fit, trials.held_out, whole.window, scales=whole.problem.scales
     )
     problem = prepared.problem
-    problem.floor, problem.trust = whole.problem.floor, whole.problem.trust
+    problem.floor, problem.position_weights = whole.problem.floor, whole.problem.position_weights
     own = terms_of(name, modes)
     others = nuisance_of(name, found.terms, modes)
     without = fitted(problem, others, first)
@@ -238,7 +238,9 @@ def _balanced(problem: Problem, hypothesis: Hypothesis) -> dict[int, FloatArray]
     usual = np.median(sizes[problem.fit], axis=0)
     weights = np.minimum(1.0, usual / np.maximum(sizes, 1e-12))
     ones = np.ones(count)
-    return {int(s): problem.trust.get(int(s), ones) * weights[s] for s in problem.everywhere}
+    return {
+        int(s): problem.position_weights.get(int(s), ones) * weights[s] for s in problem.everywhere
+    }
 
 
 def _with_slopes(problem: Problem, hypothesis: Hypothesis) -> Fitted:
@@ -262,5 +264,5 @@ def applied(problem: Problem, hypothesis: Hypothesis) -> tuple[AppliedEffect, ..
             for p, t in zip(term.parameters, theta, strict=True)
         }
         joint = None if term.joint < 0 else problem.joints[term.joint]
-        found.append(AppliedEffect(term.effect, joint, values, in_model=False))
+        found.append(AppliedEffect(term.effect, joint, values, is_in_mjcf=False))
     return tuple(found)
