@@ -1,0 +1,37 @@
+"""Names of the effect interface that changed: effects of other packages go on for one release."""
+
+import numpy as np
+import pytest
+
+from pytest_twin.effects import World
+
+
+def world() -> World:
+    """One row, one joint, a position servo with a constant effort."""
+    one = {
+        name: np.full((1, 1), value)
+        for name, value in {
+            "position": 0.1, "velocity": 0.2, "setpoint": 0.5, "gain": 6.0, "stiffness": 6.0,
+            "damping": 0.3, "offset": 1.0, "lower": -5.0, "upper": 5.0, "delivered": 0.0,
+            "friction_level": 0.0, "applied": 0.0, "load": 0.0, "motor_armature": 0.0,
+            "motor_damping": 0.0, "motor_constant": 0.0, "link_inertia": 1.0,
+        }.items()
+    }  # fmt: skip
+    return World(
+        time=np.zeros(1), timestep=0.002, servo=np.array(["position"]),
+        cold_fraction=np.array([0.25]), **one,
+    )  # fmt: skip
+
+
+def test_the_old_name_of_the_control_effort_warns_and_returns_the_same() -> None:
+    here = world()
+    with pytest.warns(DeprecationWarning, match=r"World\.asked is now World\.control_effort"):
+        effort = here.asked(here.position, here.velocity)
+    assert effort == pytest.approx(6.0 * 0.5 - 6.0 * 0.1 - 0.3 * 0.2 + 1.0)
+    assert effort == here.control_effort(here.position, here.velocity)
+
+
+def test_the_old_name_of_the_cold_fraction_warns_and_returns_the_same() -> None:
+    here = world()
+    with pytest.warns(DeprecationWarning, match=r"World\.coldness is now World\.cold_fraction"):
+        assert here.coldness == pytest.approx([0.25])
