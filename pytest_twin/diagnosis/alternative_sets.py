@@ -67,7 +67,9 @@ def with_alternative_sets(
         # No other set explains as much: the refused effects are removed, with a note.
         notes += [f"rejected: {label(problem, term)}: {reason}" for term, reason in why.items()]
         kept = selected.best.hypothesis.without(*why)
-        selected = replace(selected, best=comparison.settled(comparison.scored_without_fit(kept)))
+        selected = replace(
+            selected, best=comparison.fit_to_convergence(comparison.score_without_fit(kept))
+        )
         why = refused(problem, kept, recorded) if kept.terms else {}
     if selected.best.hypothesis.terms != final.terms:
         pruned = prune(problem, selected)

@@ -127,7 +127,7 @@ def _possible(problem: Problem, pruned: PrunedModel) -> PrunedModel:
     theta = at_zero(problem, h)
     if np.array_equal(theta, h.theta):
         return pruned
-    fitted = ModelComparison(problem).scored_without_fit(h.with_theta(theta), slopes=True).fitted
+    fitted = ModelComparison(problem).score_without_fit(h.with_theta(theta), slopes=True).fitted
     return replace(pruned, fitted=fitted)
 
 
@@ -142,7 +142,7 @@ def _refitted(found: SearchResult, budget: Budget) -> tuple[Prepared, PrunedMode
     if not start.terms:
         return prepared, found.pruned
     comparison = ModelComparison(every)
-    best = comparison.scored_without_fit(start, slopes=True)
+    best = comparison.score_without_fit(start, slopes=True)
     try:
         with budget.fitting():
             iterations = QUICK if hurried else LONG
@@ -154,9 +154,12 @@ def _refitted(found: SearchResult, budget: Budget) -> tuple[Prepared, PrunedMode
         moved.evidence >= 0.0 or found.likelihood is log_likelihood
     ):
         best = moved
-    rests, *_ = refit_without_each(every, best.fitted, hurried)
+    reduced_models, *_ = refit_without_each(every, best.fitted, hurried)
     return prepared, replace(
-        found.pruned, fitted=best.fitted, rests=[f.hypothesis for f in rests], absent={}
+        found.pruned,
+        fitted=best.fitted,
+        reduced_models=[f.hypothesis for f in reduced_models],
+        absent={},
     )
 
 
@@ -211,9 +214,9 @@ def _tested(
     here = Explained(
         found.explained.findings,
         _at(found.explained.hypothesis, column),
-        rests={
+        reduced_models={
             _term(t, column): _at(rest, column)
-            for t, rest in found.explained.rests.items()
+            for t, rest in found.explained.reduced_models.items()
             if _is_tested(t, column)
         },
     )

@@ -117,14 +117,21 @@ def compare_sets(
     """
     problem = comparison.problem
     count = _Count(problem)
-    best = comparison.scored_without_fit(found, slopes=True)
-    look = linearize_around(problem, best)
-    if look.linear is None or not found.terms or not np.isfinite(best.fitted.cost):
+    best = comparison.score_without_fit(found, slopes=True)
+    linearized = linearize_around(problem, best)
+    if linearized.linear is None or not found.terms or not np.isfinite(best.fitted.cost):
         return ComparedSets(best, (), 1.0, count.spent)
-    near = _near(comparison, best, look.linear, look.view, look.answers, allowed)
-    rivals = _simulated(comparison, best, look.linear, near, count)
+    near = _near(
+        comparison,
+        best,
+        linearized.linear,
+        linearized.view,
+        linearized.candidate_sensitivities,
+        allowed,
+    )
+    rivals = _simulated(comparison, best, linearized.linear, near, count)
     rivals = [r for r in rivals if allowed(r.hypothesis) and np.isfinite(r.fitted.cost)]
-    return _compared(comparison, best, rivals, look.linear, count, possible=allowed(found))
+    return _compared(comparison, best, rivals, linearized.linear, count, possible=allowed(found))
 
 
 class _Count:
@@ -169,7 +176,7 @@ def _near(
     best: ScoredModel,
     linear: Linear,
     view: ResidualView,
-    answers: CandidateSensitivities,
+    candidate_sensitivities: CandidateSensitivities,
     allowed: Allowed,
 ) -> list[Hypothesis]:
     """Other sets that predict nearly the same along the motion, fitted there, likeliest first; with
@@ -179,25 +186,27 @@ def _near(
     alike = list[Hypothesis]()
     places = subsets(own.terms)
     lefts = residuals_without(comparison.problem, linear, view, own, places)
-    for gone, left in zip(places, lefts, strict=True):
-        rest = own.without(*gone)
-        slope = view.jacobian[:, :, own.parameters_without(*gone)]
-        lens = NormalEquations(ResidualView(left, slope, view.floor, view.lengths), answers)
-        sets = _beam(lens, own.terms, EQUIVALENT.largest if len(gone) == 1 else len(gone))
+    for removed, left in zip(places, lefts, strict=True):
+        rest = own.without(*removed)
+        slope = view.jacobian[:, :, own.parameters_without(*removed)]
+        lens = NormalEquations(
+            ResidualView(left, slope, view.floor, view.lengths), candidate_sensitivities
+        )
+        sets = _beam(lens, own.terms, EQUIVALENT.largest if len(removed) == 1 else len(removed))
         fits = [LinearizedFit(rest.with_terms(s.starts), s.residual) for s in sets]
-        evidence = _along(comparison, view, own, fits)
-        for i in _chosen(gone, sets, evidence):
+        evidence = _linearized_evidence(comparison, view, own, fits)
+        for i in _chosen(removed, sets, evidence):
             h = fits[i].hypothesis
             found.append((float(evidence[i]), h))
-            same = _carried(comparison.problem, own, gone, h)
+            same = _carried(comparison.problem, own, removed, h)
             found += [(float(evidence[i]), c) for c in same]
             alike += [c for c in same if len(c.terms) <= len(own.terms)]
-        found.append((np.inf if len(gone) == 1 else -np.inf, rest))
+        found.append((np.inf if len(removed) == 1 else -np.inf, rest))
     starts = _without_additions(found, own.terms, EQUIVALENT.starts)[
         : EQUIVALENT.fitted_along_motion
     ]
     fitted = fit_linearized(linear, view, starts, NEARBY)
-    values = _along(comparison, view, own, fitted).tolist()
+    values = _linearized_evidence(comparison, view, own, fitted).tolist()
     ranked = [
         (e, f.hypothesis) for e, f in zip(values, fitted, strict=True) if allowed(f.hypothesis)
     ]
@@ -232,7 +241,7 @@ def _beam(lens: NormalEquations, barred: Sequence[Term], largest: int) -> list[S
     return out
 
 
-def _chosen(gone: Sequence[Term], sets: Sequence[Structure], evidence: FloatArray) -> list[int]:
+def _chosen(removed: Sequence[Term], sets: Sequence[Structure], evidence: FloatArray) -> list[int]:
     """Which sets are fitted along the motion: the best few of each size, because what is linearized
     around coarse starting values favours many parameters; and single effects that the catalogue
     lists as confused with what is gone.
@@ -241,24 +250,24 @@ def _chosen(gone: Sequence[Term], sets: Sequence[Structure], evidence: FloatArra
     order = [int(i) for i in np.argsort(-evidence)]
     for size, count in enumerate(EQUIVALENT.of_size, start=1):
         out.update(dict.fromkeys([i for i in order if len(sets[i].chosen) == size][:count]))
-    confused = {e for t in gone for e in t.law.confused_with}
+    confused = {e for t in removed for e in t.law.confused_with}
     for i in order:
         if len(sets[i].starts) == 1:
             (new,) = sets[i].starts
-            if new.effect in confused or any(t.effect in new.law.confused_with for t in gone):
+            if new.effect in confused or any(t.effect in new.law.confused_with for t in removed):
                 out[i] = None
     return list(out)
 
 
 def _carried(
-    problem: Problem, own: Hypothesis, gone: Sequence[Term], other: Hypothesis
+    problem: Problem, own: Hypothesis, removed: Sequence[Term], other: Hypothesis
 ) -> list[Hypothesis]:
     """Another set with the values that parameters of one name and quantity have in what is gone:
     equal effects at other places, and delays of another part of the signal path.
     """
     known = {
         (p.name, p.quantity): float(x) * problem.scales.value(p, t.joint)
-        for t in gone
+        for t in removed
         for p, x in zip(t.parameters, own.theta[own.slice_of(t)], strict=True)
         if not p.choice
     }
@@ -323,7 +332,7 @@ def _form(h: Hypothesis) -> _Form:
     )  # fmt: skip
 
 
-def _along(
+def _linearized_evidence(
     comparison: ModelComparison, view: ResidualView, own: Hypothesis, fits: Sequence[LinearizedFit]
 ) -> FloatArray:
     """Evidence of sets over the final one, along the motion."""
@@ -380,7 +389,7 @@ def _simulated(
             if weighted_cost(found[k], weights) < weighted_cost(residual[i], weights):
                 current[i], residual[i] = tried[k], found[k]
     held = [best.held_residual] * len(current)
-    if comparison.has_held:
+    if comparison.has_validation:
         held = problem.residuals(current, problem.held_out)
     return [
         ScoredModel(Fitted(h, r, np.empty((*r.shape, 0)), weighted_cost(r, weights)), other)
@@ -465,7 +474,7 @@ def _decided(
     if more > 0:
         return min(value, 0.0)
     if more < 0 and rival.evidence < -SELECTION.earns:
-        return min(value + comparison.name_price * more, 0.0)
+        return min(value + comparison.penalty_per_effect * more, 0.0)
     return value
 
 

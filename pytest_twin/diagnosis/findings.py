@@ -67,8 +67,8 @@ class Finding:
         where: times and regime of motion in which its influence is largest.
         held_out_gain: share of the squared held-out error that the finding removes when it is added
             to the other findings, which were refitted without it.
-        stands: largest change of a predicted position without the finding, in noise floors. If no
-            position changes, it is that of a measured effort. Findings are ordered by it.
+        influence: largest change of a predicted position without the finding, in noise floors. If
+            no position changes, it is that of a measured effort. Findings are ordered by it.
         alternatives: other effects, most likely first.
         next_test: the experiment that separates it from the most likely alternative.
         correlated: parameters of which only a combination is identifiable, one line each.
@@ -82,7 +82,7 @@ class Finding:
     parameters: Mapping[str, Estimate]
     where: Where
     held_out_gain: float
-    stands: float
+    influence: float
     alternatives: tuple[Alternative, ...]
     next_test: str
     correlated: tuple[str, ...]
@@ -99,14 +99,14 @@ class Explained:
         hypothesis: all terms with their parameters.
         parameter_spread: intervals and correlations of the parameters.
         notes: one line each, for the reader.
-        rests: term -> hypothesis of the other terms, refitted without it.
+        reduced_models: term -> hypothesis of the other terms, refitted without it.
     """
 
     findings: tuple[Finding, ...]
     hypothesis: Hypothesis
     parameter_spread: Spread | None = None
     notes: list[str] = field(default_factory=list)
-    rests: Mapping[Term, Hypothesis] = field(default_factory=dict)
+    reduced_models: Mapping[Term, Hypothesis] = field(default_factory=dict)
 
 
 def explain(
@@ -133,9 +133,9 @@ def explain(
     width = parameter_spread(problem, pruned.fitted, selected.near)
     problem.refine_at(hypothesis)
     without_each = [hypothesis.without(t) for t in hypothesis.terms]
-    residuals = problem.residuals([hypothesis, *pruned.rests], problem.everywhere)
+    residuals = problem.residuals([hypothesis, *pruned.reduced_models], problem.everywhere)
     changes = _changes(problem, [hypothesis, *without_each])
-    stands = [c.height for c in changes]
+    influence = [c.height for c in changes]
     small = small_corrections(
         problem, hypothesis, np.array([c.positions for c in changes]), _nominal_error(problem)
     )
@@ -143,7 +143,7 @@ def explain(
     paths = motions(prepared, trials)
     found = []
     for term, without, gain, height in zip(
-        hypothesis.terms, residuals[1:], gains, stands, strict=True
+        hypothesis.terms, residuals[1:], gains, influence, strict=True
     ):
         blame = _blame(problem, term, residuals[0], without)
         at = max(term.joint, 0)
@@ -173,7 +173,7 @@ def explain(
                 parameters=_estimates(problem, hypothesis, term, width),
                 where=where,
                 held_out_gain=gain,
-                stands=height,
+                influence=height,
                 alternatives=tuple(_alternative(problem, a) for a in others if _worth_listing(a))[
                     : FINDINGS.most_alternatives
                 ],
@@ -183,9 +183,9 @@ def explain(
                 small=small.get(term, ""),
             )
         )
-    found.sort(key=lambda f: -f.stands)
-    rests = dict(zip(hypothesis.terms, pruned.rests, strict=True))
-    return Explained(tuple(found), hypothesis, width, pruned.notes, rests)
+    found.sort(key=lambda f: -f.influence)
+    reduced_models = dict(zip(hypothesis.terms, pruned.reduced_models, strict=True))
+    return Explained(tuple(found), hypothesis, width, pruned.notes, reduced_models)
 
 
 def _worth_listing(rival: Rivalling) -> bool:
@@ -199,7 +199,7 @@ def _worth_listing(rival: Rivalling) -> bool:
 
 def _alternative(problem: Problem, rival: Rivalling) -> Alternative:
     places = [(t.effect, joint_name(problem, t)) for t in rival.new]
-    replaced = tuple((t.effect, joint_name(problem, t)) for t in rival.gone)
+    replaced = tuple((t.effect, joint_name(problem, t)) for t in rival.removed)
     (effect, joint), *more = places
     instead_of = replaced if len(replaced) > 1 else ()
     return Alternative(effect, joint, rival.confidence, tuple(more), instead_of, rival.apart)
@@ -253,7 +253,7 @@ def held_out_gains(problem: Problem, explained: Explained) -> dict[Term, float]:
         explained: findings, with the hypotheses that were refitted without each.
     """
     terms = explained.hypothesis.terms
-    each = [explained.hypothesis, *(explained.rests[t] for t in terms)]
+    each = [explained.hypothesis, *(explained.reduced_models[t] for t in terms)]
     problem.refine_at(explained.hypothesis)
     return dict(
         zip(terms, _gains(problem, problem.residuals(each, problem.everywhere)), strict=True)
@@ -284,14 +284,14 @@ def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     """
     hypothesis = explained.hypothesis
     without_each = [hypothesis.without(f.term) for f in explained.findings]
-    stands = _heights(problem, [hypothesis, *without_each])
+    influence = _heights(problem, [hypothesis, *without_each])
     (errors,) = problem.errors([hypothesis], problem.tested)
     residual = float(in_noise_floors(errors[:, : len(problem.joints)], problem.floor).max())
-    if not np.isfinite([*stands, residual]).all():
+    if not np.isfinite([*influence, residual]).all():
         return explained
-    moved = [replace(f, stands=s) for f, s in zip(explained.findings, stands, strict=True)]
+    moved = [replace(f, influence=s) for f, s in zip(explained.findings, influence, strict=True)]
     least = FINDINGS.moves_motions * residual
-    order = sorted(moved, key=lambda f: -f.stands if f.stands > least else 0.0)
+    order = sorted(moved, key=lambda f: -f.influence if f.influence > least else 0.0)
     return replace(explained, findings=tuple(order))
 
 

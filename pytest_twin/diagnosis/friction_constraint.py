@@ -106,7 +106,7 @@ def search_as_friction_acts(
 
     selection = StepwiseSelection(problem, run, leave=other_constraint_is_better)
     selected = from_start(selection, start)
-    if other is None or not selection.left_off:
+    if other is None or not selection.has_left_off:
         return given, conclude(prepared, trials, selection, selected)
     # ``kept`` lacks trials on which the model diverges with the other constraint.
     changed, kept = other
@@ -142,7 +142,7 @@ def refit_as_friction_acts(
     selection = StepwiseSelection(prepared.problem, run)
     comparison = selection.comparison
     rival = (
-        comparison.settled(comparison.scored_without_fit(start))
+        comparison.fit_to_convergence(comparison.score_without_fit(start))
         if start.terms
         else comparison.nominal
     )

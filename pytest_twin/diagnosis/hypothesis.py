@@ -127,19 +127,19 @@ class Hypothesis:
         """(parameters,) whether each parameter belongs to a term that is not in ``removed``."""
         return np.array([t not in removed for t in self.terms for _ in t.parameters], dtype=bool)
 
-    def absorbed(self, gone: Term, into: Term) -> Hypothesis | None:
-        """The hypothesis without ``gone``, whose effect ``into`` represents in addition.
+    def absorbed(self, removed: Term, into: Term) -> Hypothesis | None:
+        """The hypothesis without ``removed``, whose effect ``into`` represents in addition.
 
         Parameters of ``into`` are clipped to their bounds. None if its law cannot represent the
         other effect.
         """
         own = self._named(into)
-        changed = into.law.with_other(own, gone.effect, self._named(gone))
+        changed = into.law.with_other(own, removed.effect, self._named(removed))
         if not changed:
             return None
         theta = self.theta.copy()
         theta[self.slice_of(into)] = [changed.get(name, value) for name, value in own.items()]
-        return self.with_theta(np.clip(theta, *self.bounds)).without(gone)
+        return self.with_theta(np.clip(theta, *self.bounds)).without(removed)
 
     def _named(self, term: Term) -> dict[str, float]:
         """Parameters of a term by name, in multiples of their scales."""

@@ -68,7 +68,7 @@ def with_detected_timestep(
     there, trials = build_problem(stepped, found.trials, [], window=prepared.window)
     selection = StepwiseSelection(there.problem, run)
     comparison = selection.comparison
-    rival = comparison.settled(comparison.scored_without_fit(start))
+    rival = comparison.fit_to_convergence(comparison.score_without_fit(start))
     left = residuals_everywhere(there.problem, rival.hypothesis)[:, : len(problem.joints)]
     if left.shape != robot.shape or not _confirmed(there.problem, left, robot, noise):
         return None

@@ -137,12 +137,12 @@ def quick_diagnosis(
         suspect, after = found
         suspects.append(suspect)
         left = left & ~_explained(before, after, joints)
-    stands = bool(force.strength[causes[0]] > 1.0)
+    influence = bool(force.strength[causes[0]] > 1.0)
     names = whole.problem.joints
     return QuickDiagnosis(
         suspects=tuple(suspects),
         unexplained=tuple(n for n, out in zip(names, left, strict=True) if out and n in failed),
-        joint=names[causes[0]] if stands else None,
+        joint=names[causes[0]] if influence else None,
         where=where,
         floors=float(size[counted].max()),
     )
@@ -225,9 +225,9 @@ def _causes(force: MissingForce, size: FloatArray, counted: NDArray[np.bool_]) -
     """
     strength = force.strength
     order = np.argsort(-strength, kind="stable")
-    stands = np.where(counted, strength, 0.0).max()
+    influence = np.where(counted, strength, 0.0).max()
     # Where none of their own forces stands out of the noise, they are moved by others.
-    own = counted & (stands > 1.0) & (strength >= QUICK.cause * stands)
+    own = counted & (influence > 1.0) & (strength >= QUICK.cause * influence)
     clear = [int(j) for j in order if own[j]]
     clear += [int(j) for j in order if strength[j] >= max(QUICK.cause * strength.max(), 1e-9)]
     worst = int(np.argmax(np.where(counted, size, 0.0)))

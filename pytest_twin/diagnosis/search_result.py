@@ -145,9 +145,7 @@ class SearchResult:
 
     def _evidence(self, other: SearchResult, likelihood: Likelihood) -> float:
         comparison = ModelComparison(self.prepared.problem)
-        mine, others = (
-            comparison.scored_without_fit(s.explained.hypothesis) for s in (self, other)
-        )
+        mine, others = (comparison.score_without_fit(s.explained.hypothesis) for s in (self, other))
         comparison.judge([mine], others, likelihood=likelihood)
         return mine.evidence
 
@@ -174,7 +172,7 @@ def conclude(
         _weigh_untested(run, selected)
         best = selected.best
         if best.fitted.jacobian.shape[2] != best.hypothesis.theta.size:
-            selected.best = selection.comparison.scored_without_fit(best.hypothesis, slopes=True)
+            selected.best = selection.comparison.score_without_fit(best.hypothesis, slopes=True)
         pruned = prune(problem, selected, hurried=run.budget.is_out_of_time)
         if not run.budget.is_out_of_time:
             selected, pruned = replace_closest_known(
@@ -201,7 +199,7 @@ def _to_the_floor(
         best = selected.best.hypothesis
         if not best.terms or not prepared.lowers_floor(best):
             return selected
-        selected = from_start(selection.anew(), best)
+        selected = from_start(selection.another_search(), best)
 
 
 def from_start(selection: StepwiseSelection, start: Hypothesis) -> SelectedModel:
@@ -213,17 +211,17 @@ def from_start(selection: StepwiseSelection, start: Hypothesis) -> SelectedModel
     comparison, budget = selection.comparison, selection.diagnosis_run.budget
     if start.terms:
         with budget.reserved():
-            rival = comparison.scored_without_fit(start)
-        return selection.run(comparison.settled(rival))
+            rival = comparison.score_without_fit(start)
+        return selection.run(comparison.fit_to_convergence(rival))
     if selection.share_left < 1.0:
         return selection.run()
     chosen = _structure(selection)
     with budget.reserved():
-        rival = comparison.scored_without_fit(chosen.model.hypothesis, slopes=True)
+        rival = comparison.score_without_fit(chosen.model.hypothesis, slopes=True)
     if chosen.has_left:
-        selection.left_off = True
+        selection.has_left_off = True
         return SelectedModel(rival, comparison.nominal, tried=comparison.tried)
-    selection.nothing_to_add = chosen.is_complete
+    selection.has_nothing_to_add = chosen.is_complete
     return selection.run(rival if rival.hypothesis.terms else None)
 
 
@@ -247,7 +245,7 @@ def confirm(
         return None
     selection = StepwiseSelection(prepared.problem, run)
     comparison = selection.comparison
-    rival = comparison.settled(comparison.scored_without_fit(start))
+    rival = comparison.fit_to_convergence(comparison.score_without_fit(start))
     before, after = (residuals_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
     if not all(e.is_explained for e in joint_errors(prepared, before, after).values()):
         return None
@@ -268,7 +266,7 @@ def refit_whole_motions(found: SearchResult, other: SearchResult) -> SearchResul
     both = start.with_values_of(mine)
     steps = initial_covariance_root(named.best.fitted, other.prepared.problem.signal_floor)
     end = _deepest(comparison, [start, both], steps)
-    best = comparison.scored_without_fit(end, slopes=True)
+    best = comparison.score_without_fit(end, slopes=True)
     selected = SelectedModel(
         best, comparison.nominal, named.confidence, named.alternatives,
         sets=named.sets, near=named.near, tried=comparison.tried,
@@ -306,7 +304,7 @@ def refit_with_full_drive(
     end, middle, last = start.hypothesis, ModelComparison(longer.problem), ModelComparison(whole)
     for comparison in (middle, last):
         end = _deepest(comparison, [end], steps)
-    best = last.scored_without_fit(end, slopes=True)
+    best = last.score_without_fit(end, slopes=True)
     pruned = keep_named(last, best)
     named = weigh_by_removal(last, best, pruned.absent)
     for term in both.terms:

@@ -54,7 +54,7 @@ def set_price(
         idle: number of parameters without influence, which are not penalized.
     """
     return float(
-        parameter_penalty(samples) * (h.free - idle) + comparison.name_price * len(h.terms)
+        parameter_penalty(samples) * (h.free - idle) + comparison.penalty_per_effect * len(h.terms)
     )
 
 
@@ -129,7 +129,7 @@ def set_evidence(
     values, whole, kept = evidence_on(
         comparison, sets, residuals, problem.lengths(problem.fit), fitted=True, idle=idle
     )
-    if comparison.has_held:
+    if comparison.has_validation:
         held_residuals = [r.held_residual for r in rivals]
         residuals = within_a_step(problem, sets, held_residuals, problem.held_out)
         held = evidence_on(

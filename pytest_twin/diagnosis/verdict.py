@@ -18,7 +18,7 @@ UNSEEN = 1e6
 """Floor in rad or m of a joint whose encoder gives no information, so that it has no weight."""
 
 
-def worth_a_name(
+def reduces_error_enough(
     floor: FloatArray, before: FloatArray, after: FloatArray, whole: FloatArray
 ) -> bool:
     """Whether an effect reduces the error of at least one signal enough to be accepted.

@@ -357,12 +357,12 @@ def test_a_joint_that_rests_to_the_end_where_friction_can_hold_it_is_not_stuck(
     bench: Bench,
 ) -> None:
     # It moved, came to rest, and what its setpoint does from there on would not have moved it.
-    rests = bench.seen.copy()
-    rests[80:, 0] = rests[80, 0]
+    reduced_models = bench.seen.copy()
+    reduced_models[80:, 0] = reduced_models[80, 0]
     bench.sent = bench.sent.copy()
     slow = np.linspace(0.0, 0.25, len(bench.sent) - 40)
-    bench.sent[40:, 0] = rests[80, 0] + slow
-    found = bench.read(bench.put("a.mcap", seen=rests))
+    bench.sent[40:, 0] = reduced_models[80, 0] + slow
+    found = bench.read(bench.put("a.mcap", seen=reduced_models))
     assert any(note.startswith("stuck in /joint_states left") for note in found.notes)
     assert (names(found.fit), found.unseen) == (["a.mcap"], frozenset())
 

@@ -42,7 +42,7 @@ def rubbing_alone(prepared: Prepared, trials: TrialSet) -> SearchResult:
     selection = StepwiseSelection(problem)
     size = DRY / problem.scales.value(RUBS.parameters[0], 0)
     alone = EMPTY.with_term(RUBS, np.array([size]))
-    best = selection.comparison.scored_without_fit(alone, slopes=True)
+    best = selection.comparison.score_without_fit(alone, slopes=True)
     chosen = SelectedModel(best, selection.comparison.nominal)
     chosen.weigh({((RUBS,), Term("viscous_friction", 0)): -1.0})
     found = conclude(prepared, trials, selection, chosen)

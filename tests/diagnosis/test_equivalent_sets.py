@@ -121,7 +121,9 @@ def problem_of(xml: str, mode: str, hidden: dict[Term, dict[str, float]]) -> Pro
 
 def compared(problem: Problem, start: Hypothesis) -> ComparedSets:
     comparison = ModelComparison(problem)
-    best = comparison.settled(comparison.settled(comparison.scored_without_fit(start)))
+    best = comparison.fit_to_convergence(
+        comparison.fit_to_convergence(comparison.score_without_fit(start))
+    )
     return compare_sets(comparison, best.hypothesis)
 
 
@@ -260,8 +262,8 @@ def rejected(
 ) -> tuple[ModelComparison, SelectedModel, PrunedModel]:
     """A chosen set of effects, fitted, of which pruning leaves nothing."""
     comparison = ModelComparison(problem)
-    best = comparison.settled(comparison.scored_without_fit(with_values(problem, chosen)))
-    nothing = comparison.scored_without_fit(EMPTY).fitted
+    best = comparison.fit_to_convergence(comparison.score_without_fit(with_values(problem, chosen)))
+    nothing = comparison.score_without_fit(EMPTY).fitted
     selected = SelectedModel(best, comparison.nominal)
     return comparison, selected, PrunedModel(nothing, [], ["rejected"], closest=tuple(chosen))
 

@@ -82,7 +82,7 @@ def test_a_weak_motor_with_a_brake_too_few_is_a_soft_servo() -> None:
     selection = StepwiseSelection(problem)
     best = fitted(selection.comparison, two)
     linear = linearize(problem, problem.fit, two)
-    (both,) = selection._unclear(best, linear, merge_terms(problem, two), lambda other: 0.0)
+    (both,) = selection.undecided(best, linear, merge_terms(problem, two), lambda other: 0.0)
     assert set(both.terms) == {PLAY, gain}
     assert both.theta[both.slice_of(gain)] == pytest.approx([-0.26, -0.4], abs=0.01)
 
@@ -123,11 +123,11 @@ def test_a_heavier_link_comes_to_its_simplest_form() -> None:
     selection = StepwiseSelection(problem)
     comparison = selection.comparison
     start = with_true(problem, LINK, link(3, mass_error=0.4, inertia_error=0.4))
-    best = comparison.settled(
+    best = comparison.fit_to_convergence(
         comparison.rivals([start], comparison.weights(comparison.nominal), 2)[0]
     )
     assert in_form(best.hypothesis, LINK) == 3.0
-    simplest = selection._backward(best).hypothesis
+    simplest = selection.eliminate(best).hypothesis
     assert in_form(simplest, LINK) == 0.0
     assert simplest.theta[0] == pytest.approx(0.4, abs=0.01)
 
@@ -137,14 +137,14 @@ def test_a_form_with_more_may_be_ahead_by_a_share_of_what_its_law_does() -> None
     selection = StepwiseSelection(problem)
     true = with_true(problem, LINK, link(3, mass_error=0.5, tangential=0.02))
     best = fitted(selection.comparison, true)
-    grace = selection._grace(best, linearize(problem, problem.fit, true))
+    grace = selection.tolerances(best, linearize(problem, problem.fit, true))
     simpler = with_true(problem, LINK, link(1, mass_error=0.5))
     assert grace(simpler) > 5.0
     assert grace(EMPTY) == 0.0
     # One with as many says nothing in fewer words: it has to be better.
     assert grace(true) < 0.0
     # Far from enough for one that leaves what is seen.
-    assert in_form(selection._backward(best).hypothesis, LINK) == 3.0
+    assert in_form(selection.eliminate(best).hypothesis, LINK) == 3.0
 
 
 def test_a_law_comes_to_the_form_that_was_not_seen_when_it_was_named() -> None:
@@ -157,7 +157,7 @@ def test_a_law_comes_to_the_form_that_was_not_seen_when_it_was_named() -> None:
     offered = {h.theta[crests] for h in equal_sized_forms(best.hypothesis)}
     assert 1.0 in offered
     assert 2.0 not in offered
-    found = selection._backward(best).hypothesis
+    found = selection.eliminate(best).hypothesis
     assert found.theta == pytest.approx(with_true(problem, rough, true).theta, abs=0.02)
 
 
@@ -189,11 +189,11 @@ def test_where_nothing_tells_them_apart_more_inertia_is_the_rotors() -> None:
     selection = StepwiseSelection(problem)
     comparison = selection.comparison
     start = with_true(problem, CRANK_LINK, link(2, inertia_error=2.0))
-    best = comparison.settled(
+    best = comparison.fit_to_convergence(
         comparison.rivals([start], comparison.weights(comparison.nominal), 2)[0]
     )
     assert best.hypothesis.terms == (CRANK_LINK,)
-    simplest = selection._backward(best).hypothesis
+    simplest = selection.eliminate(best).hypothesis
     assert simplest.terms == (CRANK_ROTOR,)
     scale = problem.scales.value(CRANK_ROTOR.parameters[0], CRANK_JOINT)
     assert simplest.theta[0] * scale == pytest.approx(0.02, rel=0.05)
@@ -203,4 +203,4 @@ def test_a_link_that_the_joint_before_turns_too_is_no_rotor() -> None:
     problem = problem_of("position", {LINK: link(2, inertia_error=4.0)})
     selection = StepwiseSelection(problem)
     best = fitted(selection.comparison, with_true(problem, LINK, link(2, inertia_error=4.0)))
-    assert selection._backward(best).hypothesis.terms == (LINK,)
+    assert selection.eliminate(best).hypothesis.terms == (LINK,)

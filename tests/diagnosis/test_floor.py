@@ -18,7 +18,7 @@ from pytest_twin.diagnosis.prepare import NOISE as SENSOR
 from pytest_twin.diagnosis.prepare import STEP as STEPS
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.simulation_shortlist import _misread
+from pytest_twin.diagnosis.search.simulation_shortlist import effort_sensor_terms
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trials import read_trials
@@ -150,7 +150,7 @@ def test_a_stiff_servo_is_not_a_loud_effort_sensor(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("scale", "stands"), [(1.0, False), (0.8, True)])
 def test_a_scale_of_efforts_stands_out_among_jumps(
-    tmp_path: Path, scale: float, stands: bool
+    tmp_path: Path, scale: float, influence: bool
 ) -> None:
     """Samples beside jumps say little, those between them tell a fifth."""
     steps = np.repeat(np.random.default_rng(1).uniform(-0.2, 0.2, 30), 10)
@@ -160,16 +160,16 @@ def test_a_scale_of_efforts_stands_out_among_jumps(
     assert problem.effort_floor is not None
     off = problem.residuals([EMPTY], problem.fit)[0][:, 1]
     level = float(np.sqrt(np.mean(off**2))) / problem.effort_floor[0]
-    assert bool(level > 2.0) is stands, level
+    assert bool(level > 2.0) is influence, level
     # Its laws are simulated, whatever means along the motion say of them, until they are named.
-    problem.effort_floor *= level / (1.6 if stands else 1.4)
+    problem.effort_floor *= level / (1.6 if influence else 1.4)
     best = ModelComparison(problem).nominal
-    starts = _misread(problem, best)
+    starts = effort_sensor_terms(problem, best)
     effects = {h.terms[-1].effect for h in starts}
-    assert effects == ({"effort_scale", "effort_bias"} if stands else set())
+    assert effects == ({"effort_scale", "effort_bias"} if influence else set())
     for start in starts:
         named = replace(best, fitted=replace(best.fitted, hypothesis=start))
-        others = [h.terms for h in _misread(problem, named)]
+        others = [h.terms for h in effort_sensor_terms(problem, named)]
         assert [t[-1].effect for t in others] == [*(effects - {start.terms[-1].effect})]
 
 

@@ -27,7 +27,7 @@ def _found(hidden: Hidden) -> tuple[dict[Term, Sensitivity], float]:
     lengths = bins(problem, problem.fit).lengths
     view = ResidualView(left, np.zeros((*left.shape, 0)), problem.signal_floor, lengths)
     found = {r.term: r for r in search_harmonics(linear, view, candidates(problem))}
-    return found, np.pi / float(np.ptp(linear.along.position[..., ELBOW]))
+    return found, np.pi / float(np.ptp(linear.trajectory.position[..., ELBOW]))
 
 
 @pytest.mark.parametrize("slots", [33.0, 61.5, 118.0])

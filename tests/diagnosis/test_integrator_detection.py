@@ -144,8 +144,8 @@ def test_of_a_gear_that_was_found_nothing_is_asked(tmp_path: Path) -> None:
     prepared, trials = build_problem(given, trials, [])
     selection = StepwiseSelection(prepared.problem)
     comparison = selection.comparison
-    damped = comparison.scored_without_fit(EMPTY.with_term(DAMPING, grid(DAMPING)[0][0]))
-    selected = SelectedModel(comparison.settled(damped), comparison.nominal)
+    damped = comparison.score_without_fit(EMPTY.with_term(DAMPING, grid(DAMPING)[0][0]))
+    selected = SelectedModel(comparison.fit_to_convergence(damped), comparison.nominal)
     found = conclude(prepared, trials, selection, selected)
     assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
     assert detect_integrator(found, given) == replace(given, substeps=1)

@@ -83,7 +83,7 @@ def test_a_curve_without_a_slope_is_a_saturation() -> None:
     selection = StepwiseSelection(problem)
     general = Hypothesis((curve,), np.array([1e-4, stall]))
     rival = selection.comparison.rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
-    found = selection._backward(rival).hypothesis
+    found = selection.eliminate(rival).hypothesis
     assert found.terms == (flat,)
     limit = 1.0 / (found.theta[0] * problem.scales.value(flat.parameters[0], SHOULDER))
     assert limit == pytest.approx(4.0, rel=0.02)

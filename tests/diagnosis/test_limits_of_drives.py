@@ -25,7 +25,7 @@ def weak(problem: Problem) -> Hypothesis:
 def test_a_weak_drive_gives_way_to_the_setpoint_that_moves_slowly() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
     comparison = ModelComparison(problem)
-    best = comparison.settled(comparison.scored_without_fit(weak(problem)))
+    best = comparison.fit_to_convergence(comparison.score_without_fit(weak(problem)))
     assert best.left[ELBOW] > (5.0 * problem.floor[ELBOW]) ** 2
     assert doubtful_limits(problem, best) == [WEAK]
     (other,) = limits_instead(problem, best, [WEAK])
@@ -36,20 +36,22 @@ def test_a_weak_drive_gives_way_to_the_setpoint_that_moves_slowly() -> None:
 def test_a_search_goes_on_from_the_better_limit_and_asks_once() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
     selection = StepwiseSelection(problem)
-    best = selection.comparison.settled(selection.comparison.scored_without_fit(weak(problem)))
-    better = selection._limited_otherwise(best)
+    best = selection.comparison.fit_to_convergence(
+        selection.comparison.score_without_fit(weak(problem))
+    )
+    better = selection.exchange_limits(best)
     assert better is not None
     assert better.hypothesis.terms == (SLOW,)
     assert better.left[ELBOW] < (1.5 * problem.floor[ELBOW]) ** 2
-    assert selection._limited_otherwise(best) is None
+    assert selection.exchange_limits(best) is None
 
 
 def test_a_limit_that_explains_its_joint_is_not_asked_about() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
     comparison = ModelComparison(problem)
     size = 3.0 / problem.scales.value(SLOW.parameters[0], ELBOW)
-    best = comparison.settled(
-        comparison.scored_without_fit(EMPTY.with_term(SLOW, np.array([size, 0.0, 0.0])))
+    best = comparison.fit_to_convergence(
+        comparison.score_without_fit(EMPTY.with_term(SLOW, np.array([size, 0.0, 0.0])))
     )
     assert doubtful_limits(problem, best) == []
 
@@ -60,5 +62,5 @@ def test_what_bends_sharply_elsewhere_is_no_limit() -> None:
     limits = ["rate_limit", "torque_saturation", "torque_speed_limit"]
     others = ["cogging", "external_force", "joint_coupling", "viscous_friction"]
     sizes = {Term(e, ELBOW): starts_in_first_form(Term(e, ELBOW))[0] for e in limits + others}
-    best = comparison.scored_without_fit(EMPTY.with_terms(sizes))
+    best = comparison.score_without_fit(EMPTY.with_terms(sizes))
     assert [t.effect for t in doubtful_limits(problem, best)] == limits

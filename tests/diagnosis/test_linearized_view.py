@@ -35,8 +35,10 @@ def test_a_look_from_nearby_is_not_taken_again(
     assert taken == []
     # The view is of the fit at hand, and what it has named is no candidate any more.
     assert served.view.residual == pytest.approx(fresh.view.residual)
-    assert served.asked == fresh.asked == frozenset(candidates(problem)) - {DRAG}
-    assert {r.term for r in served.answers.responses} == {r.term for r in fresh.answers.responses}
+    assert served.evaluated == fresh.evaluated == frozenset(candidates(problem)) - {DRAG}
+    assert {r.term for r in served.candidate_sensitivities.responses} == {
+        r.term for r in fresh.candidate_sensitivities.responses
+    }
     # What the other fit had named has no response there: it is asked here.
     linearize_around(problem, comparison.nominal, fresh)
     assert taken == [DRAG]

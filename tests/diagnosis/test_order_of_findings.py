@@ -67,7 +67,7 @@ def test_findings_of_windows_are_ordered_by_whole_motions(
     expected = ["torque_constant", "viscous_friction"]
     assert [f.effect for f in found] == (expected if diverges else expected[::-1])
     if not diverges:
-        assert found[0].stands > 3.0 * found[1].stands > 0.0
+        assert found[0].influence > 3.0 * found[1].influence > 0.0
 
 
 def test_what_moves_whole_motions_no_further_than_they_are_off_stays_behind() -> None:
@@ -79,4 +79,4 @@ def test_what_moves_whole_motions_no_further_than_they_are_off_stays_behind() ->
     order = (named(DRAG, problem.joints), named(WEAK, problem.joints))
     found = by_whole_motions(Explained(order, both), problem).findings
     assert [f.effect for f in found] == ["viscous_friction", "torque_constant"]
-    assert found[1].stands > found[0].stands
+    assert found[1].influence > found[0].influence

@@ -98,7 +98,7 @@ def test_no_candidate_starts_where_the_recordings_cannot_show_it(problem: Proble
     k = WARM_UP.parameters.index(p)
     starts = [
         float(r.start[k]) * problem.scales.value(p, 0)
-        for r in look.answers.responses
+        for r in look.candidate_sensitivities.responses
         if r.term == WARM_UP
     ]
     assert starts

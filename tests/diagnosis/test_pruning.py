@@ -325,7 +325,7 @@ def test_names_that_were_judged_elsewhere_stay(tmp_path: Path) -> None:
     selected = chosen(prepared, term, 0.1)
     assert not prune(prepared.problem, selected).fitted.hypothesis.terms
     pruned = keep_named(ModelComparison(prepared.problem), selected.best)
-    assert [h.terms for h in pruned.rests] == [()]
+    assert [h.terms for h in pruned.reduced_models] == [()]
     (found,) = explain(prepared, selected, pruned, trials).findings
     assert (found.effect, found.joint) == ("coulomb_friction", "left")
 
@@ -339,7 +339,7 @@ def test_a_name_that_takes_nothing_off_over_whole_motions_goes(tmp_path: Path) -
     (best,) = judges.rivals([start], 1.0 / problem.signal_floor, 8, slopes=True)
     pruned = keep_named(judges, best)
     assert pruned.fitted.hypothesis.terms == (right,)
-    assert [h.terms for h in pruned.rests] == [()]
+    assert [h.terms for h in pruned.reduced_models] == [()]
     assert pruned.fitted.jacobian.shape[-1] == 1
     assert pruned.notes == [
         "rejected: quadratic_drag at right: it reduces the error over whole recordings too little"
@@ -434,7 +434,7 @@ def test_what_moves_the_prediction_most_without_it_comes_first(tmp_path: Path) -
     selected = SelectedModel(best, nominal, confidence=dict.fromkeys(terms, 1.0))
     found = explain(prepared, selected, prune(prepared.problem, selected), trials).findings
     assert [f.effect for f in found] == ["viscous_friction", "command_delay"]
-    assert found[0].stands > 2.0 * found[1].stands > 0.0
+    assert found[0].influence > 2.0 * found[1].influence > 0.0
 
 
 @pytest.mark.parametrize(("slope", "absent"), [(1.0, True), (0.0, False)])

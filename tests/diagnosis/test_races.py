@@ -39,14 +39,14 @@ def test_a_rival_is_fitted_on_where_its_own_step_moves_it(
         self.discretization_error = {first: Predicted(none + by, none, none)}
 
     none = np.zeros(shape)
-    monkeypatch.setattr(problem, "defect", {first: Predicted(none, none, none)})
+    monkeypatch.setattr(problem, "discretization_error", {first: Predicted(none, none, none)})
     monkeypatch.setattr(Problem, "refine_at", refine_at)
-    own = comparison._at_its_own(rough, comparison.weights(comparison.nominal))
+    own = comparison.fit_with_own_correction(rough, comparison.weights(comparison.nominal))
     (here,), (there,) = own.hypothesis.theta, rough.hypothesis.theta
     assert bool(here != there) is fitted_on
 
 
-def test_those_that_come_close_are_judged_each_at_its_own(
+def test_those_that_come_close_are_judged_eachfit_with_own_correction(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     comparison = ModelComparison(problem)
@@ -56,7 +56,7 @@ def test_those_that_come_close_are_judged_each_at_its_own(
         asked.append(rival.hypothesis.terms)
         return rival
 
-    monkeypatch.setattr(ModelComparison, "_at_its_own", at_its_own)
+    monkeypatch.setattr(ModelComparison, "fit_with_own_correction", at_its_own)
     weights = comparison.weights(comparison.nominal)
     right = with_true(problem, DRAG, {"coefficient": 0.15})
     more = right.with_term(ELSEWHERE, np.array([1e-4]))

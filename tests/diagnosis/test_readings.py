@@ -29,7 +29,7 @@ def with_efforts(problem: Problem) -> Problem:
 
 def drawn(linear: Linear, signals: int) -> list[Column]:
     """Columns of every make, two of which share what they read directly."""
-    segments, samples, joints = linear.along.position.shape
+    segments, samples, joints = linear.trajectory.position.shape
     stamps = int(linear.bins.counts.sum())
     moving = [RNG.standard_normal((segments, samples, joints)) for _ in range(4)]
     start = RNG.standard_normal((segments, 2 * joints))
@@ -49,7 +49,7 @@ def drawn_alone(linear: Linear, signals: int) -> list[Column]:
     out = []
     for k, column in enumerate(drawn(linear, signals)):
         if column.force is not None or column.drive is not None:
-            column.joint = k % linear.along.position.shape[2]
+            column.joint = k % linear.trajectory.position.shape[2]
             for name in ("force", "drive"):
                 everywhere = getattr(column, name)
                 setattr(column, name, None if everywhere is None else everywhere[..., column.joint])
@@ -59,8 +59,8 @@ def drawn_alone(linear: Linear, signals: int) -> list[Column]:
 
 def stamp_by_stamp(linear: Linear, column: Column) -> FloatArray:
     """(bins, signals) as a sensor would have it."""
-    problem, along, deviation = linear.problem, linear.along, linear.deviation
-    segments, samples, joints = along.position.shape
+    problem, trajectory, deviation = linear.problem, linear.trajectory, linear.deviation
+    segments, samples, joints = trajectory.position.shape
 
     def everywhere(values: FloatArray | None) -> FloatArray:
         out = np.zeros((segments, samples, joints))
@@ -77,7 +77,8 @@ def stamp_by_stamp(linear: Linear, column: Column) -> FloatArray:
         time = problem.simulator.segments[s].time
         signals = [q[i]] if problem.effort_floor is None else [q[i], effort[i]]
         read = np.stack(
-            [np.interp(time, along.time[i], x) for x in np.concatenate(signals, axis=1).T], axis=1
+            [np.interp(time, trajectory.time[i], x) for x in np.concatenate(signals, axis=1).T],
+            axis=1,
         )
         if column.direct is not None:
             read += column.direct[first : first + len(time)]

@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.search.scored_model import (
     compare_below_floor,
 )
 from pytest_twin.diagnosis.search.simplification import simpler_forms
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection, _alike
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection, have_same_forms
 from pytest_twin.diagnosis.search.term_exchange import (
     TermExchange,
     better_as_addition,
@@ -50,16 +50,19 @@ def settled(comparison: ModelComparison, *terms: Term) -> ScoredModel:
     start = EMPTY
     for t in terms:
         start = start.with_term(t, grid(t)[0][0])
-    return comparison.settled(
+    return comparison.fit_to_convergence(
         comparison.rivals([start], comparison.weights(comparison.nominal), FAIR)[0]
     )
 
 
 def around(problem: Problem, comparison: ModelComparison, best: ScoredModel) -> list[TermExchange]:
     before = linearize_around(problem, comparison.nominal)
-    known = {t: [r for r in before.answers.responses if r.term == t] for t in before.asked}
+    known = {
+        t: [r for r in before.candidate_sensitivities.responses if r.term == t]
+        for t in before.evaluated
+    }
     return find_exchanges(
-        problem, best, linearize_around(problem, best), known, comparison.name_price
+        problem, best, linearize_around(problem, best), known, comparison.penalty_per_effect
     )
 
 
@@ -72,9 +75,9 @@ def as_load(problem: Problem, exchange: TermExchange) -> Hypothesis:
 def test_two_that_hold_each_other_up_give_way_to_the_one_in_their_place(loaded: Problem) -> None:
     comparison = ModelComparison(loaded)
     best = settled(comparison, SPRING, REFLECTED)
-    found = [x for x in around(loaded, comparison, best) if x.new in ON_IT and len(x.gone) == 2]
+    found = [x for x in around(loaded, comparison, best) if x.new in ON_IT and len(x.removed) == 2]
     (one,) = found
-    assert one.gone == (SPRING, REFLECTED)
+    assert one.removed == (SPRING, REFLECTED)
     assert one.evidence > 0.0
     assert one.hypothesis.terms == (one.new,)
     true = with_true(loaded, MASS, CARRIED)
@@ -95,7 +98,7 @@ def test_a_term_that_stands_among_the_wrong_ones_starts_anew_in_their_place(
     )  # fmt: skip
     (one,) = [
         x for x in around(loaded, comparison, best)
-        if x.new in ON_IT and set(x.gone) == {MASS, BODY}
+        if x.new in ON_IT and set(x.removed) == {MASS, BODY}
     ]  # fmt: skip
     assert one.hypothesis.terms == (one.new,)
     assert as_load(loaded, one).theta[0] > 0.0
@@ -109,11 +112,11 @@ def test_what_a_name_does_alone_is_lost_without_it() -> None:
         DRY, with_true(problem, DRY, BRAKED[DRY]).theta
     )
     found = around(problem, comparison, fitted(comparison, both))
-    bare = {x.gone: x.evidence for x in found if x.new is None}
+    bare = {x.removed: x.evidence for x in found if x.new is None}
     assert bare.keys() == {(DRAG,), (DRY,)}
     assert max(bare.values()) < -30.0
     # Nothing is offered that stands beside it already.
-    assert not any(x.new in both.without(*x.gone).terms for x in found)
+    assert not any(x.new in both.without(*x.removed).terms for x in found)
 
 
 def test_a_rival_of_another_motion_is_judged_with_its_own_step(
@@ -127,10 +130,10 @@ def test_a_rival_of_another_motion_is_judged_with_its_own_step(
     monkeypatch.setattr(Problem, "refine_at", lambda self, h: at.append(h))
     for evidence in (-3.0, -1e5, 10.0):
         rival.evidence = evidence
-        assert selection._on_its_own(rival, best) is rival
+        assert selection.judge_with_own_correction(rival, best) is rival
     assert at == []
     rival.evidence = -400.0
-    assert selection._on_its_own(rival, best).evidence > 0.0
+    assert selection.judge_with_own_correction(rival, best).evidence > 0.0
     # Nothing of that stays for the others.
     assert at == [rival.hypothesis, best.hypothesis]
 
@@ -141,28 +144,28 @@ def test_what_is_better_in_a_place_may_be_better_still_beside_it() -> None:
     comparison = selection.comparison
     best, top = settled(comparison, DRAG), settled(comparison, DRY)
     comparison.judge([top], best)
-    assert set(selection._beside(best, top).hypothesis.terms) == {DRAG, DRY}
+    assert set(selection.kept_in_addition(best, top).hypothesis.terms) == {DRAG, DRY}
     # A law that has the other in it is all that is needed.
     other = problem_of("position", {DRY: BRAKED[DRY]})
     selection = StepwiseSelection(other)
     comparison = selection.comparison
     best, top = settled(comparison, DRAG), settled(comparison, DRY)
     comparison.judge([top], best)
-    assert selection._beside(best, top) is top
+    assert selection.kept_in_addition(best, top) is top
 
 
-def test_sideways_comes_from_two_wrong_names_to_the_right_one(loaded: Problem) -> None:
+def test_an_exchange_comes_from_two_wrong_names_to_the_right_one(loaded: Problem) -> None:
     selection = StepwiseSelection(loaded)
     comparison = selection.comparison
-    selection.known = {
+    selection.known_sensitivities = {
         MASS: [
             r
-            for r in linearize_around(loaded, comparison.nominal).answers.responses
+            for r in linearize_around(loaded, comparison.nominal).candidate_sensitivities.responses
             if r.term == MASS
         ]
     }  # fmt: skip
     selected = SelectedModel(settled(comparison, SPRING, REFLECTED), comparison.nominal)
-    assert selection._sideways(selected)
+    assert selection.exchange_terms(selected)
     assert selected.best.hypothesis.terms == (MASS,)
     true = with_true(loaded, MASS, CARRIED)
     moment, its = (np.prod(h.theta[:2]) for h in (selected.best.hypothesis, true))
@@ -177,19 +180,19 @@ def test_what_explains_something_else_is_a_rival_of_nothing() -> None:
     best = settled(selection.comparison, DRAG)
     look = linearize_around(problem, best)
     found = around(problem, selection.comparison, best)
-    price = selection.comparison.name_price
+    price = selection.comparison.penalty_per_effect
     beside = better_as_addition(best, look, found, 30.0, price)
     hypothesis, evidence = beside[rubs]
     assert set(hypothesis.terms) == {DRAG, rubs}
     assert hypothesis.theta[hypothesis.slice_of(rubs)] > 0.0
-    (instead,) = [x for x in found if x.gone == (DRAG,) and x.new == rubs]
+    (instead,) = [x for x in found if x.removed == (DRAG,) and x.new == rubs]
     assert evidence > instead.evidence > 30.0, "better in the drag's place, and better beside it"
     assert not better_as_addition(best, look, found, evidence + 1.0, price), (
         "nothing is clearly better"
     )
 
     selected = SelectedModel(best, selection.comparison.nominal)
-    assert selection._sideways(selected)
+    assert selection.exchange_terms(selected)
     assert set(selected.best.hypothesis.terms) == {DRAG, rubs}
     assert selected.confidence[DRAG] > 0.99
     assert all(
@@ -207,7 +210,7 @@ def test_what_is_better_beside_everything_is_tried_in_the_place_of_several() -> 
     comparison = ModelComparison(problem)
     limit, drag = Term("torque_saturation", ELBOW), Term("quadratic_drag", ELBOW)
     best = settled(comparison, limit, drag)
-    look, price = linearize_around(problem, best), comparison.name_price
+    look, price = linearize_around(problem, best), comparison.penalty_per_effect
     true = with_true(problem, falls, hidden)
     both = best.hypothesis.with_term_of(true, falls)
     old = TermExchange((limit, drag), falls, EMPTY, -85.0, False)
@@ -216,7 +219,7 @@ def test_what_is_better_beside_everything_is_tried_in_the_place_of_several() -> 
     offered = better_than_several(best, look, [old, elsewhere], {falls: (both, 50.0)}, price)
     assert offered[0] is elsewhere
     (one,) = offered[1:]
-    assert (one.gone, one.new) == ((limit, drag), falls)
+    assert (one.removed, one.new) == ((limit, drag), falls)
     assert one.evidence > 30.0
     assert one.hypothesis.terms == (falls,)
     assert one.hypothesis.theta == pytest.approx(true.theta, rel=0.05)
@@ -239,7 +242,7 @@ def test_what_leaves_a_little_is_looked_at_where_it_is(
     nominal = selection.comparison.nominal
     left = np.ones_like(nominal.fitted.residual) * floors * loaded.signal_floor
     best = replace(nominal, fitted=replace(nominal.fitted, residual=left))
-    selection.last_look = replace(
+    selection.last_linearization = replace(
         linearize_around(loaded, nominal), around=best if here else nominal
     )
     assert (selection._known_around(best) is None) is anew
@@ -251,15 +254,15 @@ def test_what_is_right_in_a_place_is_a_rival_though_it_is_better_beside_it_too()
     best = settled(selection.comparison, DRAG)
     found = around(problem, selection.comparison, best)
     beside = better_as_addition(
-        best, linearize_around(problem, best), found, 30.0, selection.comparison.name_price
+        best, linearize_around(problem, best), found, 30.0, selection.comparison.penalty_per_effect
     )
-    (instead,) = [x for x in found if x.gone == (DRAG,) and x.new == DRY]
+    (instead,) = [x for x in found if x.removed == (DRAG,) and x.new == DRY]
     assert 30.0 < beside[DRY][1] < instead.evidence, "the name that is not needed has its price"
     selected = SelectedModel(best, selection.comparison.nominal)
-    assert selection._sideways(selected)
+    assert selection.exchange_terms(selected)
     assert selected.confidence[DRAG] < 1e-3
     # Another law of dry friction may be exchanged first.
-    selection._sideways(selected)
+    selection.exchange_terms(selected)
     assert selected.best.hypothesis.terms == (DRY,)
 
 
@@ -275,8 +278,8 @@ def test_two_that_are_each_taken_for_the_other_are_as_likely(
     drag = Term("quadratic_drag", DRAG.joint)
     best = settled(selection.comparison, drag)
     selected = SelectedModel(best, selection.comparison.nominal)
-    monkeypatch.setattr(StepwiseSelection, "_backward", lambda self, rival: best)
-    assert not selection._sideways(selected)
+    monkeypatch.setattr(StepwiseSelection, "eliminate", lambda self, rival: best)
+    assert not selection.exchange_terms(selected)
     assert selected.best is best
     shares = {t.effect: share for t, share in selected.alternatives[drag]}
     last = run.trace.steps[-1]
@@ -288,22 +291,22 @@ def test_two_that_are_each_taken_for_the_other_are_as_likely(
         Hypothesis((Term("rate_limit", SHOULDER),), np.array([1.0, 1.0, choice]))
         for choice in (0.0, 1.0)
     )
-    assert _alike(of_rate, of_rate.with_theta(0.5 * of_rate.theta))
-    assert not _alike(of_rate, of_effort)
+    assert have_same_forms(of_rate, of_rate.with_theta(0.5 * of_rate.theta))
+    assert not have_same_forms(of_rate, of_effort)
 
 
 def test_what_was_simulated_without_a_name_counts_in_its_place() -> None:
     problem = problem_of("position", {DRAG: BRAKED[DRAG]})
     selection = StepwiseSelection(problem)
     selected = SelectedModel(settled(selection.comparison, DRAG), selection.comparison.nominal)
-    assert not selection._sideways(selected)
+    assert not selection.exchange_terms(selected)
     assert selected.confidence[DRAG] > 0.9
-    selection.lost = {(): 20.0}
-    selection._sideways(selected)
+    selection.simulated_losses = {(): 20.0}
+    selection.exchange_terms(selected)
     assert selected.confidence[DRAG] < 1e-3
     # Where it was not simulated, or is not what was, the measured motion has its say.
-    selection.lost = {(SPRING,): 20.0}
-    selection._sideways(selected)
+    selection.simulated_losses = {(SPRING,): 20.0}
+    selection.exchange_terms(selected)
     assert selected.confidence[DRAG] > 0.9
 
 
@@ -312,10 +315,10 @@ def test_a_law_that_has_another_in_it_is_no_rival_of_it() -> None:
     selection = StepwiseSelection(problem)
     comparison = selection.comparison
     best = settled(comparison, DRY)
-    offered = [x.new for x in around(problem, comparison, best) if x.gone == (DRY,) and x.new]
+    offered = [x.new for x in around(problem, comparison, best) if x.removed == (DRY,) and x.new]
     assert any(DRY.effect in new.law.generalizes for new in offered)
     selected = SelectedModel(best, comparison.nominal)
-    assert not selection._sideways(selected)
+    assert not selection.exchange_terms(selected)
     assert selected.alternatives[DRY]
     assert not any(DRY.effect in new.law.generalizes for new, _ in selected.alternatives[DRY])
 
@@ -327,14 +330,14 @@ def test_rivals_that_hardly_lose_are_simulated(
     comparison = selection.comparison
     best = fitted(comparison, with_true(loaded, MASS, CARRIED))
     monkeypatch.setattr(comparison, "rivals", lambda starts, *rest: [best] * len(starts))
-    gone = (MASS,)
+    removed = (MASS,)
 
     def simulated(lost: float, behind: float) -> list[Term | None]:
         found = [
-            TermExchange(gone, None, EMPTY, lost, False),
-            TermExchange(gone, DRAG, with_true(loaded, DRAG, BRAKED[DRAG]), behind, False),
+            TermExchange(removed, None, EMPTY, lost, False),
+            TermExchange(removed, DRAG, with_true(loaded, DRAG, BRAKED[DRAG]), behind, False),
         ]
-        return [x.new for x, _ in selection._simulated(best, found, ())]
+        return [x.new for x, _ in selection.simulated_exchanges(best, found, ())]
 
     assert simulated(lost=-500.0, behind=-20.0) == [DRAG]
     assert simulated(lost=-500.0, behind=-40.0) == []
@@ -347,8 +350,8 @@ def test_rivals_that_hardly_lose_are_simulated(
         TermExchange((DRY,), None, EMPTY, -3.0, False),
         TermExchange((MASS, DRY), DRAG, with_true(loaded, DRAG, BRAKED[DRAG]), -200.0, False),
     ]
-    assert [x.new for x, _ in selection._simulated(best, several, ())] == [DRAG]
-    assert selection._simulated(best, several[1:], ()) == []
+    assert [x.new for x, _ in selection.simulated_exchanges(best, several, ())] == [DRAG]
+    assert selection.simulated_exchanges(best, several[1:], ()) == []
 
 
 def at_starts(*terms: Term) -> Hypothesis:
@@ -356,12 +359,12 @@ def at_starts(*terms: Term) -> Hypothesis:
 
 
 def by_chance_of(
-    gone: tuple[Term, ...], new: Term | None, lost: float, unseen: float = 1.0
+    removed: tuple[Term, ...], new: Term | None, lost: float, unseen: float = 1.0
 ) -> float:
-    bare = TermExchange(gone, None, EMPTY, -lost, False)
+    bare = TermExchange(removed, None, EMPTY, -lost, False)
     there = at_starts(new) if new else EMPTY
-    other = TermExchange(gone, new, there, 7.0, False)
-    return chance_gain(at_starts(*gone), [bare, other], unseen)[gone, new]
+    other = TermExchange(removed, new, there, 7.0, False)
+    return chance_gain(at_starts(*removed), [bare, other], unseen)[removed, new]
 
 
 def test_more_parameters_are_ahead_by_chance() -> None:
@@ -392,12 +395,12 @@ def test_what_was_not_simulated_loses_what_those_that_seemed_nearer_lost() -> No
         TermExchange((DRAG,), MASS, EMPTY, 12.0, False),
     ]
     evidence = simulated_evidence(found, [(drag, -60.0), (dry, -3600.0)])
-    assert [evidence[x.gone, x.new] for x in (drag, dry, mass)] == [-60.0, -3600.0, 27.0 - 101.0]
+    assert [evidence[x.removed, x.new] for x in (drag, dry, mass)] == [-60.0, -3600.0, 27.0 - 101.0]
     # Nothing in their place was to be simulated, along the motion a gear is not told, and another
     # place says nothing of this one.
-    assert [evidence[x.gone, x.new] for x in (bare, gear, elsewhere)] == [-2000.0, 500.0, 12.0]
+    assert [evidence[x.removed, x.new] for x in (bare, gear, elsewhere)] == [-2000.0, 500.0, 12.0]
     # What simulation finds better than it seemed says nothing of the others.
-    assert simulated_evidence(found, [(drag, 90.0)])[mass.gone, mass.new] == 27.0
+    assert simulated_evidence(found, [(drag, 90.0)])[mass.removed, mass.new] == 27.0
 
 
 def test_a_law_that_has_another_in_it_is_clearly_ahead_or_gives_way() -> None:

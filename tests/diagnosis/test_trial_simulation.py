@@ -76,7 +76,7 @@ def test_what_failed_is_not_offered_again() -> None:
     assert found is not None
     assert PLAY in {h.terms[-1] for h in simulation_shortlist(problem, best, look, found)}
     less = look.without({PLAY})
-    assert PLAY not in {r.term for r in less.answers.responses}
+    assert PLAY not in {r.term for r in less.candidate_sensitivities.responses}
     rest = linearized_shortlist(comparison, best, less)
     assert rest is not None
     assert PLAY not in {h.terms[-1] for h in simulation_shortlist(problem, best, less, rest)}
@@ -89,7 +89,7 @@ def test_a_name_counts_for_more_where_what_no_fit_has_seen_keeps_more() -> None:
     problem = problem_of("position", {DRY: dry, slight: {"coefficient": 0.015}})
     comparison = ModelComparison(problem)
     best = fitted(comparison, with_true(problem, DRY, dry))
-    comparison.has_held = True
+    comparison.has_validation = True
     comparison.nominal.held_residual = comparison.nominal.fitted.residual
 
     def offered(times: float) -> set[Term]:
@@ -133,7 +133,7 @@ def test_a_single_term_that_is_fitted_already_gets_its_company() -> None:
         def search() -> BeamSearch:
             return BeamSearch(4, 2, 5.0, lambda before, after: True)
 
-        found = grow_single_terms(look.view, look.answers, polished, own, search)
+        found = grow_single_terms(look.view, look.candidate_sensitivities, polished, own, search)
         for h in found:
             assert len(set(h.terms)) == len(h.terms)
             assert h.theta[h.slice_of(MASS)][0] == root.hypothesis.theta[0]
@@ -175,7 +175,7 @@ def test_the_step_is_corrected_where_the_simplest_that_leaves_least_is(
     monkeypatch.setattr(Problem, "refine_at", refine_at)
     monkeypatch.setattr(stepwise_selection, "simulation_shortlist", lambda *_: starts)
     nominal = selection.comparison.nominal
-    assert selection._tried(nominal, linearize_for_additions(late, nominal))
+    assert selection.simulated_shortlist(nominal, linearize_for_additions(late, nominal))
     assert at[0] is right
 
 
@@ -190,7 +190,7 @@ def test_what_is_better_in_a_place_but_not_simulated_there_is_tried_in_addition(
     def added(evidence: float, claimed: Hypothesis = start) -> ScoredModel | None:
         (new,) = claimed.terms
         one = [(TermExchange((DRAG,), new, claimed, evidence, False), best)]
-        return selection._added(best, one, ())
+        return selection.best_addition(best, one, ())
 
     found = added(100.0)
     assert found is not None

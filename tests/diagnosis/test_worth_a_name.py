@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_twin.diagnosis.verdict import own_mismatch, worth_a_name
+from pytest_twin.diagnosis.verdict import own_mismatch, reduces_error_enough
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 FLOOR = np.array([2e-4, 5e-4])
@@ -15,7 +15,7 @@ def _worth(before: float, after: float, whole: float, signal: int = 1) -> bool:
     """Of one of two signals, in floors; the other is at its floor throughout."""
     each = np.full((3, 2), 1.0)
     each[:, signal] = before, after, whole
-    return worth_a_name(FLOOR, *(each * FLOOR) ** 2)
+    return reduces_error_enough(FLOOR, *(each * FLOOR) ** 2)
 
 
 def test_what_would_not_stand_out_alone_is_no_names_merit() -> None:
@@ -26,10 +26,10 @@ def test_what_would_not_stand_out_alone_is_no_names_merit() -> None:
 
 @pytest.mark.parametrize("after", [1.0, 2.0, 3.0])
 def test_the_bar_is_what_a_finding_has_to_stand_out_by(after: float) -> None:
-    stands = VERDICT.stands_out**2 - 1.0
+    influence = VERDICT.stands_out**2 - 1.0
     whole = np.hypot(after, 1.0)
-    assert _worth(float(np.sqrt(after**2 + 1.01 * stands)), after, whole)
-    assert not _worth(float(np.sqrt(after**2 + 0.99 * stands)), after, whole)
+    assert _worth(float(np.sqrt(after**2 + 1.01 * influence)), after, whole)
+    assert not _worth(float(np.sqrt(after**2 + 0.99 * influence)), after, whole)
 
 
 def test_far_off_it_is_a_share_of_what_is_left() -> None:

@@ -173,7 +173,7 @@ class CandidateSensitivities:
         joined = np.concatenate(parts, axis=1) if parts else np.zeros((1, 0, 1))
         self.columns = np.ascontiguousarray(joined, dtype=np.float32)
         self._products: dict[int, FloatArray] = {}
-        self.name_price = effect_penalty(len({r.term for r in self.responses}))
+        self.penalty_per_effect = effect_penalty(len({r.term for r in self.responses}))
         self.groups = [self._group(m) for m in sorted({len(r.switches) for r in self.responses})]
 
     def _group(self, switches: int) -> _Group:
@@ -220,19 +220,21 @@ class NormalEquations:
 
     Args:
         view: residual and Jacobian of the present hypothesis.
-        answers: sensitivities of the candidates.
+        candidate_sensitivities: sensitivities of the candidates.
     """
 
-    def __init__(self, view: ResidualView, answers: CandidateSensitivities) -> None:
+    def __init__(self, view: ResidualView, candidate_sensitivities: CandidateSensitivities) -> None:
         self.view = view
-        self.answers = answers
+        self.candidate_sensitivities = candidate_sensitivities
         self.bins = len(view.residual)
         jacobian = np.moveaxis(view.jacobian, 1, 0)  # (signals, bins, parameters)
         self.own = jacobian.swapaxes(-1, -2) @ jacobian
         self.own_residual = np.einsum("sbp,bs->sp", jacobian, view.residual)
         self.squared = np.einsum("bs,bs->s", view.residual, view.residual)
-        self.with_own = answers.with_columns(view.jacobian)
-        self.with_residual = answers.with_columns(view.residual[:, :, None])[:, :, 0]
+        self.with_own = candidate_sensitivities.with_columns(view.jacobian)
+        self.with_residual = candidate_sensitivities.with_columns(view.residual[:, :, None])[
+            :, :, 0
+        ]
 
     @property
     def bare(self) -> Structure:
@@ -244,8 +246,8 @@ class NormalEquations:
 
         The p unknowns are the present parameters, then the amplitudes of the chosen responses.
         """
-        answers = self.answers
-        columns = answers.columns_of(chosen)
+        candidate_sensitivities = self.candidate_sensitivities
+        columns = candidate_sensitivities.columns_of(chosen)
         p = self.own.shape[1]
         total = p + len(columns)
         normal = np.empty((len(self.squared), total, total))
@@ -255,7 +257,7 @@ class NormalEquations:
         normal[:, :p, p:] = side.swapaxes(-1, -2)
         at = p
         for i in chosen:
-            block = answers.products(i)[:, columns]
+            block = candidate_sensitivities.products(i)[:, columns]
             normal[:, p:, at : at + block.shape[2]] = block
             at += block.shape[2]
         right = np.concatenate([self.own_residual, self.with_residual[:, columns]], axis=1)
@@ -265,16 +267,16 @@ class NormalEquations:
         """The structure with the ``chosen`` responses; all amplitudes are fitted within bounds."""
         normal, right = self._normal(chosen)
         p = self.own.shape[1]
-        answers = self.answers
-        columns = answers.columns_of(chosen)
-        lower = np.concatenate([np.full(p, -np.inf), answers.lower[columns]])
-        upper = np.concatenate([np.full(p, np.inf), answers.upper[columns]])
+        candidate_sensitivities = self.candidate_sensitivities
+        columns = candidate_sensitivities.columns_of(chosen)
+        lower = np.concatenate([np.full(p, -np.inf), candidate_sensitivities.lower[columns]])
+        upper = np.concatenate([np.full(p, np.inf), candidate_sensitivities.upper[columns]])
         x = self._solved(normal[:, None], right[:, None], lower[None], upper[None])[0][0]
         residual = self.view.residual - self.view.jacobian @ x[:p]
         starts: dict[Term, FloatArray] = {}
         at = p
         for i in chosen:
-            r = answers.responses[i]
+            r = candidate_sensitivities.responses[i]
             amplitude = x[at : at + len(r.switches)]
             at += len(r.switches)
             residual = residual - r.change @ amplitude
@@ -335,13 +337,16 @@ class NormalEquations:
             count: largest number of structures.
             barred: terms that are not added.
         """
-        answers, floor = self.answers, self.view.floor
+        candidate_sensitivities, floor = self.candidate_sensitivities, self.view.floor
         base, base_right = self._normal(parent.chosen)
         p = base.shape[1]
-        cross_products = [self.with_own, *(answers.products(i) for i in parent.chosen)]
+        cross_products = [
+            self.with_own,
+            *(candidate_sensitivities.products(i) for i in parent.chosen),
+        ]
         with_base = np.concatenate(cross_products, axis=2)
-        misfit = np.full((len(answers.responses), len(self.squared)), np.inf)
-        for group in answers.groups:
+        misfit = np.full((len(candidate_sensitivities.responses), len(self.squared)), np.inf)
+        for group in candidate_sensitivities.groups:
             m = group.columns.shape[1]
             k = len(group.which)
             normal = np.empty((len(self.squared), k, p + m, p + m))
@@ -354,12 +359,18 @@ class NormalEquations:
                 [np.repeat(base_right[:, None], k, axis=1), self.with_residual[:, group.columns]],
                 axis=2,
             )
-            lower = np.concatenate([np.full((k, p), -np.inf), answers.lower[group.columns]], axis=1)
-            upper = np.concatenate([np.full((k, p), np.inf), answers.upper[group.columns]], axis=1)
+            lower = np.concatenate(
+                [np.full((k, p), -np.inf), candidate_sensitivities.lower[group.columns]], axis=1
+            )
+            upper = np.concatenate(
+                [np.full((k, p), np.inf), candidate_sensitivities.upper[group.columns]], axis=1
+            )
             _, mean_square = self._solved(normal, right, lower, upper)
             misfit[group.which] = np.log(np.maximum(mean_square, floor**2))
         excluded = {*parent.starts, *barred}
-        new = np.array([r.term not in excluded for r in answers.responses], dtype=bool)
+        new = np.array(
+            [r.term not in excluded for r in candidate_sensitivities.responses], dtype=bool
+        )
         possible = np.flatnonzero(new & np.isfinite(misfit).all(axis=1))
         if not len(possible):
             return []
@@ -369,8 +380,8 @@ class NormalEquations:
         cost = parameter_penalty(effective)
         best: dict[Term, tuple[float, int]] = {}
         for i in map(int, possible):
-            term = answers.responses[i].term
-            gain = -0.5 * float(misfit[i] @ effective) - cost * answers.free[i]
+            term = candidate_sensitivities.responses[i].term
+            gain = -0.5 * float(misfit[i] @ effective) - cost * candidate_sensitivities.free[i]
             if term not in best or gain > best[term][0]:
                 best[term] = gain, i
         ranked = sorted(best.values(), key=lambda x: -x[0])[:count]
@@ -384,7 +395,7 @@ class NormalEquations:
         effective = self.view.effective_of_best([c.residual for c in children])
 
         def worth(s: Structure) -> float:
-            penalty = self.answers.name_price * len(s.starts)
+            penalty = self.candidate_sensitivities.penalty_per_effect * len(s.starts)
             return self.view.worth(s.residual, effective, s.parameters) - penalty
 
         base = worth(parent)
@@ -452,11 +463,13 @@ class BeamSearch:
         """
         check()
         parents = [s for s in level if len(s.chosen) < self.most]
-        equations.answers.take_products(i for s in parents for i in s.chosen)
+        equations.candidate_sensitivities.take_products(i for s in parents for i in s.chosen)
         children = Forks(self.cores).map(partial(equations.children, count=count), parents)
         wanted = {frozenset(c): c for each in children for c in each}
         new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
-        equations.answers.take_products(i for chosen in new.values() for i in chosen)
+        equations.candidate_sensitivities.take_products(
+            i for chosen in new.values() for i in chosen
+        )
         self._seen |= {key: equations.structure(chosen) for key, chosen in new.items()}
         return [self._seen[key] for key in wanted]
 

@@ -67,14 +67,14 @@ def _wavenumber(term: Term) -> int | None:
 
 def _travel(linear: Linear, joint: int) -> float:
     """Range of the positions of a joint, rad or m."""
-    q = linear.along.position[..., joint]
+    q = linear.trajectory.position[..., joint]
     return float(q.max() - q.min())
 
 
 def _prediction_error(linear: Linear, joint: int) -> float:
     """RMS prediction error of a joint, rad or m; at least 1e-9."""
-    along = linear.along
-    error = along.position[..., joint] - along.predicted_position[..., joint]
+    trajectory = linear.trajectory
+    error = trajectory.position[..., joint] - trajectory.predicted_position[..., joint]
     return max(float(np.sqrt(np.mean(error**2))), 1e-9)
 
 
@@ -104,7 +104,9 @@ def _best_of(
     best: list[Sensitivity] = []
     for first in range(0, len(sizes), _AT_ONCE):
         found = [*best, *linear.at_sizes([term], sizes[first : first + _AT_ONCE])]
-        answers = CandidateSensitivities(found)
-        equations = NormalEquations(view, answers)
-        best = [answers.responses[i] for (i,) in equations.children(equations.bare, 1)]
+        candidate_sensitivities = CandidateSensitivities(found)
+        equations = NormalEquations(view, candidate_sensitivities)
+        best = [
+            candidate_sensitivities.responses[i] for (i,) in equations.children(equations.bare, 1)
+        ]
     return best[0] if best else None

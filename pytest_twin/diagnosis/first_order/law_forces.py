@@ -140,19 +140,23 @@ class LawForces:
 
     Args:
         simulator: the segments.
-        along: the motion.
+        trajectory: the motion.
         rigid: its rigid-body terms.
     """
 
-    def __init__(self, simulator: BatchSimulator, along: MeasuredTrajectory, rigid: Rigid) -> None:
+    def __init__(
+        self, simulator: BatchSimulator, trajectory: MeasuredTrajectory, rigid: Rigid
+    ) -> None:
         self.simulator = simulator
-        self.along = along
-        samples = along.position.shape[1]
+        self.trajectory = trajectory
+        samples = trajectory.position.shape[1]
         self.load = upsampled(rigid.bias, rigid.at, samples)
         self.required = upsampled(rigid.effort, rigid.at, samples)
         self._held: dict[int, FloatArray] = {}
-        self._at_start = simulator.models.world(along.segments)
-        self._rest_weight, self._direction = _slipping(along.velocity, along.slip_velocity)
+        self._at_start = simulator.models.world(trajectory.segments)
+        self._rest_weight, self._direction = _slipping(
+            trajectory.velocity, trajectory.slip_velocity
+        )
 
     def forces(self, effects: ActiveEffects, copies: int) -> Forces:
         """Forces of ``copies`` variants of the laws.
@@ -161,7 +165,7 @@ class LawForces:
             effects: values (copies, joints), neutral where a variant lacks the effect.
             copies: number of variants.
         """
-        segments, samples, joints = self.along.position.shape
+        segments, samples, joints = self.trajectory.position.shape
         out = Forces(*(np.zeros((copies, segments, samples, joints)) for _ in fields(Forces)))
         everything = np.ones((copies, joints), dtype=bool)
         for lanes, found in self._found(effects, _pace(effects, (copies, joints)), everything):
@@ -184,7 +188,7 @@ class LawForces:
         Returns:
             Total force and drive effort, (copies, segments, samples, joints) each, N*m or N.
         """
-        segments, samples, joints = self.along.position.shape
+        segments, samples, joints = self.trajectory.position.shape
         shape = (copies, joints)
         total, drive = np.zeros((2, copies, segments, samples, joints))
         # Base and variant must be sampled in the same way, also if the variant lacks a law with
@@ -201,7 +205,7 @@ class LawForces:
         self, effects: ActiveEffects, pace: NDArray[np.int64], which: NDArray[np.bool_]
     ) -> Iterator[tuple[_Lanes, Forces]]:
         """Forces of the (copies, joints) joints ``which``; joints of one pace share a part."""
-        segments, samples, joints = self.along.position.shape
+        segments, samples, joints = self.trajectory.position.shape
         coupled = np.zeros(len(which), dtype=bool)
         for effect, v in effects:
             if effect.reads_other_joints:
@@ -219,7 +223,7 @@ class LawForces:
                         yield lanes, self._of_lanes(effects, lanes, p)
 
     def _of_lanes(self, effects: ActiveEffects, lanes: _Lanes, pace: int) -> Forces:
-        along = self.along
+        trajectory = self.trajectory
         active = [(e, {n: lanes.of_copy(x) for n, x in v.items()}) for e, v in effects]
         each = [(e, v) for e, v in active if acts_at(e, v).any()]
         world = self._world(lanes)
@@ -232,7 +236,9 @@ class LawForces:
         else:
             # Elastic transmissions are stiff and need the model's step; for other laws with memory
             # one step for each sample is enough.
-            out = self._stepwise(each, world, joint, lanes, along.steps if pace == _STEPS else 1)
+            out = self._stepwise(
+                each, world, joint, lanes, trajectory.steps if pace == _STEPS else 1
+            )
         total, drive, dry, level = out
         constant = (stiffness, damping, joint.spring + joint.model_spring, joint.damping)
         return Forces(total, drive, dry, level, *(x[:, None] for x in constant))
@@ -247,7 +253,7 @@ class LawForces:
 
     def _joint(self, effects: ActiveEffects, world: World, lanes: _Lanes) -> _Joint:
         simulator = self.simulator
-        models = [simulator.segments[s].model for s in self.along.segments]
+        models = [simulator.segments[s].model for s in self.trajectory.segments]
         dof = simulator.layout.dof_index
 
         def of(values: list[FloatArray]) -> FloatArray:
@@ -262,7 +268,7 @@ class LawForces:
                 effect.fields(changed, v)
         soft = moving_apart(effects, lanes.joint.shape)
         if soft.any():
-            known = simulator.models.link_inertia(np.asarray(self.along.segments))
+            known = simulator.models.link_inertia(np.asarray(self.trajectory.segments))
             world.link_inertia = lanes.of_segment(known)
         world.friction_level = np.maximum(changed.friction, 0.0)
         own = of([m.dof_armature[dof] for m in models])
@@ -278,25 +284,25 @@ class LawForces:
 
     def _commands(self, effects: ActiveEffects, lanes: _Lanes, count: int) -> FloatArray:
         """(lanes, count, columns) means of the held commands over even parts of the motion."""
-        simulator, along = self.simulator, self.along
-        segments, samples, joints = along.position.shape
-        steps = (samples - 1) * along.steps
+        simulator, trajectory = self.simulator, self.trajectory
+        segments, samples, joints = trajectory.position.shape
+        steps = (samples - 1) * trajectory.steps
         late = [(e, v) for e, v in effects if e.overrides("command_latency", "sample_time")]
         if late:
-            rows = along.segments[lanes.segment]
+            rows = trajectory.segments[lanes.segment]
             found = simulator.commands(rows, late, steps, lanes.joint)
             mean: FloatArray = found.reshape(len(rows), count, -1, found.shape[2]).mean(axis=2)
             return mean
         if count not in self._held:
-            found = simulator.commands(along.segments, [], steps)
+            found = simulator.commands(trajectory.segments, [], steps)
             self._held[count] = found.reshape(segments, count, -1, joints).mean(axis=2)
         return lanes.in_time(self._held[count])
 
     def _at_once(
         self, effects: ActiveEffects, world: World, joint: _Joint, lanes: _Lanes
     ) -> list[FloatArray]:
-        along = self.along
-        samples = along.position.shape[1]
+        trajectory = self.trajectory
+        samples = trajectory.position.shape[1]
         count, columns = lanes.joint.shape
         mean = self._commands(effects, lanes, samples - 1)
         # Commands are means over the interval after a sample; a sample represents half an interval
@@ -312,8 +318,8 @@ class LawForces:
         for name in (*_PER_ROW, "servo"):
             setattr(world, name, spread(getattr(world, name)))
         wide = _Joint(*(spread(getattr(joint, f.name)) for f in fields(_Joint)))
-        world.time = along.time[lanes.segment].ravel()
-        world.position, world.velocity = flat(along.position), flat(along.velocity)
+        world.time = trajectory.time[lanes.segment].ravel()
+        world.position, world.velocity = flat(trajectory.position), flat(trajectory.velocity)
         world.load = flat(self.load)
         world.setpoint = held.reshape(-1, columns)
         world.applied = wide.constant - wide.spring * (world.position - wide.rest)
@@ -322,7 +328,7 @@ class LawForces:
             hooks_between_steps([(e, {n: spread(x) for n, x in v.items()}) for e, v in effects]),
         )
         out = self._closed(
-            wide, world.velocity, flat(along.acceleration), flat(self.required),
+            wide, world.velocity, flat(trajectory.acceleration), flat(self.required),
             _Efforts(world.delivered, world.applied, world.friction_level),
             (flat(self._rest_weight), flat(self._direction)),
         )  # fmt: skip
@@ -331,10 +337,10 @@ class LawForces:
     def _stepwise(
         self, effects: ActiveEffects, world: World, joint: _Joint, lanes: _Lanes, parts: int
     ) -> list[FloatArray]:
-        along = self.along
-        samples = along.position.shape[1]
+        trajectory = self.trajectory
+        samples = trajectory.position.shape[1]
         count, columns = lanes.joint.shape
-        world.timestep = along.interval / parts
+        world.timestep = trajectory.interval / parts
 
         def by_step(x: FloatArray) -> FloatArray:
             return np.ascontiguousarray(x.swapaxes(0, 1))
@@ -342,18 +348,24 @@ class LawForces:
         held = by_step(self._commands(effects, lanes, (samples - 1) * parts))
         motion = [
             by_step(lanes.in_time(x))
-            for x in (along.position, along.velocity, self.load, along.acceleration, self.required)
+            for x in (
+                trajectory.position,
+                trajectory.velocity,
+                self.load,
+                trajectory.acceleration,
+                self.required,
+            )
         ]
-        start = along.time[lanes.segment, 0]
+        start = trajectory.time[lanes.segment, 0]
         hooks = hooks_between_steps(effects)
         world.time, world.load = start, motion[2][0]
-        self.simulator.warm_up(world, along.segments[lanes.segment], effects, lanes.joint)
+        self.simulator.warm_up(world, trajectory.segments[lanes.segment], effects, lanes.joint)
         bounds = world.lower, world.upper, world.friction_level
         # Commands are means over a step, so the motion is evaluated in the middle of the step. With
         # an elastic transmission it is evaluated at the beginning, as in the simulation.
         middle = 0.5 if parts == 1 else 0.0
         share = ((np.arange(parts) + middle) / parts)[None, :, None, None]
-        slip_velocity = along.slip_velocity[lanes.joint]
+        slip_velocity = trajectory.slip_velocity[lanes.joint]
         mean = np.empty((4, samples - 1, count, columns))
         per = max(1, _BLOCK // parts)
         drive, level = np.empty((2, per * parts, count, columns))
@@ -421,7 +433,7 @@ def _slipping(velocity: FloatArray, slip_velocity: FloatArray) -> tuple[FloatArr
 
 
 def force_slopes(
-    simulator: BatchSimulator, along: MeasuredTrajectory, rigid: Rigid, effects: ActiveEffects
+    simulator: BatchSimulator, trajectory: MeasuredTrajectory, rigid: Rigid, effects: ActiveEffects
 ) -> tuple[FloatArray, FloatArray]:
     """Stiffness and damping of forces that depend only on the state (drag, cogging).
 
@@ -429,7 +441,7 @@ def force_slopes(
 
     Args:
         simulator: the segments.
-        along: the motion.
+        trajectory: the motion.
         rigid: its rigid-body terms.
         effects: effects of the hypothesis, values (1, joints).
 
@@ -441,17 +453,17 @@ def force_slopes(
         (e, v) for e, v in effects
         if e.overrides("force") and not e.remembers and e.family != "environment"
     ]  # fmt: skip
-    out = np.zeros((2, *along.position.shape))
+    out = np.zeros((2, *trajectory.position.shape))
     if not of_state:
         return out[0], out[1]
-    position, velocity = along.midway
+    position, velocity = trajectory.midway
 
     def force(q: FloatArray, v: FloatArray) -> FloatArray:
-        laws = LawForces(simulator, replace(along, position=q, velocity=v), rigid)
+        laws = LawForces(simulator, replace(trajectory, position=q, velocity=v), rigid)
         found: FloatArray = laws.changes(of_state, 1, [], laws.forces([], 1))[0][0]
         return found
 
-    tip = along.slip_velocity
+    tip = trajectory.slip_velocity
     out[0] = (force(position - _TIP, velocity) - force(position + _TIP, velocity)) / (2 * _TIP)
     out[1] = (force(position, velocity - tip) - force(position, velocity + tip)) / (2 * tip)
     return out[0], out[1]

@@ -26,24 +26,27 @@ _ROUNDS = 3
 
 
 def refine_limits(
-    linear: Linear, view: ResidualView, answers: CandidateSensitivities, best: Hypothesis
+    linear: Linear,
+    view: ResidualView,
+    candidate_sensitivities: CandidateSensitivities,
+    best: Hypothesis,
 ) -> list[Sensitivity]:
     """Sensitivities to limits at the size that fits best alone, at joints with a large residual.
 
     Args:
         linear: linearization around ``best``.
         view: its residual.
-        answers: sensitivities on the grid of starting sizes.
+        candidate_sensitivities: sensitivities on the grid of starting sizes.
         best: the present hypothesis.
     """
     joints = len(linear.problem.joints)
     far = np.sqrt(view.mean_square)[:joints] > _FAR * view.floor[:joints]
     if not far.any():
         return []
-    equations = NormalEquations(view, answers)
+    equations = NormalEquations(view, candidate_sensitivities)
     starts: list[Hypothesis] = []
-    for chosen in equations.children(equations.bare, len(answers.responses)):
-        response = answers.responses[chosen[0]]
+    for chosen in equations.children(equations.bare, len(candidate_sensitivities.responses)):
+        response = candidate_sensitivities.responses[chosen[0]]
         if _is_lone_limit(response) and far[max(response.term.joint, 0)]:
             ((term, start),) = equations.structure(chosen).starts.items()
             starts.append(best.with_term(term, start))

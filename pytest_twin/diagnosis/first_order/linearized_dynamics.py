@@ -112,7 +112,7 @@ def _held(force: FloatArray) -> FloatArray:
 
 def linearized_dynamics(
     simulator: BatchSimulator,
-    along: MeasuredTrajectory,
+    trajectory: MeasuredTrajectory,
     effects: ActiveEffects,
     measured: Forces,
     predicted: Forces,
@@ -125,20 +125,20 @@ def linearized_dynamics(
 
     Args:
         simulator: the segments.
-        along: the measured and the predicted motion.
+        trajectory: the measured and the predicted motion.
         effects: effects of the hypothesis, values (1, joints).
         measured, predicted: forces of the hypothesis along the measured and the predicted motion.
         slopes_of_forces: stiffness and damping of the other forces that depend on the state, of
             :func:`~pytest_twin.diagnosis.first_order.law_forces.force_slopes`.
     """
-    n = along.position.shape[2]
-    middle, slope_q, slope_v = slopes(simulator, along, effects)
-    samples = along.position.shape[1]
+    n = trajectory.position.shape[2]
+    middle, slope_q, slope_v = slopes(simulator, trajectory, effects)
+    samples = trajectory.position.shape[1]
     mass, slope_q, slope_v = (
         upsampled(x, middle.at, samples) for x in (middle.mass, slope_q, slope_v)
     )
-    error_q = along.position - along.predicted_position
-    error_v = along.velocity - along.predicted_velocity
+    error_q = trajectory.position - trajectory.predicted_position
+    error_v = trajectory.velocity - trajectory.predicted_velocity
     linear = measured.stiffness[0] * error_q + measured.damping[0] * error_v
     actual = -(measured.drive[0] - predicted.drive[0])
     tiny = 1e-9 * np.max(np.abs(linear), axis=(0, 1)) + 1e-30
@@ -146,22 +146,22 @@ def linearized_dynamics(
         np.abs(linear) > tiny, np.clip(actual / np.where(linear == 0.0, 1.0, linear), 0.0, 1.0), 1.0
     )
     stiffness, damping = share * measured.stiffness[0], share * measured.damping[0]
-    differs = np.abs(error_v) > 1e-6 * along.slip_velocity
+    differs = np.abs(error_v) > 1e-6 * trajectory.slip_velocity
     friction = np.where(
         differs,
         -(measured.dry[0] - predicted.dry[0]) / np.where(differs, error_v, 1.0),
         measured.level[0]
-        / along.slip_velocity
-        / np.cosh(np.minimum(np.abs(along.velocity) / along.slip_velocity, 30.0)) ** 2,
+        / trajectory.slip_velocity
+        / np.cosh(np.minimum(np.abs(trajectory.velocity) / trajectory.slip_velocity, 30.0)) ** 2,
     )
     eye = np.eye(n)
-    h = along.interval
+    h = trajectory.interval
     more_stiffness, more_damping = slopes_of_forces
     passive = measured.passive_stiffness[0] + more_stiffness
     k_all = slope_q + eye * (stiffness + passive)[..., None]
     d_joint = np.maximum(friction, 0.0) + damping + measured.passive_damping[0] + more_damping
     diagonal = np.einsum("stjj->stj", mass)
-    d_joint = d_joint + _HELD * along.at_rest * diagonal / h
+    d_joint = d_joint + _HELD * trajectory.at_rest * diagonal / h
     d_all = slope_v + eye * d_joint[..., None]
     inverse = np.linalg.inv(mass)
     a = np.zeros((*mass.shape[:2], 2 * n, 2 * n))

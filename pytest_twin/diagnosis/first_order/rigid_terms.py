@@ -56,16 +56,16 @@ class Rigid:
     bias: FloatArray
 
 
-def coarse(along: MeasuredTrajectory) -> NDArray[np.int64]:
+def coarse(trajectory: MeasuredTrajectory) -> NDArray[np.int64]:
     """Indices of the samples at which rigid-body terms are evaluated."""
-    every = max(1, round(_EVERY / along.interval))
-    samples = along.position.shape[1]
+    every = max(1, round(_EVERY / trajectory.interval))
+    samples = trajectory.position.shape[1]
     return np.unique(np.append(np.arange(0, samples, every), samples - 1))
 
 
 def rigid_terms(
     simulator: BatchSimulator,
-    along: MeasuredTrajectory,
+    trajectory: MeasuredTrajectory,
     effects: Sequence[tuple[Effect, Values]] = (),
     copies: int = 1,
     nudges: FloatArray | None = None,
@@ -74,18 +74,18 @@ def rigid_terms(
 
     Args:
         simulator: the segments.
-        along: the motion.
+        trajectory: the motion.
         effects: effects that change the variants, values (copies, joints).
         copies: number of variants.
         nudges: (copies, 2, joints) increments of positions and velocities. With them, terms are
             evaluated midway between the measured and the predicted motion.
     """
-    at = coarse(along)
-    segments, points = len(along.segments), len(at)
-    joints = along.position.shape[2]
-    motion = (along.position, along.velocity) if nudges is None else along.midway
-    q, v, a = (x[:, at] for x in (*motion, along.acceleration))
-    rows = np.asarray(along.segments)
+    at = coarse(trajectory)
+    segments, points = len(trajectory.segments), len(at)
+    joints = trajectory.position.shape[2]
+    motion = (trajectory.position, trajectory.velocity) if nudges is None else trajectory.midway
+    q, v, a = (x[:, at] for x in (*motion, trajectory.acceleration))
+    rows = np.asarray(trajectory.segments)
     cores = free_cores(simulator.threads) if copies * q[..., 0].size > _WORTH_FORKS else 1
     per = min(max(1, _MAX_MODELS // segments), -(-copies // cores))
 
@@ -127,24 +127,26 @@ def rigid_terms(
 
 
 def slopes(
-    simulator: BatchSimulator, along: MeasuredTrajectory, effects: Sequence[tuple[Effect, Values]]
+    simulator: BatchSimulator,
+    trajectory: MeasuredTrajectory,
+    effects: Sequence[tuple[Effect, Values]],
 ) -> tuple[Rigid, FloatArray, FloatArray]:
     """Rigid-body terms midway between measured and predicted motion, with derivatives of effort.
 
     Args:
         simulator: the segments.
-        along: the motion.
+        trajectory: the motion.
         effects: effects of the hypothesis, values (1, joints).
 
     Returns:
         The terms, and the derivatives of the inverse dynamics with respect to position and to
         velocity, (segments, len(at), joints, joints) each.
     """
-    n = along.position.shape[2]
+    n = trajectory.position.shape[2]
     nudges = np.zeros((2 * n + 1, 2, n))
     nudges[1 : n + 1, 0] = nudges[n + 1 :, 1] = _NUDGE * np.eye(n)
     wide = [(e, {k: np.repeat(x, 2 * n + 1, axis=0) for k, x in v.items()}) for e, v in effects]
-    middle, *moved = rigid_terms(simulator, along, wide, 2 * n + 1, nudges)
+    middle, *moved = rigid_terms(simulator, trajectory, wide, 2 * n + 1, nudges)
     by_position, by_velocity = (
         np.stack([(m.effort - middle.effort) / _NUDGE for m in part], axis=-1)
         for part in (moved[:n], moved[n:])
@@ -226,13 +228,13 @@ class Efforts:
 
     Args:
         simulator: the segments.
-        along: the motion.
+        trajectory: the motion.
     """
 
-    def __init__(self, simulator: BatchSimulator, along: MeasuredTrajectory) -> None:
+    def __init__(self, simulator: BatchSimulator, trajectory: MeasuredTrajectory) -> None:
         self._simulator = simulator
-        self._along = along
-        self._bare = rigid_terms(simulator, along)[0].effort
+        self._at_trajectory = trajectory
+        self._bare = rigid_terms(simulator, trajectory)[0].effort
         self._parts: dict[tuple[str, int, int], FloatArray] = {}
 
     def of(self, effects: Sequence[tuple[Effect, Values]], copies: int) -> list[FloatArray]:
@@ -246,7 +248,7 @@ class Efforts:
         if sizes is None:
             joints = self._bare.shape[2]
             heavy = [(e, v) for e, v in effects if changes_bodies(e, v, joints)]
-            found = rigid_terms(self._simulator, self._along, heavy, copies)
+            found = rigid_terms(self._simulator, self._at_trajectory, heavy, copies)
             return [f.effort for f in found]
         out = []
         for copy in range(copies):
@@ -309,7 +311,7 @@ class Efforts:
             if name == "load":
                 values[family.effect]["mass"][here] = 1.0
             first = here.stop
-        found = rigid_terms(self._simulator, self._along, list(values.items()), copies)
+        found = rigid_terms(self._simulator, self._at_trajectory, list(values.items()), copies)
         more = np.stack([f.effort - self._bare for f in found])
         for (name, j), here in rows.items():
             family = _FAMILIES[name]

@@ -272,20 +272,22 @@ class Linear:
         self.own = with_fixed(
             effect_values([hypothesis], joints, problem.scales), self.simulator.fixed, 1
         )
-        self.along: MeasuredTrajectory = measured_trajectory(problem, hypothesis, segments)
+        self.trajectory: MeasuredTrajectory = measured_trajectory(problem, hypothesis, segments)
         active = in_reading_order(self.own)
-        self.rigid: Rigid = rigid_terms(self.simulator, self.along, active)[0]
-        self.efforts = Efforts(self.simulator, self.along)
+        self.rigid: Rigid = rigid_terms(self.simulator, self.trajectory, active)[0]
+        self.efforts = Efforts(self.simulator, self.trajectory)
         (self.own_effort,) = self.efforts.of(active, 1)
-        self.laws = LawForces(self.simulator, self.along, self.rigid)
+        self.laws = LawForces(self.simulator, self.trajectory, self.rigid)
         self.base: Forces = self.laws.forces(active, 1)
-        predicted = LawForces(self.simulator, self.along.predicted, self.rigid).forces(active, 1)
+        predicted = LawForces(self.simulator, self.trajectory.predicted, self.rigid).forces(
+            active, 1
+        )
         self.deviation: LinearizedDynamics = linearized_dynamics(
-            self.simulator, self.along, active, self.base, predicted,
-            force_slopes(self.simulator, self.along, self.rigid, active),
+            self.simulator, self.trajectory, active, self.base, predicted,
+            force_slopes(self.simulator, self.trajectory, self.rigid, active),
         )  # fmt: skip
         self.bins = bins(problem, segments)
-        self.readings = SensorReadings(problem, self.along, self.deviation, self.bins)
+        self.readings = SensorReadings(problem, self.trajectory, self.deviation, self.bins)
         self.starts = self._free_starts()
         self.readings.free(self.starts)
 
@@ -301,7 +303,7 @@ class Linear:
             segment = self.simulator.segments[s]
             n = len(segment.time)
             if i in self.starts:
-                error = self.starts[i].freed(segment.position - self.along.reading[i])
+                error = self.starts[i].freed(segment.position - self.trajectory.reading[i])
                 out[at : at + n, :joints] = error * self.problem.position_weights.get(int(s), 1.0)
             at += n
         return self.bins.mean(out)
@@ -310,7 +312,7 @@ class Linear:
         """Free initial states of the segments, with their response by the linearized dynamics."""
         if self.problem.free is None:
             return {}
-        segments, samples, joints = self.along.position.shape
+        segments, samples, joints = self.trajectory.position.shape
         unit = np.tile(np.eye(2 * joints), (segments, 1, 1))
         none = np.zeros((segments, samples, joints, 2 * joints))
         state = self.deviation.trajectory(none, unit)
@@ -439,7 +441,7 @@ class Linear:
         self, effect: Effect, rows: Sequence[FloatArray], terms: Sequence[Term]
     ) -> dict[int, list[FloatArray]]:
         """Joint -> row -> (segments, samples, joints) force from changed masses, N m or N."""
-        samples = self.along.position.shape[1]
+        samples = self.trajectory.position.shape[1]
         each = [self._values(effect, rows, [term]) for term in terms]
         values = {n: np.concatenate([e[n] for e in each]) for n in each[0]}
         copies = len(rows) * len(terms)
@@ -461,13 +463,13 @@ class Linear:
             n = len(self.problem.joints)
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
             # The predicted motion, because the measured one already contains the sensor errors.
-            position = self.along.reading[i][None]
-            velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
+            position = self.trajectory.reading[i][None]
+            velocity = self._at(self.trajectory.predicted_velocity[i], i, stamps[0])[None]
             moved, _ = effect.sense(stamps, position, velocity, of_row)
             change = moved - position
             if effect.overrides("sample_time"):
                 late = self.simulator.taken(self.segments[i : i + 1], stamps, [(effect, of_row)])
-                grid_q = self.along.predicted_position[i]
+                grid_q = self.trajectory.predicted_position[i]
                 change = (
                     change + (self._at(grid_q, i, late[0]) - self._at(grid_q, i, stamps[0]))[None]
                 )
@@ -476,7 +478,7 @@ class Linear:
                 measured = segment.effort[None]
                 effort = effect.sense_effort(measured, of_row)[0] - segment.effort
                 if effect.overrides("sample_time"):
-                    effort = effort + self._effort_at(i, late[0]) - self.along.effort[i]
+                    effort = effort + self._effort_at(i, late[0]) - self.trajectory.effort[i]
                 change = np.concatenate([change, _only(effort, joint)], axis=1)
             direct.append(change)
         q0 = np.array([self.simulator.segments[s].initial_position for s in self.segments])
@@ -488,7 +490,7 @@ class Linear:
 
     def _at(self, values: FloatArray, i: int, stamps: FloatArray) -> FloatArray:
         """(samples, joints) values of segment ``i``, interpolated linearly at (stamps, joints)."""
-        time = self.along.time[i]
+        time = self.trajectory.time[i]
         return np.stack(
             [np.interp(stamps[:, j], time, values[:, j]) for j in range(values.shape[1])], axis=1
         )
@@ -500,7 +502,7 @@ class Linear:
             i: index among the linearized segments.
             taken: (stamps, joints) times in s; efforts are interpolated linearly.
         """
-        effort, stamps = self.along.effort[i], self.simulator.segments[self.segments[i]].time
+        effort, stamps = self.trajectory.effort[i], self.simulator.segments[self.segments[i]].time
         own = np.repeat(stamps[None, :, None], effort.shape[1], axis=2)
         own = self.simulator.taken(
             self.segments[i : i + 1], own, _sensing(in_reading_order(self.own))
@@ -538,7 +540,7 @@ class Linear:
         total, drive = self.laws.changes(active, copies, in_reading_order(self.own), self.base)
         columns = [Column(total[k], drive[k]) for k in range(copies)]
         if any(changes_bodies(e, v, joints) for e, v in (*active, *in_reading_order(self.own))):
-            samples = self.along.position.shape[1]
+            samples = self.trajectory.position.shape[1]
             efforts = self.efforts.of(active, copies)
             for column, effort in zip(columns, efforts, strict=True):
                 assert column.force is not None
@@ -573,12 +575,12 @@ class Linear:
             segment = self.simulator.segments[s]
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
             stamps = self.simulator.taken(self.segments[i : i + 1], stamps, of_row)
-            position = self._at(self.along.predicted_position[i], i, stamps[0])[None]
-            velocity = self._at(self.along.predicted_velocity[i], i, stamps[0])[None]
+            position = self._at(self.trajectory.predicted_position[i], i, stamps[0])[None]
+            velocity = self._at(self.trajectory.predicted_velocity[i], i, stamps[0])[None]
             measured = segment.effort is not None and self.problem.effort_floor is not None
             effort = position
             if measured and segment.effort is not None:
-                late = self._effort_at(i, stamps[0]) - self.along.effort[i]
+                late = self._effort_at(i, stamps[0]) - self.trajectory.effort[i]
                 effort = (segment.effort + late)[None]
             for effect, v in of_row:
                 position, velocity = effect.sense(stamps, position, velocity, v)

@@ -57,32 +57,36 @@ class SensorReadings:
 
     Args:
         problem: the problem.
-        along: the motion.
+        trajectory: the motion.
         deviation: linearized dynamics along it.
         bins: bins of its segments.
     """
 
     def __init__(
-        self, problem: Problem, along: MeasuredTrajectory, deviation: LinearizedDynamics, bins: Bins
+        self,
+        problem: Problem,
+        trajectory: MeasuredTrajectory,
+        deviation: LinearizedDynamics,
+        bins: Bins,
     ) -> None:
         self.deviation = deviation
         self.joints = len(problem.joints)
         self.signals = len(problem.signal_floor)
-        segments = [problem.simulator.segments[s] for s in along.segments]
+        segments = [problem.simulator.segments[s] for s in trajectory.segments]
         lengths = [len(s.time) for s in segments]
         self._stamps = np.concatenate([[0], np.cumsum(lengths)])
         self._bins = np.concatenate([[0], np.cumsum(bins.lengths)])
-        self._at = [_between(along, i, s.time) for i, s in enumerate(segments)]
+        self._at = [_between(trajectory, i, s.time) for i, s in enumerate(segments)]
         self._mean = _means(bins, int(self._stamps[-1]))
         at = sparse.block_diag(self._at, format="csr")
         self._position = self._in_turn(self._mean @ at)
         self._position_weights: FloatArray | None = None
         if problem.position_weights:
-            self._position_weights = problem.position_weights_of(along.segments, bins.lengths)
+            self._position_weights = problem.position_weights_of(trajectory.segments, bins.lengths)
         self._effort_weights: FloatArray | None = None
         self._efforts = [self._position] * self.joints
         if problem.effort_floor is not None and problem.effort_weights:
-            pairs = zip(along.segments, lengths, strict=True)
+            pairs = zip(trajectory.segments, lengths, strict=True)
             self._effort_weights = np.concatenate(
                 [problem.weigh_efforts(int(s), np.ones((n, self.joints))) for s, n in pairs]
             )
@@ -257,10 +261,10 @@ class _Start:
     response: FloatArray
 
 
-def _between(along: MeasuredTrajectory, i: int, stamps: FloatArray) -> sparse.csr_array:
+def _between(trajectory: MeasuredTrajectory, i: int, stamps: FloatArray) -> sparse.csr_array:
     """(stamps, samples) matrix that interpolates segment ``i`` linearly at its stamps."""
-    samples = along.position.shape[1]
-    at = (stamps - along.time[i, 0]) / along.interval
+    samples = trajectory.position.shape[1]
+    at = (stamps - trajectory.time[i, 0]) / trajectory.interval
     left = np.clip(at.astype(np.int64), 0, samples - 2)
     part = at - left
     row = np.arange(len(stamps))

@@ -29,8 +29,8 @@ _ROOTS = 4
 
 def grow_single_terms(
     view: ResidualView,
-    answers: CandidateSensitivities,
-    polished: Sequence[LinearizedFit],
+    candidate_sensitivities: CandidateSensitivities,
+    linear_fits: Sequence[LinearizedFit],
     own: Hypothesis,
     search: Callable[[], BeamSearch],
     cores: int = 1,
@@ -39,24 +39,26 @@ def grow_single_terms(
 
     Args:
         view: residual of the present hypothesis.
-        answers: sensitivities of the candidates.
-        polished: structures that were fitted along the motion, best first.
+        candidate_sensitivities: sensitivities of the candidates.
+        linear_fits: structures that were fitted along the motion, best first.
         own: the present hypothesis.
         search: makes a new beam search.
         cores: number of processes.
     """
-    seen = {frozenset(p.hypothesis.terms) for p in polished}
+    seen = {frozenset(p.hypothesis.terms) for p in linear_fits}
     roots = [
-        p for p in polished
+        p for p in linear_fits
         if p.hypothesis.more_terms(own) == 1
         and not p.hypothesis.at_bound(p.hypothesis.terms[-1])
     ]  # fmt: skip
 
     def grown(root: LinearizedFit) -> list[Hypothesis]:
         term = root.hypothesis.terms[-1]
-        jacobian = np.concatenate([view.jacobian, _nearest(answers, root.hypothesis, term)], axis=2)
+        jacobian = np.concatenate(
+            [view.jacobian, _nearest(candidate_sensitivities, root.hypothesis, term)], axis=2
+        )
         others = CandidateSensitivities(
-            [r for r in answers.responses if r.term not in root.hypothesis.terms]
+            [r for r in candidate_sensitivities.responses if r.term not in root.hypothesis.terms]
         )
         equations = NormalEquations(
             ResidualView(root.residual, jacobian, view.floor, view.lengths), others
@@ -72,8 +74,10 @@ def grow_single_terms(
     return out
 
 
-def _nearest(answers: CandidateSensitivities, hypothesis: Hypothesis, term: Term) -> FloatArray:
+def _nearest(
+    candidate_sensitivities: CandidateSensitivities, hypothesis: Hypothesis, term: Term
+) -> FloatArray:
     """(bins, signals, switches) sensitivity at the grid size nearest to a term's parameters."""
     theta = hypothesis.theta[hypothesis.slice_of(term)]
-    of_term = [r for r in answers.responses if r.term == term]
+    of_term = [r for r in candidate_sensitivities.responses if r.term == term]
     return min(of_term, key=lambda r: float(np.sum((r.start - theta) ** 2))).change

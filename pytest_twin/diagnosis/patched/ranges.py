@@ -29,7 +29,7 @@ def outside_in_words(
         if effect.effect not in TABLES or effect.joint is None:
             continue
         variable = TABLES[effect.effect].variable(effect.values)
-        at = _along(variable, predicted, patched.joints.index(effect.joint))
+        at = _values_of(variable, predicted, patched.joints.index(effect.joint))
         if at is None:
             continue
         low, high = effect.values["valid_low"], effect.values["valid_high"]
@@ -47,7 +47,7 @@ def outside_in_words(
     return tuple(said)
 
 
-def _along(variable: Variable, predicted: Predicted, joint: int) -> FloatArray | None:
+def _values_of(variable: Variable, predicted: Predicted, joint: int) -> FloatArray | None:
     """(n,) of the variable; None where a prediction does not have it."""
     if variable == POSITION:
         return predicted.position[:, joint]

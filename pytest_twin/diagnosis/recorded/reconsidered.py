@@ -55,7 +55,7 @@ def with_fewer_effects(
         least = _without_one(found, selection.comparison)
         if least is None:
             continue
-        selected = selection.run(selection.comparison.settled(least))
+        selected = selection.run(selection.comparison.fit_to_convergence(least))
         other = conclude(prepared, trials, selection, selected)
         if _fewer(other, found if best is None else best[0]):
             best = other, between

@@ -1,1 +1,1 @@
-"""Which effects explain the recordings: rivals, simulated and compared with each other."""
+"""Stepwise selection of effects by simulation, and rejection of unsupported ones."""

@@ -1,11 +1,11 @@
-"""A hypothesis fitted where slopes lead nowhere.
+"""Fit of stick-slip motion by an evolution strategy, which needs no gradient.
 
-Where a joint sticks and slips, a whole motion parts from another wherever a slide ends: what a
-simulation leaves has leaps and valleys everywhere, and a fit by slopes stops in the first. An
-evolution strategy asks for values alone (covariance matrix adaptation; Hansen, The CMA Evolution
-Strategy: A Tutorial, 2016). It begins with what short windows say of the parameters, where slopes
-do lead somewhere: they are moved together as those windows hardly separate them, which is how
-valleys of whole motions lie. The deepest of several searches stands.
+The cost of a whole stick-slip motion is discontinuous in the parameters, because a small change
+moves the end of a slide. It has many local minima, and a gradient fit stops in the first. The
+covariance matrix adaptation evolution strategy uses values of the cost only (CMA-ES; Hansen, The
+CMA Evolution Strategy: A Tutorial, 2016). Its first covariance comes from a gradient fit to short
+windows: parameters that these windows hardly separate are changed together. The best of several
+searches is the result.
 """
 
 from __future__ import annotations
@@ -19,33 +19,34 @@ from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 
-# Searches in all, and hypotheses that each may ask, for each parameter: all of them half as many,
-# the deepest the other half.
-_SEARCHES, _ASKED = 4, 100
-# First steps: by how much of what windows leave all parameters together change what they predict,
-# and at most, as a share of what a parameter is or of the least size that its law is asked at; and
-# the share of a first step below which a search has come to its end.
-_CHANGED, _STEP, _ENOUGH = 0.5, 0.15, 1e-3
-# The cost of a simulation that diverged, in deviations.
+# Number of searches, and evaluations of each for each parameter: all searches make the first half
+# of them, and the best search alone makes the second half.
+_SEARCHES, _EVALUATIONS = 4, 100
+# First step: the change of the prediction by all parameters together, as a share of the residual in
+# the windows; its upper limit, as a share of the parameter's value or of its smallest start. The
+# search ends at steps below ``_LAST_STEP`` times the first one.
+_FIRST_CHANGE, _STEP, _LAST_STEP = 0.5, 0.15, 1e-3
+# Cost of a simulation that diverged, in standard deviations.
 _DIVERGED = 1e6
 
 
 def initial_covariance_root(fitted: Fitted, floor: FloatArray) -> FloatArray:
-    """(parameters, parameters) a root of the covariance of a search's first steps, by rows; of
-    what a fit moves.
+    """Root ``A`` of the covariance ``A A'`` of the first steps, (parameters, parameters).
+
+    Only the parameters that a fit estimates have rows and columns.
 
     Args:
-        fitted: in windows, with slopes.
-        floor: (signals,) deviations of a sample there.
+        fitted: a fit to windows, with its Jacobian.
+        floor: (signals,) noise floors in the windows.
     """
     free = fitted.hypothesis.movable
     slopes = (fitted.jacobian[:, :, free] / floor[:, None]).reshape(-1, int(free.sum()))
-    # A divergence beside the fit is no measure of how far to go.
+    # A simulation that diverges next to the fit says nothing about the length of a step.
     slopes = np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0)
     left = float(np.mean((fitted.residual / floor) ** 2))
     most = _STEP * fitted.hypothesis.sizes[free]
     changed = slopes.T @ slopes / len(slopes) / left
-    precision = changed * len(most) / _CHANGED**2 + np.diag(1.0 / most**2)
+    precision = changed * len(most) / _FIRST_CHANGE**2 + np.diag(1.0 / most**2)
     root: FloatArray = np.linalg.inv(np.linalg.cholesky(precision)).T
     return root
 
@@ -53,33 +54,33 @@ def initial_covariance_root(fitted: Fitted, floor: FloatArray) -> FloatArray:
 def fit_by_evolution(
     problem: Problem, starts: Sequence[Hypothesis], weights: FloatArray, steps: FloatArray
 ) -> Hypothesis:
-    """A hypothesis at its least mean absolute deviation from the recordings that are fitted.
+    """The hypothesis with the smallest mean absolute deviation from the fit recordings.
 
-    Absolute, not squared: of two slides that end apart one leaves as much as all that is followed
-    well. The same starts come to the same end: draws have seeds of their own.
+    Squared deviations would be dominated by the few slides that end at another place. The result is
+    reproducible: each search has its own fixed seed.
 
     Args:
-        problem: what to explain.
-        starts: of the same terms; searches are shared out among them.
-        weights: (signals,) reciprocal deviations.
-        steps: (parameters, parameters) as :func:`initial_covariance_root` has them.
+        problem: the problem.
+        starts: hypotheses with the same terms; the searches are divided among them.
+        weights: (signals,) reciprocal standard deviations.
+        steps: (parameters, parameters) result of :func:`initial_covariance_root`.
     """
     if not starts[0].free:
         return starts[0]
     count = _SEARCHES // len(starts)
     searches = [_Search(problem, s, weights, steps, k) for s in starts for k in range(count)]
     for each in searches:
-        each.go_on(_ASKED // 2)
+        each.evolve(_EVALUATIONS // 2)
     deepest = min(searches, key=lambda each: each.least)
-    deepest.go_on(_ASKED - _ASKED // 2)
+    deepest.evolve(_EVALUATIONS - _EVALUATIONS // 2)
     return deepest.best
 
 
 class _Search:
-    """One evolution.
+    """One run of the evolution strategy.
 
     Attributes:
-        best, least: the hypothesis that leaves least, and how much that is.
+        best, least: the hypothesis with the smallest cost so far, and that cost.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class _Search:
         steps: FloatArray,
         seed: int,
     ) -> None:
-        # It brings half a second of imports, which few diagnoses need.
+        # The import takes half a second, and few diagnoses need it.
         import cma
 
         self._problem, self._start, self._weights, self._steps = problem, start, weights, steps
@@ -103,16 +104,16 @@ class _Search:
                 "popsize": 2 * int(np.ceil(4.0 + 3.0 * np.log(size))),
                 "seed": np.nan,
                 "randn": lambda *shape: random.standard_normal(shape),
-                "tolx": _ENOUGH,
+                "tolx": _LAST_STEP,
                 "verbose": -9,
             },
         )
         self.best, self.least = start, mean_absolute_deviations(problem, [start], weights)[0]
 
-    def go_on(self, asked: int) -> None:
-        """Ask for so many more hypotheses for each parameter, until none brings anything."""
+    def evolve(self, evaluations: int) -> None:
+        """Make ``evaluations`` more for each parameter, fewer if the strategy has converged."""
         strategy = self._strategy
-        last = strategy.countevals + asked * len(self._steps)
+        last = strategy.countevals + evaluations * len(self._steps)
         while strategy.countevals < last and not strategy.stop():
             points = strategy.ask()
             found = [self._at(p) for p in points]
@@ -123,7 +124,7 @@ class _Search:
                 self.best, self.least = found[first], costs[first]
 
     def _at(self, point: FloatArray) -> Hypothesis:
-        """So many first steps from the start, as far as its bounds go."""
+        """The start plus (parameters,) multiples of the first steps, within the bounds."""
         theta = self._start.theta.copy()
         theta[self._start.movable] += self._steps @ point
         return self._start.with_theta(np.clip(theta, *self._start.bounds))
@@ -132,6 +133,6 @@ class _Search:
 def mean_absolute_deviations(
     problem: Problem, hypotheses: list[Hypothesis], weights: FloatArray
 ) -> list[float]:
-    """Weighted mean absolute deviation of each on the recordings that are fitted."""
+    """Weighted mean absolute deviation of each hypothesis on the fit recordings."""
     costs = [np.mean(np.abs(r) * weights) for r in problem.residuals(hypotheses, problem.fit)]
     return [float(c) if np.isfinite(c) else _DIVERGED for c in costs]

@@ -17,22 +17,29 @@ _FITTED, _ITERATIONS = 2, 3
 """Pairs that are fitted, and iterations of the fit: the pairs cancel only approximately."""
 
 
-def compensated(tryout: TrialSimulation, own: Hypothesis) -> list[Hypothesis]:
-    """For each term of a hypothesis and each other effect that compensates it, the pair with the
-    least error after a short fit, where that is less than without.
+def compensated(trial_simulation: TrialSimulation, own: Hypothesis) -> list[Hypothesis]:
+    """For each term and each effect that compensates it: the pair with the smallest error.
+
+    The pairs are fitted for a few iterations. A pair is returned only if its error is smaller than
+    that of the present fit.
 
     Args:
-        tryout: error of hypotheses.
+        trial_simulation: gives the error of hypotheses.
         own: the present fit.
     """
     out = []
     for term in own.terms:
-        for rows in _pairs(tryout.problem, own, term).values():
-            order = np.argsort(np.nan_to_num(tryout.costs(rows), nan=np.inf))
+        for rows in _pairs(trial_simulation.problem, own, term).values():
+            order = np.argsort(np.nan_to_num(trial_simulation.costs(rows), nan=np.inf))
             near = [rows[i] for i in order[:_FITTED]]
-            ends = fit(tryout.problem, near, tryout.weights, tryout.segments,
-                       iterations=_ITERATIONS)  # fmt: skip
-            bare, *costs = tryout.costs([own, *(f.hypothesis for f in ends)])
+            ends = fit(
+                trial_simulation.problem,
+                near,
+                trial_simulation.weights,
+                trial_simulation.segments,
+                iterations=_ITERATIONS,
+            )
+            bare, *costs = trial_simulation.costs([own, *(f.hypothesis for f in ends)])
             least = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
             if costs[least] < bare:
                 out.append(ends[least].hypothesis)

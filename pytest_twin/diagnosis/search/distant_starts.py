@@ -16,18 +16,20 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 
 _FAR, _LEFT = 10.0, 0.5
-"""Noise floors beyond which a joint is far off; share of its mean square error that a start may
-leave."""
+"""RMS error in noise floors above which a joint needs a distant start; largest share of its mean
+squared error that may remain with this start."""
 
 
 def distant(problem: Problem, bare: Hypothesis, whole: FloatArray) -> list[Hypothesis]:
-    """The distant starts of each effect that reduce the error: at all joints that need them, the
-    same with effects that show only there, and at each of the joints alone.
+    """Hypotheses with the distant starts that reduce the error.
+
+    For each effect: its starts at all joints that need them, the same with the effects that are
+    visible only there, and its start at each single joint.
 
     Args:
-        problem: what to explain.
+        problem: the problem.
         bare: the nominal hypothesis, without these effects.
-        whole: (signals,) mean square error that it leaves in the recordings to fit.
+        whole: (signals,) mean squared error of ``bare`` on the fit recordings.
     """
     joints = len(problem.joints)
     far = np.flatnonzero(whole[:joints] > (_FAR * problem.floor) ** 2)
@@ -54,7 +56,7 @@ def _of_effect(
     starts = {}
     for t in terms:
         best = int(np.argmin(left[:, t.joint]))
-        # The farthest start is a bound: what fits best there has another cause.
+        # The farthest start is at the bound: an error that fits best there has another cause.
         if best < len(sizes) - 1 and left[best, t.joint] < _LEFT * whole[t.joint]:
             starts[t] = sizes[best]
     if not starts:

@@ -1,8 +1,8 @@
-"""Limits of drives: along a motion that is far off they are needles, and simulated they are not.
+"""Limits of drives (rate, torque, torque at speed), which are compared by simulation.
 
-Where a drive is at its limit it does not feel how far behind it is, and to first order neither does
-any law that would take it off that limit: a setpoint that moves slowly, whose servo follows it
-closely, seems far worse than a drive that is too weak to follow a fast one.
+While a drive is at its limit, its effort does not depend on the tracking error. A linearization
+around such a motion is therefore wrong for every law that takes the drive off its limit: it would
+prefer a weak drive to a slow setpoint that the servo follows closely.
 """
 
 from __future__ import annotations
@@ -21,17 +21,15 @@ from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 FAR_OFF = 10.0
-"""Floors beyond which slopes may lead nowhere."""
-# Laws are honed by so many sizes within these factors, one after the other.
-_NEIGHBOURS, _HONED = 9, (1.25, 1.05)
-# Joints whose drives are scanned for limits.
+"""RMS residual in noise floors above which the linearization may be invalid."""
+# A size is refined in two rounds, each over a geometric grid of ``_SIZES`` within these factors.
+_SIZES, _REFINEMENTS = 9, (1.25, 1.05)
+# Largest number of joints whose drives are scanned for limits.
 _LIMITED = 2
 
 
 def limits_of_large_residuals(problem: Problem, whole: FloatArray) -> list[Term]:
-    """Limits of the drives where most is to be explained: along the motion they are needles, and
-    simulated they are not.
-    """
+    """Limits of the drives at the joints with the largest residuals, (signals,) mean squares."""
     joints = len(problem.joints)
     floors = np.sqrt(whole[:joints]) / problem.floor
     most = [j for j in np.argsort(-floors)[:_LIMITED] if floors[j] > FAR_OFF]
@@ -42,57 +40,61 @@ def limits_of_large_residuals(problem: Problem, whole: FloatArray) -> list[Term]
 
 
 def doubtful_limits(problem: Problem, best: ScoredModel) -> list[Term]:
-    """Limits of drives at joints that still stand out."""
+    """Limits in the fit at joints whose residual is above the noise floor."""
     out = (best.left > VERDICT.stands_out**2 * problem.signal_floor**2).reshape(
         -1, len(problem.joints)
     )
-    return [t for t in best.hypothesis.terms if _limits(t) and out[:, t.joint].any()]
+    return [t for t in best.hypothesis.terms if _is_limit(t) and out[:, t.joint].any()]
 
 
 def limits_instead(problem: Problem, best: ScoredModel, places: Sequence[Term]) -> list[Hypothesis]:
-    """In the place of each of these limits, the other one of the same drive that leaves least as it
-    is.
+    """For each limit in ``places``: the fit with the best other limit of the same drive instead.
+
+    The other limit has the size with the smallest error; the remaining parameters are not fitted.
 
     Args:
-        problem: what to explain.
-        best: the fit at hand.
-        places: limits that it has.
+        problem: the problem.
+        best: the present fit.
+        places: limits in the present fit.
     """
-    own, tryout = best.hypothesis, TrialSimulation(problem, best, best.left)
+    own, trial_simulation = best.hypothesis, TrialSimulation(problem, best, best.left)
     found = []
-    for gone in places:
+    for removed in places:
         others = [
             t for t in candidates(problem)
-            if t.joint == gone.joint and _limits(t) and t not in own.terms
+            if t.joint == removed.joint and _is_limit(t) and t not in own.terms
         ]  # fmt: skip
         rows = [
-            own.without(gone).with_term(t, size)
+            own.without(removed).with_term(t, size)
             for t in others
             for size in [*(start for start, _ in grid(t)), *sizes_up_to_bound(t)]
         ]
-        honed = refine_limit_sizes(tryout, tryout.cheapest(rows)) if rows else []
-        found += honed[:1]
+        refined = (
+            refine_limit_sizes(trial_simulation, trial_simulation.cheapest(rows)) if rows else []
+        )
+        found += refined[:1]
     return found
 
 
-def _limits(term: Term) -> bool:
-    """Whether a term limits what the drive of one joint does."""
+def _is_limit(term: Term) -> bool:
+    """Whether a term is a limit of the drive of one joint."""
     return term.joint >= 0 and term.law.is_limit
 
 
 def refine_limit_sizes(
-    tryout: TrialSimulation, hypotheses: Sequence[Hypothesis]
+    trial_simulation: TrialSimulation, hypotheses: Sequence[Hypothesis]
 ) -> list[Hypothesis]:
-    """Hypotheses at the best of the sizes about those of their last terms, best first."""
-    honed = list(hypotheses)
-    for reach in _HONED:
-        honed = tryout.cheapest([h for f in honed for h in _about(f, reach)])
-    return honed
+    """Hypotheses with the size of their last term refined on a grid, best first."""
+    refined = list(hypotheses)
+    for reach in _REFINEMENTS:
+        refined = trial_simulation.cheapest([h for f in refined for h in _neighbours(f, reach)])
+    return refined
 
 
 def sizes_up_to_bound(term: Term) -> list[FloatArray]:
-    """Sizes of a limit from its last starting size to its bound, for each form with one parameter;
-    empty for other laws.
+    """Sizes of a limit between its last starting size and its bound, in a geometric progression.
+
+    Only forms with one estimated parameter have them; other laws have none.
     """
     out = []
     for start, _ in grid(term) if term.law.is_limit else ():
@@ -110,9 +112,10 @@ def sizes_up_to_bound(term: Term) -> list[FloatArray]:
     return out
 
 
-def _about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
-    """A hypothesis, and where a fit moves one parameter of its last term, its neighbours within a
-    factor.
+def _neighbours(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
+    """The hypothesis with the size of its last term times factors up to ``reach``.
+
+    The hypothesis alone if its last term has several estimated parameters.
     """
     term = hypothesis.terms[-1]
     mine = hypothesis.slice_of(term)
@@ -122,7 +125,7 @@ def _about(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
     p = term.parameters[lone]
     at = mine.start + lone
     out = []
-    for factor in np.geomspace(1.0 / reach, reach, _NEIGHBOURS):
+    for factor in np.geomspace(1.0 / reach, reach, _SIZES):
         theta = hypothesis.theta.copy()
         theta[at] = np.clip(theta[at] * factor, p.lower, p.upper)
         out.append(hypothesis.with_theta(theta))

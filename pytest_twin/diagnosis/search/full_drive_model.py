@@ -1,10 +1,9 @@
-"""All that every drive has, at once.
+"""Fit of all effects that every geared drive has, without a selection.
 
-A motor behind a gear has a constant of its own, effort that falls with current, a rotor's inertia,
-dry and viscous friction, friction by its load and by its own effort, a zero, and a command that
-takes its time. Where all of them are off a little, none stands out alone, and a search that adds
-one name after another takes something else in their place. Here none is chosen: they are fitted
-together, beside what is known already.
+These are torque constant, torque roll-off, rotor inertia, dry and viscous friction, friction that
+depends on load or motor effort, encoder zero and command delay. If all of them differ a little from
+the model, no single one exceeds the noise floor, and a stepwise search would choose other effects
+instead. They are therefore fitted together, in addition to the effects that are already found.
 """
 
 from __future__ import annotations
@@ -19,19 +18,19 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
 
-# Fits to the end, one after another: the first few go by what is large.
+# Fits until convergence, one after another: the weights of the first ones are from large residuals.
 _ROUNDS = 3
-# Of a name of which nobody asked what else could stand in its place.
+# Largest confidence of an effect that was not compared with alternatives.
 _UNWEIGHED = 0.5
 
 
 def with_all_drive_terms(problem: Problem, known: Hypothesis, joint: int) -> Hypothesis:
-    """What is known, and what every drive has at a joint, each law at nothing.
+    """A hypothesis with all drive effects of one joint in addition, at their neutral values.
 
     Args:
-        problem: what to explain.
-        known: stays as it is.
-        joint: column.
+        problem: the problem.
+        known: the hypothesis; its parameters are kept.
+        joint: column of the joint.
     """
     more = known
     for term in candidates(problem):
@@ -41,10 +40,10 @@ def with_all_drive_terms(problem: Problem, known: Hypothesis, joint: int) -> Hyp
 
 
 def fit_all_terms(comparison: ModelComparison, start: Hypothesis) -> ScoredModel:
-    """A hypothesis fitted, all of it."""
-    rival = comparison.scored_without_fit(start)
+    """A hypothesis with all parameters fitted by simulation."""
+    rival = comparison.score_without_fit(start)
     for _ in range(_ROUNDS):
-        rival = comparison.settled(rival)
+        rival = comparison.fit_to_convergence(rival)
     return rival
 
 
@@ -56,9 +55,9 @@ def weigh_by_removal(
     Alternatives to the effects were not compared.
 
     Args:
-        comparison: where it was fitted.
+        comparison: the comparison in which it was fitted.
         best: the fit.
-        absent: evidence, over it, of the residual without each of its terms.
+        absent: term -> evidence of the fit without it, relative to ``best``.
     """
     selected = SelectedModel(best, comparison.nominal, tried=comparison.tried)
     selected.weigh({((t,), None): evidence for t, evidence in absent.items()})

@@ -1,8 +1,8 @@
-"""What is best along the measured motion, nothing of it simulated.
+"""Shortlist of sets of effects, from the linearized motion without any simulation.
 
-Structures of several candidates are searched to first order (:mod:`beam_search`). The best are
-fitted along the motion with their laws exact (:mod:`linearized_fit`). The search is repeated from
-the best single terms as they were fitted (:mod:`single_term_growth`).
+A beam search over first-order sensitivities proposes sets (:mod:`beam_search`). The best ones are
+fitted in the linearized motion with their exact laws (:mod:`linearized_fit`). The search is
+repeated around the best fitted single effects (:mod:`single_term_growth`).
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 @dataclass(slots=True)
 class LinearizedShortlist:
-    """What is best along the motion.
+    """The best sets of effects in the linearized motion.
 
     Attributes:
-        starts: the few structures that are worth a simulation, best first.
-        left: (signals,) mean square that the best leaves.
-        singles: all those that add least.
+        starts: sets to be simulated, best first.
+        left: (signals,) mean squared residual of the best one.
+        singles: all fitted sets that add one effect to the present fit.
     """
 
     starts: list[Hypothesis]
@@ -46,18 +46,18 @@ class LinearizedShortlist:
 
 
 def linearized_shortlist(
-    comparison: ModelComparison, best: ScoredModel, look: LinearizedView
+    comparison: ModelComparison, best: ScoredModel, linearized: LinearizedView
 ) -> LinearizedShortlist | None:
-    """The best structures along the motion, None without candidates.
+    """The best sets of effects in the linearized motion; None without candidates.
 
     Args:
-        comparison: of the search.
-        best: the fit at hand.
-        look: at it.
+        comparison: the comparison of the search.
+        best: the present fit.
+        linearized: the linearization around it.
     """
-    if not look.answers.responses:
+    if not linearized.candidate_sensitivities.responses:
         return None
-    whole = _whole(comparison, best)
+    whole = _mismatch_to_explain(comparison, best)
     cores = comparison.problem.simulator.threads
 
     def search(width: int = SHORTLIST.width, most: int = SHORTLIST.added) -> BeamSearch:
@@ -65,15 +65,15 @@ def linearized_shortlist(
             width,
             most,
             SELECTION.earns,
-            lambda before, after: comparison.worth_a_name(before, after, whole),
+            lambda before, after: comparison.reduces_error_enough(before, after, whole),
             cores,
         )
 
-    levels = search().levels(NormalEquations(look.view, look.answers))
+    levels = search().levels(NormalEquations(linearized.view, linearized.candidate_sensitivities))
     if not levels:
-        # No slope leads anywhere: what is simulated may all the same.
-        return LinearizedShortlist([], look.view.mean_square, [])
-    # Shapes of single terms are known as well as their grids are: more of them get a chance.
+        # No set gains to first order; distant starts and limits may still gain by simulation.
+        return LinearizedShortlist([], linearized.view.mean_square, [])
+    # Shape parameters are only known on a grid, so more of the single effects are fitted.
     chosen = [
         structure
         for level in reversed(levels)
@@ -82,87 +82,99 @@ def linearized_shortlist(
         ]
     ]
     starts = [best.hypothesis.with_terms(structure.starts) for structure in chosen]
-    if look.linear is None:
+    if linearized.linear is None:
         singles = [h for h in starts if h.more_terms(best.hypothesis) == 1]
         return LinearizedShortlist(starts, np.mean(chosen[0].residual ** 2, axis=0), singles)
-    polished = fit_linearized(look.linear, look.view, starts, NEARBY)
-    polished = _by_evidence(look.view, polished, comparison.name_price)
-    left = np.mean(polished[0].residual ** 2, axis=0)
-    if look.view.above(left, VERDICT.stands_out).any():
+    linear_fits = fit_linearized(linearized.linear, linearized.view, starts, NEARBY)
+    linear_fits = _by_evidence(linearized.view, linear_fits, comparison.penalty_per_effect)
+    left = np.mean(linear_fits[0].residual ** 2, axis=0)
+    if linearized.view.above(left, VERDICT.stands_out).any():
         more = grow_single_terms(
-            look.view, look.answers, polished, best.hypothesis,
+            linearized.view, linearized.candidate_sensitivities, linear_fits, best.hypothesis,
             lambda: search(SHORTLIST.width_around_single, SHORTLIST.added - 1), cores,
         )  # fmt: skip
-        polished += fit_linearized(look.linear, look.view, more, NEARBY)
-    return _foremost(look.view, polished, best, comparison.name_price)
+        linear_fits += fit_linearized(linearized.linear, linearized.view, more, NEARBY)
+    return _select(linearized.view, linear_fits, best, comparison.penalty_per_effect)
 
 
-def _whole(comparison: ModelComparison, best: ScoredModel) -> FloatArray:
-    """(signals,) mean square that the nominal model left of what is fitted; less where what no
-    fit has seen keeps a greater share of its own: there a name counts for more.
+def _mismatch_to_explain(comparison: ModelComparison, best: ScoredModel) -> FloatArray:
+    """(signals,) mean squared error of the nominal model that effects have to explain.
+
+    It is that of the fit recordings, without the part that the found laws may leave because they
+    are inexact. It is reduced by the ratio of the remaining shares of fit and validation error: an
+    effect that the validation recordings still need has to explain less.
     """
     floor = comparison.problem.signal_floor**2
     whole = comparison.nominal.fitted.mean_square
     kept = (best.fitted.mean_square + floor) / (whole + floor)
-    unseen = (comparison.unseen(best) + floor) / (comparison.unseen(comparison.nominal) + floor)
+    unseen = (comparison.validation_mean_square(best) + floor) / (
+        comparison.validation_mean_square(comparison.nominal) + floor
+    )
     whole = comparison.mismatch(best, whole, best.fitted.mean_square)
     less: FloatArray = whole * np.minimum(kept / unseen, 1.0)
     return less
 
 
 def _by_evidence(
-    view: ResidualView, polished: Sequence[LinearizedFit], name_price: float
+    view: ResidualView, linear_fits: Sequence[LinearizedFit], penalty_per_effect: float
 ) -> list[LinearizedFit]:
-    order = np.argsort(-np.nan_to_num(linearized_evidence(view, polished, name_price), nan=-np.inf))
-    return [polished[i] for i in order]
+    """Fits in the order of their evidence, best first."""
+    order = np.argsort(
+        -np.nan_to_num(linearized_evidence(view, linear_fits, penalty_per_effect), nan=-np.inf)
+    )
+    return [linear_fits[i] for i in order]
 
 
-def _foremost(
-    view: ResidualView, polished: Sequence[LinearizedFit], best: ScoredModel, name_price: float
+def _select(
+    view: ResidualView,
+    linear_fits: Sequence[LinearizedFit],
+    best: ScoredModel,
+    penalty_per_effect: float,
 ) -> LinearizedShortlist:
-    evidence = linearized_evidence(view, polished, name_price)
+    """The shortlist of fits, without variants of better ones."""
+    evidence = linearized_evidence(view, linear_fits, penalty_per_effect)
     order = np.argsort(-evidence)
     front: list[int] = []
     for i in order:
-        terms = set(polished[i].hypothesis.terms)
-        # What only adds to another in front, and not enough, says nothing new.
+        terms = set(linear_fits[i].hypothesis.terms)
+        # A superset of a better set is left out unless its additional effects gain enough.
         covered = any(
-            terms > set(polished[k].hypothesis.terms)
+            terms > set(linear_fits[k].hypothesis.terms)
             and evidence[i] < evidence[k] + SELECTION.earns
             for k in order
         )
-        # Nor does another with one term instead of one.
+        # So is a set that differs from a better one in a single effect.
         new = terms - set(best.hypothesis.terms)
-        alike = any(_alike(new, set(polished[k].hypothesis.terms)) for k in front)
+        alike = any(_differs_in_one_term(new, set(linear_fits[k].hypothesis.terms)) for k in front)
         if np.isfinite(evidence[i]) and not covered and not alike:
             front.append(int(i))
-    # What acts strongly is only roughly of first order: the best single terms are simulated.
-    hypotheses = [p.hypothesis for p in polished]
+    # Strong effects are not linear, so the best two single effects are simulated in any case.
+    hypotheses = [p.hypothesis for p in linear_fits]
     singles = [h for h in hypotheses if h.more_terms(best.hypothesis) == 1]
     alone = [i for i in front if hypotheses[i].more_terms(best.hypothesis) == 1]
     front = [
         *front[: COMPARISON.finalists],
         *(i for i in alone[:2] if i not in front[: COMPARISON.finalists]),
     ]
-    left: FloatArray = np.mean(polished[front[0]].residual ** 2, axis=0)
+    left: FloatArray = np.mean(linear_fits[front[0]].residual ** 2, axis=0)
     return LinearizedShortlist([hypotheses[i] for i in front], left, singles)
 
 
-def _alike(new: set[Term], other: set[Term]) -> bool:
-    """Whether one of several new terms is all that another structure lacks."""
+def _differs_in_one_term(new: set[Term], other: set[Term]) -> bool:
+    """Whether another set has all but one of several ``new`` terms."""
     return len(new & other) > 1 and len(new - other) == 1
 
 
 def linearized_evidence(
-    view: ResidualView, polished: Sequence[LinearizedFit], name_price: float
+    view: ResidualView, linear_fits: Sequence[LinearizedFit], penalty_per_effect: float
 ) -> FloatArray:
-    """Log-likelihood less price of hypotheses along the measured motion, comparable."""
-    effective = view.effective_of_best([p.residual for p in polished])
+    """Penalized log-likelihood of each fit in the linearized motion; comparable within a call."""
+    effective = view.effective_of_best([p.residual for p in linear_fits])
     return np.array(
         [
             view.worth(p.residual, effective, p.hypothesis.free)
-            - name_price * len(p.hypothesis.terms)
-            for p in polished
+            - penalty_per_effect * len(p.hypothesis.terms)
+            for p in linear_fits
         ]
     )
 
@@ -172,11 +184,11 @@ def fit_and_score_linearized(
     view: ResidualView,
     best: ScoredModel,
     others: Sequence[Hypothesis],
-    name_price: float,
+    penalty_per_effect: float,
 ) -> tuple[list[Hypothesis], FloatArray]:
-    """Hypotheses fitted along the measured motion of ``best``, and their evidence over it."""
-    polished = fit_linearized(linear, view, others, FAR_OFF)
+    """Hypotheses fitted in the motion linearized at ``best``, and their evidence relative to it."""
+    linear_fits = fit_linearized(linear, view, others, FAR_OFF)
     values = linearized_evidence(
-        view, [LinearizedFit(best.hypothesis, view.residual), *polished], name_price
+        view, [LinearizedFit(best.hypothesis, view.residual), *linear_fits], penalty_per_effect
     )
-    return [p.hypothesis for p in polished], values[1:] - values[0]
+    return [p.hypothesis for p in linear_fits], values[1:] - values[0]

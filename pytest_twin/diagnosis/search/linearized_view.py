@@ -1,4 +1,4 @@
-"""A fit and its candidates, seen to first order."""
+"""Linearization of a fit: its residual and the sensitivities to all candidate effects."""
 
 from __future__ import annotations
 
@@ -30,49 +30,58 @@ from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 @dataclass(frozen=True, slots=True)
 class LinearizedView:
-    """A fit seen to first order.
+    """A fit with its first-order sensitivities.
 
     Attributes:
         around: the fit.
-        linear: laws along the measured motion; None where candidates were simulated.
-        view: residual of the fit, and the sensitivities to its own parameters.
-        answers: responses of the candidates.
-        asked: all candidates, also those that change nothing.
-        failed: candidates that were simulated and came to nothing.
+        linear: its linearization; None if the candidates were simulated instead.
+        view: residual of the fit, and its Jacobian with respect to its own parameters.
+        candidate_sensitivities: sensitivities to the parameters of the candidates.
+        evaluated: all candidates, including those without any influence.
+        failed: candidates that a simulation has ruled out.
     """
 
     around: ScoredModel
     linear: Linear | None
     view: ResidualView
-    answers: CandidateSensitivities
-    asked: frozenset[Term]
+    candidate_sensitivities: CandidateSensitivities
+    evaluated: frozenset[Term]
     failed: frozenset[Term] = frozenset()
 
     def without(self, failed: set[Term]) -> LinearizedView:
-        """The same view without some candidates that have failed."""
-        answers = CandidateSensitivities(
-            [r for r in self.answers.responses if r.term not in failed]
+        """The same linearization without the candidates ``failed``."""
+        candidate_sensitivities = CandidateSensitivities(
+            [r for r in self.candidate_sensitivities.responses if r.term not in failed]
         )
-        return replace(self, answers=answers, failed=self.failed | failed)
+        return replace(
+            self, candidate_sensitivities=candidate_sensitivities, failed=self.failed | failed
+        )
 
 
 def linearize_for_additions(problem: Problem, best: ScoredModel) -> LinearizedView:
-    """As :func:`linearize_around`, for what may be added.
+    """As :func:`linearize_around`, for effects that are added to the fit.
 
-    Behind a gear that was named the motor moves apart from the link, as a law that would be added
-    moves it: where such a joint still has a residual, its candidates are simulated.
+    With an elastic transmission the motor has a motion of its own, which the linearization along
+    the measured link motion does not contain. If such a joint has a residual above the noise floor,
+    its candidates are simulated.
     """
     linear = linearize(problem, problem.fit, best.hypothesis)
-    terms = _unnamed(problem, best)
+    terms = _other_candidates(problem, best)
     joints = set() if linear is None else _behind_gears(problem, best, linear)
-    look = _looked(problem, best, linear, [t for t in terms if t.joint not in joints], None)
+    linearized = _view_around(
+        problem, best, linear, [t for t in terms if t.joint not in joints], None
+    )
     if not joints:
-        return look
+        return linearized
     left = bins(problem, problem.fit).mean(best.fitted.residual)
     near = [t for t in terms if t.joint in joints]
     found = simulated_sensitivities(problem, near, problem.fit, best.hypothesis, left)
-    answers = CandidateSensitivities([*look.answers.responses, *_shown(problem, found)])
-    return LinearizedView(best, None, residual_view(problem, best, left), answers, frozenset(terms))
+    candidate_sensitivities = CandidateSensitivities(
+        [*linearized.candidate_sensitivities.responses, *_identifiable(problem, found)]
+    )
+    return LinearizedView(
+        best, None, residual_view(problem, best, left), candidate_sensitivities, frozenset(terms)
+    )
 
 
 def _behind_gears(problem: Problem, best: ScoredModel, linear: Linear) -> set[int]:
@@ -81,66 +90,70 @@ def _behind_gears(problem: Problem, best: ScoredModel, linear: Linear) -> set[in
     if not gears:
         return gears
     view = residual_view(problem, best, linear.residual(best.fitted.residual))
-    stands = view.above(view.mean_square, VERDICT.stands_out)
-    return {j for j in gears if stands[j]}
+    influence = view.above(view.mean_square, VERDICT.stands_out)
+    return {j for j in gears if influence[j]}
 
 
 def linearize_around(
     problem: Problem, best: ScoredModel, known: LinearizedView | None = None
 ) -> LinearizedView:
-    """The residual of a fit, and the sensitivity of it to every candidate.
+    """The residual of a fit and its sensitivities to all candidates.
 
     Args:
-        problem: what to explain.
+        problem: the problem.
         best: the fit.
-        known: around a fit nearby, whose responses serve here too: they are of first order.
+        known: linearization around a similar fit; its sensitivities are used again.
     """
     linear = linearize(problem, problem.fit, best.hypothesis)
-    return _looked(problem, best, linear, _unnamed(problem, best), known)
+    return _view_around(problem, best, linear, _other_candidates(problem, best), known)
 
 
-def _unnamed(problem: Problem, best: ScoredModel) -> list[Term]:
+def _other_candidates(problem: Problem, best: ScoredModel) -> list[Term]:
+    """Candidates that the fit does not contain."""
     named = set(best.hypothesis.terms)
     return [t for t in candidates(problem) if t not in named]
 
 
-def _looked(
+def _view_around(
     problem: Problem,
     best: ScoredModel,
     linear: Linear | None,
     terms: Sequence[Term],
     known: LinearizedView | None,
 ) -> LinearizedView:
-    asked = frozenset() if known is None else known.asked
-    new = [t for t in terms if t not in asked]
+    """The view around a fit, with sensitivities to ``terms``; known ones are not computed again."""
+    evaluated = frozenset() if known is None else known.evaluated
+    new = [t for t in terms if t not in evaluated]
     found, left = sensitivities_around(
         linear, problem, new, problem.fit, best.hypothesis, best.fitted.residual
     )
     view = residual_view(problem, best, left)
     if known is not None:
-        found += [r for r in known.answers.responses if r.term in terms]
-    found = _shown(problem, found)
-    answers = CandidateSensitivities(found)
+        found += [r for r in known.candidate_sensitivities.responses if r.term in terms]
+    found = _identifiable(problem, found)
+    candidate_sensitivities = CandidateSensitivities(found)
     if linear is not None and known is None and found:
-        more = _shown(
+        more = _identifiable(
             problem,
             [
-                *refine_limits(linear, view, answers, best.hypothesis),
+                *refine_limits(linear, view, candidate_sensitivities, best.hypothesis),
                 *search_harmonics(linear, view, new),
             ],
         )
-        answers = CandidateSensitivities([*found, *more]) if more else answers
-    return LinearizedView(best, linear, view, answers, frozenset(terms))
+        candidate_sensitivities = (
+            CandidateSensitivities([*found, *more]) if more else candidate_sensitivities
+        )
+    return LinearizedView(best, linear, view, candidate_sensitivities, frozenset(terms))
 
 
-def _shown(problem: Problem, found: Sequence[Sensitivity]) -> list[Sensitivity]:
-    """Responses whose shapes lie where the recordings can show them."""
+def _identifiable(problem: Problem, found: Sequence[Sensitivity]) -> list[Sensitivity]:
+    """Sensitivities whose shape parameters lie in the range that the recordings cover."""
     recorded = RecordedRange.of(problem)
     return [r for r in found if not hidden_at(problem, recorded, r.term, r.start)]
 
 
 def residual_view(problem: Problem, best: ScoredModel, left: FloatArray) -> ResidualView:
-    """A fit whose (bins, signals) residual is ``left``."""
+    """Residual ``left``, (bins, signals), with the Jacobian of a fit averaged over the bins."""
     binned = bins(problem, problem.fit)
     slope = binned.mean(best.fitted.jacobian)
     return ResidualView(left, slope, problem.signal_floor, binned.lengths)

@@ -1,7 +1,8 @@
-"""Where rivals meet: fitted side by side by simulation, and judged by evidence.
+"""Comparison of models that are fitted by simulation.
 
-Log-likelihood on the fit recordings less half a log of the effective samples for each parameter
-(Schwarz 1978), plus log-likelihood on the validation recordings.
+The evidence of a model is its log-likelihood on the fit recordings, minus half the logarithm of the
+effective sample size for each parameter (BIC: Schwarz 1978) and a penalty for each effect, plus its
+log-likelihood on the validation recordings.
 """
 
 from __future__ import annotations
@@ -25,47 +26,47 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.settings import COMPARISON
-from pytest_twin.diagnosis.verdict import own_mismatch, worth_a_name
+from pytest_twin.diagnosis.verdict import own_mismatch, reduces_error_enough
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.segment import Predicted
 
 QUICK, FAIR, LONG = 2, 4, 8
-"""Iterations of a fit that ranks, of one that decides, and of one that goes to the end."""
+"""Iterations of a fit that ranks models, of one that decides between them, and of a full fit."""
 
 
 class ModelComparison:
-    """All fits of one search.
+    """Fits and scores the models of one search.
 
     Attributes:
-        problem: what to explain.
-        has_held: whether there are recordings that no fit sees.
-        tried: effects at joints that compete.
-        name_price: evidence that a name has to earn, drawn from so many.
+        problem: the problem.
+        has_validation: whether there are validation recordings, which no fit uses.
+        tried: number of candidates, each an effect at a joint.
+        penalty_per_effect: penalty of the log-likelihood for each effect, chosen from ``tried``.
         nominal: the nominal model.
-        since: steps that were simulated before it.
-        run: the diagnosis that it belongs to.
+        since: number of steps that were simulated before this search.
+        run: the running diagnosis.
     """
 
     def __init__(self, problem: Problem, run: Run | None = None) -> None:
         self.problem = problem
         self.run = Run() if run is None else run
         self.since = problem.stepped
-        self.has_held = bool(len(problem.held_out))
+        self.has_validation = bool(len(problem.held_out))
         self.tried = len(candidates(problem))
-        self.name_price = effect_penalty(self.tried)
-        # An earlier search may have left the step corrected for what it came to.
+        self.penalty_per_effect = effect_penalty(self.tried)
+        # An earlier search may have left the discretization error of its own result.
         with self.run.budget.reserved():
-            self.nominal = self.scored_without_fit(EMPTY)
+            self.nominal = self.score_without_fit(EMPTY)
 
     @property
-    def of_all(self) -> float:
-        """Samples of all recordings for each of those that are fitted."""
+    def sample_ratio(self) -> float:
+        """Number of samples of all recordings divided by that of the fit recordings."""
         problem = self.problem
         everything, fitted = (sum(problem.lengths(x)) for x in (problem.everywhere, problem.fit))
         return everything / fitted
 
     def weights(self, rival: ScoredModel) -> FloatArray:
-        """(signals,) reciprocal deviations of what a rival leaves."""
+        """(signals,) reciprocal standard deviations, from the residual of a model."""
         return self.problem.weights(rival.fitted.mean_square)
 
     def rivals(
@@ -76,25 +77,32 @@ class ModelComparison:
         *,
         slopes: bool = False,
     ) -> list[ScoredModel]:
-        """Hypotheses fitted by so many iterations, and what they leave of what no fit sees."""
+        """Hypotheses fitted by a number of iterations, with their residuals on all recordings.
+
+        Args:
+            starts: the hypotheses with the parameters at which the fits start.
+            weights: (signals,) reciprocal standard deviations.
+            iterations: of the fit; 0 only simulates.
+            slopes: whether the Jacobian at the result is computed.
+        """
         problem = self.problem
         fitted = fit(problem, starts, weights, problem.fit, iterations=iterations, slopes=slopes)
-        if self.has_held:
+        if self.has_validation:
             held = problem.residuals([f.hypothesis for f in fitted], problem.held_out)
         else:
             held = [np.zeros((0, len(problem.signal_floor)))] * len(fitted)
         return [ScoredModel(f, h) for f, h in zip(fitted, held, strict=True)]
 
-    def nearest(self, hypotheses: Sequence[Hypothesis], weights: FloatArray) -> Hypothesis:
-        """The one that leaves least of what is fitted, each as it is."""
+    def least_residual(self, hypotheses: Sequence[Hypothesis], weights: FloatArray) -> Hypothesis:
+        """The hypothesis with the smallest error on the fit recordings, without fitting any."""
         if len(hypotheses) == 1:
             return hypotheses[0]
         left = self.problem.residuals(hypotheses, self.problem.fit)
         costs = [weighted_cost(residual, weights) for residual in left]
         return hypotheses[int(np.argmin(costs))]
 
-    def scored_without_fit(self, hypothesis: Hypothesis, *, slopes: bool = False) -> ScoredModel:
-        """A hypothesis that is fitted already, with the simulator's step corrected for it."""
+    def score_without_fit(self, hypothesis: Hypothesis, *, slopes: bool = False) -> ScoredModel:
+        """A fitted hypothesis, simulated with the discretization error at its own parameters."""
         self.problem.refine_at(hypothesis)
         weights = np.ones(len(self.problem.signal_floor))
         return self.rivals([hypothesis], weights, 0, slopes=slopes)[0]
@@ -102,33 +110,42 @@ class ModelComparison:
     def judge(
         self,
         rivals: Sequence[ScoredModel],
-        against: ScoredModel,
+        reference: ScoredModel,
         under: ScoredModel | None = None,
         likelihood: Likelihood = log_likelihood,
     ) -> None:
-        """Evidence of ``rivals`` over ``against``, by the effective samples of ``under``."""
+        """Set the evidence of ``rivals`` relative to ``reference``.
+
+        Args:
+            rivals: fitted models; their ``evidence`` and ``held_gain`` are set.
+            reference: the model with evidence 0.
+            under: the model whose residual gives the effective sample size; ``reference`` by
+                default.
+            likelihood: log-likelihood of a residual.
+        """
         problem, floor = self.problem, self.problem.signal_floor
-        under = against if under is None else under
+        under = reference if under is None else under
         fit_n = effective_samples(under.fitted.residual, problem.lengths(problem.fit))
-        base = likelihood(against.fitted.residual, floor, fit_n)
+        base = likelihood(reference.fitted.residual, floor, fit_n)
         cost = parameter_penalty(fit_n)
-        if self.has_held:
+        if self.has_validation:
             held_n = effective_samples(under.held_residual, problem.lengths(problem.held_out))
-            held_base = likelihood(against.held_residual, floor, held_n)
+            held_base = likelihood(reference.held_residual, floor, held_n)
         for r in rivals:
-            more = r.hypothesis.free - against.hypothesis.free
-            names = len(r.hypothesis.terms) - len(against.hypothesis.terms)
+            more = r.hypothesis.free - reference.hypothesis.free
+            names = len(r.hypothesis.terms) - len(reference.hypothesis.terms)
             r.evidence = likelihood(r.fitted.residual, floor, fit_n) - base
-            r.evidence -= cost * more + self.name_price * names
-            if self.has_held:
+            r.evidence -= cost * more + self.penalty_per_effect * names
+            if self.has_validation:
                 r.held_gain = likelihood(r.held_residual, floor, held_n) - held_base
                 r.evidence += r.held_gain
 
-    def against(
+    def score_against(
         self, starts: Sequence[Hypothesis], best: ScoredModel, iterations: int, first: int = 1
     ) -> list[ScoredModel]:
-        """Rivals in the order of ``starts`` by evidence over ``best``: all after the ``first``
-        iterations, those that are not far behind then after all.
+        """Fit ``starts`` and score them against ``best``, in the order of ``starts``.
+
+        A fit ends after the ``first`` iterations if the model is then far behind.
         """
         weights = self.weights(best)
         rivals = self.rivals(starts, weights, first)
@@ -140,27 +157,40 @@ class ModelComparison:
             rivals[i] = r
         return rivals
 
-    def unseen(self, rival: ScoredModel) -> FloatArray:
-        """(signals,) mean square on the validation recordings; without any, on the fitted ones."""
-        if not self.has_held:
+    def validation_mean_square(self, rival: ScoredModel) -> FloatArray:
+        """(signals,) mean squared error on validation recordings; without any, on the others."""
+        if not self.has_validation:
             return rival.fitted.mean_square
         mean_square: FloatArray = np.mean(rival.held_residual**2, axis=0)
         return mean_square
 
-    def worth_a_search(self, rival: ScoredModel) -> bool:
-        """Whether any joint has left what would be worth a name if all of it went."""
+    def has_residual_to_explain(self, rival: ScoredModel) -> bool:
+        """Whether an effect that removes the whole residual would reduce the error enough."""
         floor = self.problem.signal_floor**2
         left = rival.left
         least = np.where(left > VERDICT.stands_out**2 * floor, floor, left)
-        return self.worth_a_name(left, least, self.mismatch(rival, self.nominal.left, left))
+        return self.reduces_error_enough(left, least, self.mismatch(rival, self.nominal.left, left))
 
-    def worth_a_name(self, before: FloatArray, after: FloatArray, whole: FloatArray) -> bool:
-        """Whether mean squares (signals,) fall by enough; ``whole`` of the nominal model."""
-        return worth_a_name(self.problem.signal_floor, before, after, whole)
+    def reduces_error_enough(
+        self, before: FloatArray, after: FloatArray, whole: FloatArray
+    ) -> bool:
+        """Whether an error is reduced enough for one more effect.
+
+        Args:
+            before, after: (signals,) mean squared errors without and with the effect.
+            whole: (signals,) mean squared error of the nominal model.
+        """
+        return reduces_error_enough(self.problem.signal_floor, before, after, whole)
 
     def mismatch(self, rival: ScoredModel, whole: FloatArray, left: FloatArray) -> FloatArray:
-        """(signals,) of ``whole``, mean squares of the nominal model, what the laws of a rival
-        may have left a part of, of which ``left`` is left.
+        """(signals,) mean squared error of the nominal model that other effects have to explain.
+
+        The part that the laws of ``rival`` may leave because they are inexact is not counted.
+
+        Args:
+            rival: the present model.
+            whole: (signals,) mean squared error of the nominal model.
+            left: (signals,) mean squared error of ``rival``.
         """
         acting = self.problem.acted_on(rival.hypothesis.terms)
         return own_mismatch(self.problem.signal_floor, whole, left, acting)
@@ -168,7 +198,13 @@ class ModelComparison:
     def race(
         self, starts: Sequence[Hypothesis], weights: FloatArray, best: ScoredModel
     ) -> list[ScoredModel]:
-        """Rivals by evidence over ``best``: all after one iteration, those in front after more."""
+        """Race of models: all are fitted for one iteration, the leading ones for more.
+
+        The last few are compared with the discretization error of each.
+
+        Returns:
+            The models, the largest evidence over ``best`` first.
+        """
         rivals = self.rivals(starts, weights, 1)
         self.judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
         rivals.sort(key=lambda r: -r.evidence)
@@ -186,14 +222,16 @@ class ModelComparison:
         ]
         contenders = contenders[: COMPARISON.most_close]
         if len(contenders) > 1:
-            own = [self._at_its_own(r, weights) for r in contenders]
+            own = [self.fit_with_own_correction(r, weights) for r in contenders]
             rivals[: len(contenders)] = own
             self.judge(own, best, min(own, key=lambda r: r.fitted.cost))
         return sorted(rivals, key=lambda r: -r.evidence)
 
-    def _at_its_own(self, rival: ScoredModel, weights: FloatArray) -> ScoredModel:
-        """A rival with the simulator's step corrected for itself, fitted on where that moves it: a
-        elastic transmission has a larger integration error than its alternatives.
+    def fit_with_own_correction(self, rival: ScoredModel, weights: FloatArray) -> ScoredModel:
+        """A model with the discretization error at its own parameters.
+
+        It is fitted again if this changes its prediction. The error of an elastic transmission is
+        larger than that of its alternatives.
         """
         before = self.problem.discretization_error
         self.problem.refine_at(rival.hypothesis)
@@ -201,7 +239,7 @@ class ModelComparison:
         return self.rivals([rival.hypothesis], weights, QUICK if moved else 0)[0]
 
     def _apart(self, one: Mapping[int, Predicted], other: Mapping[int, Predicted]) -> float:
-        """By how many floors two corrections of what is fitted differ, where they do most."""
+        """Largest RMS difference of two discretization errors, in noise floors, over the joints."""
         both = [int(i) for i in self.problem.fit if i in one and i in other]
         if not both:
             return 0.0
@@ -209,29 +247,34 @@ class ModelComparison:
         rms = np.sqrt(np.mean(difference**2, axis=0))
         return float(np.max(rms / self.problem.signal_floor[: len(rms)]))
 
-    def settled(self, rival: ScoredModel) -> ScoredModel:
-        """The rival fitted to the end, with the simulator's step corrected where it now stands; as
-        far as the fit got before time ran out.
+    def fit_to_convergence(self, rival: ScoredModel) -> ScoredModel:
+        """A model fitted until convergence, with the discretization error at its parameters.
+
+        If time runs out, the model as it was before.
         """
         try:
-            return self._settled(rival)
+            return self._fit_to_convergence(rival)
         except OutOfTime:
             return rival
 
-    def _settled(self, rival: ScoredModel) -> ScoredModel:
-        # Where impacts fall between steps depends on the parameters themselves.
+    def _fit_to_convergence(self, rival: ScoredModel) -> ScoredModel:
+        # The time of an impact within a step depends on the parameters, and the error on that time.
         for _ in range(COMPARISON.rough_rounds if rival.hypothesis.is_rough else 1):
             self.problem.refine_at(rival.hypothesis)
-            settled = self.rivals([rival.hypothesis], self.weights(rival), LONG, slopes=True)[0]
-            if not np.isfinite(settled.held_residual).all():
+            fit_to_convergence = self.rivals(
+                [rival.hypothesis], self.weights(rival), LONG, slopes=True
+            )[0]
+            if not np.isfinite(fit_to_convergence.held_residual).all():
                 # A fit that diverges on what it has not seen is none: stay where it did not.
                 return self.rivals([rival.hypothesis], self.weights(rival), 0, slopes=True)[0]
-            rival = settled
+            rival = fit_to_convergence
         return rival
 
     def is_spent(self, found: Sequence[Term]) -> bool:
-        """Whether as much was simulated as a search that found these may take, or as all searches
-        of the diagnosis may.
+        """Whether this search, or all searches together, have used their simulations.
+
+        Args:
+            found: effects that the search has found; each allows more simulations.
         """
         once = self.problem.once
         names = sum(

@@ -30,7 +30,7 @@ class PrunedModel:
 
     Attributes:
         fitted: the remaining effects.
-        rests: the model refitted without each remaining effect.
+        reduced_models: the model refitted without each remaining effect.
         notes: a line for each rejected effect.
         absent: log-likelihood ratio of each rest over the model, where effects were judged by that
             alone.
@@ -38,7 +38,7 @@ class PrunedModel:
     """
 
     fitted: Fitted
-    rests: list[Hypothesis]
+    reduced_models: list[Hypothesis]
     notes: list[str]
     absent: Mapping[Term, float] = field(default_factory=dict)
     closest: tuple[Term, ...] = ()
@@ -68,16 +68,16 @@ def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -
         tested = RefitComparison(
             problem, fitted, selected.confidence, before, base, refitted, levels, weights, rivals
         )
-        rule, gone = next(((r, gone) for r in RULES if (gone := r(tested))), (None, {}))
-        if not gone and not judged:
+        rule, removed = next(((r, removed) for r in RULES if (removed := r(tested))), (None, {}))
+        if not removed and not judged:
             judged = True
-            rule, gone = residual_remains, residual_remains(tested)
-        if not gone:
-            rests = [f.hypothesis for f in refitted]
-            return PrunedModel(fitted, rests, notes, closest=tuple(closest))
-        notes += gone.values()
-        closest += [tested.terms[k] for k in gone] if rule in CLOSEST_KNOWN else []
-        fitted = _with_slopes(problem, tested.without(list(gone)), weights)
+            rule, removed = residual_remains, residual_remains(tested)
+        if not removed:
+            reduced_models = [f.hypothesis for f in refitted]
+            return PrunedModel(fitted, reduced_models, notes, closest=tuple(closest))
+        notes += removed.values()
+        closest += [tested.terms[k] for k in removed] if rule in CLOSEST_KNOWN else []
+        fitted = _with_slopes(problem, tested.without(list(removed)), weights)
     return PrunedModel(fitted, [], notes, closest=tuple(closest))
 
 
@@ -98,18 +98,20 @@ def keep_named(comparison: ModelComparison, best: ScoredModel) -> PrunedModel:
         terms = best.hypothesis.terms
         comparison.problem.refine_at(best.hypothesis)
         starts = [best.hypothesis.without(t) for t in terms]
-        rests = comparison.rivals(starts, comparison.weights(best), SETTINGS.refit_iterations)
-        comparison.judge(rests, best, likelihood=laplace_log_likelihood)
-        least = max(range(len(terms)), key=lambda k: rests[k].evidence)
-        if rests[least].evidence < 0.0:
-            absent = {t: r.evidence for t, r in zip(terms, rests, strict=True)}
-            return PrunedModel(best.fitted, [r.hypothesis for r in rests], notes, absent)
+        reduced_models = comparison.rivals(
+            starts, comparison.weights(best), SETTINGS.refit_iterations
+        )
+        comparison.judge(reduced_models, best, likelihood=laplace_log_likelihood)
+        least = max(range(len(terms)), key=lambda k: reduced_models[k].evidence)
+        if reduced_models[least].evidence < 0.0:
+            absent = {t: r.evidence for t, r in zip(terms, reduced_models, strict=True)}
+            return PrunedModel(best.fitted, [r.hypothesis for r in reduced_models], notes, absent)
         notes.append(
             f"rejected: {label(comparison.problem, terms[least])}: it reduces the error over whole "
             "recordings too little"
         )
         (best,) = comparison.rivals(
-            [rests[least].hypothesis], comparison.weights(best), 0, slopes=True
+            [reduced_models[least].hypothesis], comparison.weights(best), 0, slopes=True
         )
     return PrunedModel(best.fitted, [], notes)
 

@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, label, levels_on
 from pytest_twin.diagnosis.search.pruning_settings import SETTINGS
 from pytest_twin.diagnosis.smoothing import derivatives
-from pytest_twin.diagnosis.verdict import JointError, own_mismatch, worth_a_name
+from pytest_twin.diagnosis.verdict import JointError, own_mismatch, reduces_error_enough
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 Rejections = Mapping[int, str]
@@ -86,11 +86,11 @@ class RefitComparison:
         """Effect and joint in words."""
         return label(self.problem, self.terms[k])
 
-    def without(self, gone: Sequence[int]) -> Fitted:
+    def without(self, removed: Sequence[int]) -> Fitted:
         """The model refitted without the effects of these numbers."""
-        if len(gone) == 1:
-            return self.refitted[gone[0]]
-        rest = self.fitted.hypothesis.without(*(self.terms[k] for k in gone))
+        if len(removed) == 1:
+            return self.refitted[removed[0]]
+        rest = self.fitted.hypothesis.without(*(self.terms[k] for k in removed))
         return fit(
             self.problem,
             [rest],
@@ -232,7 +232,7 @@ def removes_too_little(tested: RefitComparison) -> Rejections:
     for k, (term, level) in enumerate(zip(tested.terms, levels, strict=True)):
         acting = tested.problem.acted_on(tested.fitted.hypothesis.without(term).terms)
         whole = own_mismatch(one, tested.before**2, level**2, acting)
-        if not worth_a_name(one, level**2, tested.base**2, whole):
+        if not reduces_error_enough(one, level**2, tested.base**2, whole):
             idle.append(k)
     if not idle:
         return {}
@@ -277,7 +277,7 @@ def at_bound_or_in_doubt(tested: RefitComparison) -> Rejections:
     """Reject effects at unexplained joints that are at a bound, in doubt, or less likely."""
     problem, hypothesis = tested.problem, tested.fitted.hypothesis
     explained = [error.is_explained for error in tested.errors]
-    gone = {}
+    removed = {}
     for k, t in enumerate(tested.terms):
         if all(explained) if t.joint < 0 else explained[t.joint]:
             continue
@@ -290,10 +290,10 @@ def at_bound_or_in_doubt(tested: RefitComparison) -> Rejections:
             if likely
             else "other effects are more likely"
         )
-        gone[k] = (
+        removed[k] = (
             f"rejected: {tested.label(k)}, the closest known effect: {why}, and a residual remains"
         )
-    return gone
+    return removed
 
 
 def wrong_position_dependence(tested: RefitComparison) -> Rejections:
@@ -341,7 +341,7 @@ def _explained_by_position_and_velocity(
 
 def residual_remains(tested: RefitComparison) -> Rejections:
     """Reject effects with which most of the mismatch of their joint remains."""
-    gone = {}
+    removed = {}
     for k, t in enumerate(tested.terms):
         share = share_too_large(
             tested.problem, t, *_levels_that_count(tested, t),
@@ -349,11 +349,11 @@ def residual_remains(tested: RefitComparison) -> Rejections:
             sure=tested.chance(t) >= SETTINGS.sure and not tested.fitted.hypothesis.at_bound(t),
         )  # fmt: skip
         if share > 0.0:
-            gone[k] = (
+            removed[k] = (
                 f"rejected: {tested.label(k)}, the closest known effect: {100 * share:.0f} % of "
                 "the squared error remains there with all effects fitted"
             )
-    return gone
+    return removed
 
 
 def _levels_that_count(tested: RefitComparison, term: Term) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.settings import SELECTION
 
 Place = tuple[tuple[Term, ...], Term | None]
-"""What is taken away, and what stands there instead; None for nothing."""
+"""Terms that are removed, and the term that replaces them; None for no term."""
 
 
 @dataclass(slots=True)
@@ -21,9 +21,10 @@ class ScoredModel:
     """A fitted hypothesis with its evidence.
 
     Attributes:
-        fitted: on the fit segments.
-        held_residual: (samples, signals) on the held-out segments.
-        evidence: higher is better; comparable within one round.
+        fitted: the fit to the fit recordings.
+        held_residual: (samples, signals) residual on the validation recordings.
+        evidence: penalized log-likelihood relative to a reference; comparable within one round.
+        held_gain: log-likelihood on the validation recordings relative to the same reference.
     """
 
     fitted: Fitted
@@ -33,12 +34,12 @@ class ScoredModel:
 
     @property
     def hypothesis(self) -> Hypothesis:
-        """With its fitted parameters."""
+        """The hypothesis with its fitted parameters."""
         return self.fitted.hypothesis
 
     @property
     def left(self) -> FloatArray:
-        """(signals,) mean square on the fitted or on the validation recordings, the greater."""
+        """(signals,) mean squared residual, the larger of fit and validation recordings."""
         seen = self.fitted.mean_square
         if not len(self.held_residual):
             return seen
@@ -52,33 +53,33 @@ class Alternative:
 
     Attributes:
         new: effects that it has instead.
-        gone: effects that it lacks.
+        removed: effects that it lacks.
         confidence: posterior share.
         apart: largest RMS difference between the two predictions, in noise floors; None if unknown.
     """
 
     new: tuple[Term, ...]
-    gone: tuple[Term, ...]
+    removed: tuple[Term, ...]
     confidence: float
     apart: float | None = None
 
 
 @dataclass(slots=True)
 class SelectedModel:
-    """What was chosen, and what stood against it.
+    """The selected model and its alternatives.
 
     Attributes:
-        best: the chosen rival.
+        best: the selected model.
         nominal: the nominal model.
-        confidence: term -> share of the evidence against the rivals in its place.
-        alternatives: term -> rivals in its place with their share, best first.
-        evidence: term -> log-likelihood ratio over the best of the model with each alternative
-            instead of the term; key None: without the term. It is exact where a share underflows.
-        sets: term -> alternatives to it, sets of effects among them, most likely first; empty
-            until the final set was compared with such sets. They then replace ``alternatives``.
-        near: structures that explain nearly as much: their odds against the best, and how far the
-            parameters of the terms that both have lie apart, scaled.
-        tried: effects at joints that competed.
+        confidence: term -> posterior share against its alternatives, 0 to 1.
+        alternatives: term -> effects that could replace it with their shares, best first.
+        evidence: term -> evidence of the model with each alternative instead of the term, relative
+            to the best; key None: without the term. It is exact where a share underflows.
+        sets: term -> alternative sets of effects, most likely first; empty until the final set was
+            compared with other sets. They then replace ``alternatives``.
+        near: models that explain nearly as much: their odds against the best, and the difference of
+            the parameters of common terms, scaled.
+        tried: number of candidates.
     """
 
     best: ScoredModel
@@ -91,25 +92,25 @@ class SelectedModel:
     tried: int = 0
 
     def alternatives_to(self, term: Term) -> list[Alternative]:
-        """What may explain the data instead of a term, most likely first."""
+        """Alternatives to a term, most likely first."""
         if term in self.sets:
             return self.sets[term]
         return [Alternative((new,), (term,), c) for new, c in self.alternatives.get(term, [])]
 
     def weigh(self, evidence: Mapping[Place, float]) -> None:
-        """Set how sure each term of the best is in its place, and what could stand there.
+        """Set confidence and alternatives of each term from the evidence of its alternatives.
 
         Args:
-            evidence: of others in the places of its terms, over the best.
+            evidence: (removed terms, new term) -> evidence relative to the best model.
         """
         self.confidence.clear()
         self.alternatives.clear()
         self.evidence.clear()
         for term in self.best.hypothesis.terms:
-            # A law that has this one in it says the same where it says no more.
+            # A more general law that gains nothing is no alternative to its special case.
             others = {
-                new: e for (gone, new), e in evidence.items()
-                if gone == (term,) and not (new and term.effect in new.law.generalizes)
+                new: e for (removed, new), e in evidence.items()
+                if removed == (term,) and not (new and term.effect in new.law.generalizes)
             }  # fmt: skip
             self.evidence[term] = others
             values = np.array([0.0, *others.values()])
@@ -123,10 +124,13 @@ class SelectedModel:
 
 
 def simplest_good_model(earning: Sequence[ScoredModel]) -> ScoredModel:
-    """The rival to go on from; ``earning`` by evidence, best first.
+    """The model with the fewest effects, then parameters, whose evidence is close to the best.
 
-    Residuals are never white: one more effect or parameter always follows them a little better.
-    A name that was needed after all is found in the next round.
+    Residuals are never white, so every additional effect or parameter gains a little. An effect
+    that is needed is found in the next round.
+
+    Args:
+        earning: models whose evidence is sufficient, the largest first.
     """
     first = earning[0].evidence
     fewest = min(
@@ -140,10 +144,13 @@ def simplest_good_model(earning: Sequence[ScoredModel]) -> ScoredModel:
 
 
 def compare_below_floor(rival: ScoredModel, other: ScoredModel, floor: FloatArray) -> int:
-    """1 where a rival leaves clearly less than another, -1 where clearly more, else 0.
+    """Compare residuals that are both below the noise floor.
 
-    The floor is the most that need not be explained. Where much less is left, it was estimated too
-    high, and what is under it still tells two laws apart that explain as much.
+    The noise floor is an upper estimate. If both residuals are far below it, their ratio still
+    separates two laws.
+
+    Returns:
+        1 if the residual of ``rival`` is clearly smaller, -1 if it is clearly larger, else 0.
     """
 
     def more(one: FloatArray, two: FloatArray) -> float:
@@ -162,5 +169,5 @@ def compare_below_floor(rival: ScoredModel, other: ScoredModel, floor: FloatArra
 
 
 def describe_models(h: Hypothesis) -> str:
-    """Terms, joints' columns and parameters, in multiples of their scales."""
+    """Terms with columns of their joints and scaled parameters, for messages of failed tests."""
     return " + ".join(f"{t.effect}@{t.joint}{np.round(h.theta[h.slice_of(t)], 3)}" for t in h.terms)

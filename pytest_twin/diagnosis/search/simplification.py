@@ -1,4 +1,4 @@
-"""The same physics in fewer words: two terms as one law, a law as the simpler one it comes to."""
+"""Simpler models of the same physics: merged terms, special cases, forms with fewer parameters."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from pytest_twin.effects import catalogue
 
 
 def merge_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with two terms of a joint as one of them that has the other in it, or as
-    the one law that is confused with both.
+    """Hypotheses with one term instead of two of a joint.
+
+    The one term is either of the two, if it can represent the other, or another effect that the
+    catalogue lists as confused with both.
     """
     out = []
     terms = [t for t in hypothesis.terms if t.joint >= 0]
@@ -34,9 +36,10 @@ def merge_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def merge_joints(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with the same law at two joints or more as the one of the whole robot that is
-    confused with it: commands that come late everywhere, or sensors that do. Parameters of one
-    name start at the mean of what the joints have.
+    """Hypotheses with one effect of the robot instead of an effect at several joints.
+
+    For example a sensor delay instead of command delays at all joints. Parameters with the same
+    name start at the mean over the joints.
     """
     out = []
     for new in candidates(problem):
@@ -51,7 +54,7 @@ def merge_joints(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def _mean(problem: Problem, hypothesis: Hypothesis, each: Sequence[Term], new: Term) -> FloatArray:
-    """Where a term starts instead of several: at their mean in parameters of one name."""
+    """Start of the term ``new``: the mean of equally named parameters of the terms ``each``."""
     (start, _), *_ = grid(new)
     each_has = [_values(problem, hypothesis, t) for t in each]
     for k, p in enumerate(new.parameters):
@@ -72,7 +75,7 @@ def _values(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[str, f
 
 
 def special_cases(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with one of its laws as the special case that it comes to."""
+    """Hypotheses with one law replaced by a special case of it."""
     out = []
     for term in hypothesis.terms:
         bare = hypothesis.without(term)
@@ -82,8 +85,9 @@ def special_cases(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def split_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with a law whose shape ends at its bound as all that it comes to there: what
-    takes a thousand seconds to fade is dry and viscous friction that stays.
+    """Hypotheses with a law whose shape parameter is at its bound replaced by its special cases.
+
+    For example thermal friction that takes 1000 s to fade becomes Coulomb and viscous friction.
     """
     out = []
     for term in hypothesis.terms:
@@ -94,9 +98,7 @@ def split_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def _special_cases(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[Term, FloatArray]:
-    """Laws that a term comes to at some of its parameters and that the hypothesis has not, and
-    their own.
-    """
+    """Special case of a term that the hypothesis lacks -> its scaled parameters."""
     out = {}
     for effect, special in term.law.special_cases(_values(problem, hypothesis, term)).items():
         new = Term(effect, term.joint)
@@ -108,8 +110,9 @@ def _special_cases(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict
 
 
 def simpler_forms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with a law in a form that has fewer parameters, or with an equivalent effect
-    in place of a term: a payload in place of another last link.
+    """Hypotheses with a law in a form with fewer parameters, or with an equivalent effect.
+
+    For example a payload instead of other inertial parameters of the last link.
     """
     out = []
     for term in hypothesis.terms:
@@ -119,9 +122,10 @@ def simpler_forms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def equal_sized_forms(hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis with a law in another form that has as many parameters: other crests a turn, a
-    gap on the other side of a law. Which one it takes is no slope's to tell, and was chosen when
-    less was known beside it.
+    """Hypotheses with a law in another form with the same number of parameters.
+
+    Examples are another number of periods per turn, or a dead zone of the other signal. A form is
+    discrete: no gradient decides it, and it was chosen before other effects were found.
     """
     out = []
     for term in hypothesis.terms:
@@ -136,8 +140,9 @@ def _forms_with_fewer(hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
 
 
 def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
-    """The hypothesis with a term in each other form of so many parameters at most; what both have
-    stays.
+    """Hypotheses with a term in each other form with at most ``most`` parameters.
+
+    Parameters that both forms have are kept.
     """
     place = hypothesis.slice_of(term)
     own = hypothesis.theta[place]
@@ -153,7 +158,7 @@ def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
 
 
 def _as_equivalents(problem: Problem, hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
-    """The hypothesis with each form of each equivalent effect that it lacks in place of a term."""
+    """Hypotheses with a term replaced by each form of each equivalent effect that they lack."""
     layout, model = problem.simulator.layout, problem.simulator.segments[0].model
     values = _values(problem, hypothesis, term)
     out: list[Hypothesis] = []

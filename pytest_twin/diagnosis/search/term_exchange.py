@@ -1,10 +1,9 @@
 """Exchange of chosen effects for others, in the linearized motion.
 
-Without a term, every candidate is compared with the residual, to first order. The best are fitted
-as deviations from the present fit, where the term itself is exact and similar effects differ
-little. An elastic transmission is removed by simulation: the linearized motion does not show what
-it does. Several terms of one joint are removed together too, because two wrong ones may compensate
-for each other's errors.
+After the removal of a term, every candidate is fitted to the residual to first order. The best are
+fitted with their exact laws, as deviations from the present fit. The removal of an elastic
+transmission is simulated, because the linearized motion does not contain it. Several terms of one
+joint are also removed together, because two wrong ones may compensate for each other's errors.
 """
 
 from __future__ import annotations
@@ -38,68 +37,84 @@ from pytest_twin.diagnosis.search.settings import EXCHANGE, SELECTION
 
 @dataclass(frozen=True, slots=True)
 class TermExchange:
-    """Something else instead of one or more terms.
+    """Another term instead of one or more terms.
 
     Attributes:
-        gone: what was taken away.
-        new: what stands there; None for nothing.
-        hypothesis: fitted along the motion, where that may be in front.
-        evidence: over the fit at hand, along the motion.
-        doubtful: whether the linearized motion does not show its effect.
+        removed: terms that are removed.
+        new: term that replaces them; None for none.
+        hypothesis: the result; with fitted parameters if it may be one of the best.
+        evidence: relative to the present fit, in the linearized motion.
+        is_doubtful: whether the linearized motion does not show the influence of the exchange.
     """
 
-    gone: tuple[Term, ...]
+    removed: tuple[Term, ...]
     new: Term | None
     hypothesis: Hypothesis
     evidence: float
-    doubtful: bool
+    is_doubtful: bool
 
     @property
     def is_generalization(self) -> bool:
-        """Whether what is new has the one that is gone in it."""
-        (one, *more), new = self.gone, self.new
+        """Whether the new law contains the removed one as a special case."""
+        (one, *more), new = self.removed, self.new
         return new is not None and not more and one.effect in new.law.generalizes
 
     @property
     def is_special_case(self) -> bool:
-        """Whether what is new is a special case of the one that is gone."""
-        (one, *more), new = self.gone, self.new
+        """Whether the new law is a special case of the removed one."""
+        (one, *more), new = self.removed, self.new
         return new is not None and not more and new.effect in one.law.generalizes
 
 
 def find_exchanges(
     problem: Problem,
     best: ScoredModel,
-    look: LinearizedView,
+    linearized: LinearizedView,
     known: Mapping[Term, Sequence[Sensitivity]],
-    name_price: float,
+    penalty_per_effect: float,
 ) -> list[TermExchange]:
-    """Everything near that could stand instead of a term, or of several of one joint.
+    """The best exchanges of each term, and of several terms of one joint.
 
     Args:
-        problem: what to explain.
-        best: the fit at hand.
-        look: around it.
-        known: responses of terms that are named by now, from looks before they were.
-        name_price: evidence that a name costs.
+        problem: the problem.
+        best: the present fit.
+        linearized: the linearization around it.
+        known: sensitivities to terms that the fit contains now, from before they were added.
+        penalty_per_effect: penalty of the log-likelihood for each effect.
     """
     terms = best.hypothesis.terms
     singles: list[tuple[Term, ...]] = [(t,) for t in terms]
-    found = _places(problem, best, look, look.answers, singles, EXCHANGE.alternatives, name_price)
-    several = _together(terms) if look.linear is not None else []
+    found = _exchanges_in_places(
+        problem,
+        best,
+        linearized,
+        linearized.candidate_sensitivities,
+        singles,
+        EXCHANGE.alternatives,
+        penalty_per_effect,
+    )
+    several = _groups_of_joint(terms) if linearized.linear is not None else []
     if several:
         again = [r for t in terms for r in known.get(t, ())]
-        answers = CandidateSensitivities([*look.answers.responses, *again])
-        more = _places(problem, best, look, answers, several, 1, name_price)
+        candidate_sensitivities = CandidateSensitivities(
+            [*linearized.candidate_sensitivities.responses, *again]
+        )
+        more = _exchanges_in_places(
+            problem, best, linearized, candidate_sensitivities, several, 1, penalty_per_effect
+        )
         more = [x for x in more if x.new is not None]
-        for doubtful in (False, True):
-            alike = [x for x in more if x.doubtful == doubtful]
+        for is_doubtful in (False, True):
+            alike = [x for x in more if x.is_doubtful == is_doubtful]
             found += sorted(alike, key=lambda x: -x.evidence)[: EXCHANGE.alternatives_to_several]
-    if look.linear is None:
+    if linearized.linear is None:
         return found
     near = _worth_fitting(found)
     fitted, evidence = fit_and_score_linearized(
-        look.linear, look.view, best, [found[i].hypothesis for i in near], name_price
+        linearized.linear,
+        linearized.view,
+        best,
+        [found[i].hypothesis for i in near],
+        penalty_per_effect,
     )
     for i, h, value in zip(near, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True):
         found[i] = replace(found[i], hypothesis=h, evidence=float(value))
@@ -108,32 +123,36 @@ def find_exchanges(
 
 def better_as_addition(
     best: ScoredModel,
-    look: LinearizedView,
+    linearized: LinearizedView,
     found: Sequence[TermExchange],
     clear: float,
-    name_price: float,
+    penalty_per_effect: float,
 ) -> dict[Term, tuple[Hypothesis, float]]:
-    """What is clearly better instead of something, beside everything: fitted along the motion,
-    with its evidence over the fit at hand.
+    """Candidates that are clearly better in an exchange, added to the fit instead.
 
-    What explains something else is better in every place, and a rival of nothing: it stands in a
-    place as far as it is better there than beside what is there.
+    A candidate that explains another part of the residual is better in exchange for every term and
+    is an alternative to none of them. Only its gain over the addition counts for an exchange.
 
     Args:
-        best: the fit at hand.
-        look: around it.
-        found: what could stand in the places of its terms.
-        clear: evidence beyond which something is clearly better.
-        name_price: evidence that a name costs.
+        best: the present fit.
+        linearized: the linearization around it.
+        found: exchanges.
+        clear: evidence above which an exchange is clearly better.
+        penalty_per_effect: penalty of the log-likelihood for each effect.
+
+    Returns:
+        Candidate -> the fit with it in addition, and its linearized evidence, which is positive.
     """
     better: dict[Term, TermExchange] = {}
     for x in sorted(found, key=lambda x: x.evidence):
-        if x.new is not None and not x.doubtful and x.evidence > clear:
+        if x.new is not None and not x.is_doubtful and x.evidence > clear:
             better[x.new] = x
-    if look.linear is None or not better:
+    if linearized.linear is None or not better:
         return {}
     both = [best.hypothesis.with_term_of(x.hypothesis, new) for new, x in better.items()]
-    fitted, evidence = fit_and_score_linearized(look.linear, look.view, best, both, name_price)
+    fitted, evidence = fit_and_score_linearized(
+        linearized.linear, linearized.view, best, both, penalty_per_effect
+    )
     values = np.nan_to_num(evidence, nan=-np.inf)
     return {
         new: (h, float(value))
@@ -144,51 +163,53 @@ def better_as_addition(
 
 def better_than_several(
     best: ScoredModel,
-    look: LinearizedView,
+    linearized: LinearizedView,
     found: Sequence[TermExchange],
-    beside: Mapping[Term, tuple[Hypothesis, float]],
-    name_price: float,
+    additions: Mapping[Term, tuple[Hypothesis, float]],
+    penalty_per_effect: float,
 ) -> list[TermExchange]:
     """Candidates that are clearly better as an addition, tried instead of several terms of a joint.
 
-    Two wrong effects may compensate for each other so well that neither can be exchanged alone. As
-    an addition the candidate was fitted; a grid knows little of the shape of a non-linear law.
+    Two wrong effects may compensate for each other so well that neither can be exchanged alone. The
+    candidate starts from its fit as an addition, because the grid is coarse in shape parameters.
 
     Args:
-        best: the fit at hand.
-        look: around it.
-        found: what could stand in the places of its terms.
-        beside: as :func:`better_as_addition` has it.
-        name_price: evidence that a name costs.
+        best: the present fit.
+        linearized: the linearization around it.
+        found: exchanges.
+        additions: result of :func:`better_as_addition`.
+        penalty_per_effect: penalty of the log-likelihood for each effect.
 
     Returns:
-        ``found``, with these instead of the same as they were before.
+        ``found``, with these exchanges added or replaced.
     """
-    several = _together(best.hypothesis.terms)
+    several = _groups_of_joint(best.hypothesis.terms)
     places = [
-        (gone, new)
-        for new in beside
-        for gone in several
-        if new.joint < 0 or any(t.joint == new.joint for t in gone)
+        (removed, new)
+        for new in additions
+        for removed in several
+        if new.joint < 0 or any(t.joint == new.joint for t in removed)
     ]
-    if look.linear is None or not places:
+    if linearized.linear is None or not places:
         return list(found)
-    rests = [beside[new][0].without(*gone) for gone, new in places]
-    fitted, evidence = fit_and_score_linearized(look.linear, look.view, best, rests, name_price)
+    reduced = [additions[new][0].without(*removed) for removed, new in places]
+    fitted, evidence = fit_and_score_linearized(
+        linearized.linear, linearized.view, best, reduced, penalty_per_effect
+    )
     better = {
-        place: TermExchange(*place, h, float(e), doubtful=False)
+        place: TermExchange(*place, h, float(e), is_doubtful=False)
         for place, h, e in zip(places, fitted, np.nan_to_num(evidence, nan=-np.inf), strict=True)
         if e > 0.0
     }
-    kept = [x for x in found if x.new is None or (x.gone, x.new) not in better]
+    kept = [x for x in found if x.new is None or (x.removed, x.new) not in better]
     return [*kept, *better.values()]
 
 
 def _worth_fitting(found: Sequence[TermExchange]) -> list[int]:
-    """Numbers of those that may be in front once they are fitted along the motion."""
+    """Indices of the exchanges that may be the best after a fit in the linearized motion."""
     out = []
-    for gone in dict.fromkeys(x.gone for x in found):
-        mine = [i for i, x in enumerate(found) if x.gone == gone]
+    for removed in dict.fromkeys(x.removed for x in found):
+        mine = [i for i, x in enumerate(found) if x.removed == removed]
         first = max(min(found[i].evidence, 0.0) for i in mine)
         half = EXCHANGE.regained * min(
             (found[i].evidence for i in mine if found[i].new is None), default=0.0
@@ -202,7 +223,7 @@ def _worth_fitting(found: Sequence[TermExchange]) -> list[int]:
 def chance_gain(
     own: Hypothesis,
     found: Sequence[TermExchange],
-    unseen: float = 1.0,
+    sample_ratio: float = 1.0,
     simulated: Mapping[tuple[Term, ...], float] = MappingProxyType({}),
 ) -> dict[Place, float]:
     """Evidence that each exchange gains by chance.
@@ -211,16 +232,19 @@ def chance_gain(
     negative for a law with fewer parameters, or for a special case of the one that it replaces.
 
     Args:
-        own: the fit at hand.
-        found: evidence along the motion, of what was fitted.
-        unseen: times as much evidence as that is of all recordings, also of what no fit sees.
-        simulated: evidence that is lost without each, where that was simulated: along the motion
-            samples hang together for longer, and evidence is less.
+        own: the present fit.
+        found: exchanges with their linearized evidence on the fit recordings.
+        sample_ratio: number of samples of all recordings divided by that of the fit recordings.
+        simulated: removed terms -> evidence that their removal loses in a simulation.
     """
-    lost = {x.gone: max(-x.evidence, 0.0) for x in found if x.new is None}
+    lost = {x.removed: max(-x.evidence, 0.0) for x in found if x.new is None}
     return {
-        (x.gone, x.new): _by_chance(
-            own, x, lost.get(x.gone, 0.0), unseen, simulated.get(x.gone, lost.get(x.gone, 0.0))
+        (x.removed, x.new): _chance_gain(
+            own,
+            x,
+            lost.get(x.removed, 0.0),
+            sample_ratio,
+            simulated.get(x.removed, lost.get(x.removed, 0.0)),
         )
         for x in found
     }
@@ -229,92 +253,100 @@ def chance_gain(
 def simulated_evidence(
     found: Sequence[TermExchange], simulated: Sequence[tuple[TermExchange, float]]
 ) -> dict[Place, float]:
-    """Evidence of each over the fit at hand: simulated, or along the motion less what simulation
-    took at least off those that seemed nearer in the same place.
+    """Exchange -> its evidence relative to the present fit.
+
+    It is that of the simulation if there was one. Else it is the linearized evidence, minus the
+    smallest loss between linearization and simulation among exchanges of the same terms.
 
     Args:
-        found: all of them.
-        simulated: those that were, with the evidence that they came to.
+        found: all exchanges.
+        simulated: the simulated ones with their evidence.
     """
-    evidence = {(x.gone, x.new): x.evidence for x in found}
-    told = [(x, e) for x, e in simulated if not x.doubtful]
-    for gone in dict.fromkeys(x.gone for x, _ in told):
-        lost = min(x.evidence - e for x, e in told if x.gone == gone)
+    evidence = {(x.removed, x.new): x.evidence for x in found}
+    told = [(x, e) for x, e in simulated if not x.is_doubtful]
+    for removed in dict.fromkeys(x.removed for x, _ in told):
+        lost = min(x.evidence - e for x, e in told if x.removed == removed)
         for x in found:
-            if x.gone == gone and x.new is not None and not x.doubtful:
-                evidence[gone, x.new] -= max(lost, 0.0)
-    return evidence | {(x.gone, x.new): e for x, e in simulated}
+            if x.removed == removed and x.new is not None and not x.is_doubtful:
+                evidence[removed, x.new] -= max(lost, 0.0)
+    return evidence | {(x.removed, x.new): e for x, e in simulated}
 
 
-def _by_chance(
-    own: Hypothesis, exchange: TermExchange, lost: float, unseen: float, simulated: float
+def _chance_gain(
+    own: Hypothesis, exchange: TermExchange, lost: float, sample_ratio: float, simulated: float
 ) -> float:
+    """As :func:`chance_gain`, for one exchange; ``lost`` is linearized, ``simulated`` simulated."""
     if exchange.new is None:
         return 0.0
-    # What a simulator does otherwise shows in all recordings; no fit follows what it has not seen.
+    # Errors of the simulator are in all recordings. A fit only follows those of the fit recordings.
     if exchange.is_generalization:
-        return EXCHANGE.general_ahead * lost * unseen
+        return EXCHANGE.general_ahead * lost * sample_ratio
     if exchange.is_special_case:
-        return -EXCHANGE.special_behind * lost * unseen
+        return -EXCHANGE.special_behind * lost * sample_ratio
     more = exchange.hypothesis.free - own.free
-    if more < 0 and len(exchange.gone) > 1:
+    if more < 0 and len(exchange.removed) > 1:
         return 0.0
     return float(np.sign(more)) * min(SELECTION.as_good * simulated, EXCHANGE.chance)
 
 
-def _places(
+def _exchanges_in_places(
     problem: Problem,
     best: ScoredModel,
-    look: LinearizedView,
-    answers: CandidateSensitivities,
+    linearized: LinearizedView,
+    candidate_sensitivities: CandidateSensitivities,
     places: Sequence[tuple[Term, ...]],
     count: int,
-    name_price: float,
+    penalty_per_effect: float,
 ) -> list[TermExchange]:
-    """Nothing, and the ``count`` best candidates, in each of several places, to first order."""
-    own, view = best.hypothesis, look.view
-    rests = [own.without(*gone) for gone in places]
-    gears = [any(t.law.is_elastic_transmission for t in gone) for gone in places]
+    """For each removed set: no term and the ``count`` best candidates, to first order."""
+    own, view = best.hypothesis, linearized.view
+    reduced = [own.without(*removed) for removed in places]
+    gears = [any(t.law.is_elastic_transmission for t in removed) for removed in places]
     out = []
-    lefts = _left_of(problem, look.linear, view, rests, gears)
-    for gone, rest, gear, left in zip(places, rests, gears, lefts, strict=True):
-        slope = view.jacobian[:, :, own.parameters_without(*gone)]
-        lens = NormalEquations(ResidualView(left, slope, view.floor, view.lengths), answers)
+    lefts = _residuals_of(problem, linearized.linear, view, reduced, gears)
+    for removed, rest, gear, left in zip(places, reduced, gears, lefts, strict=True):
+        slope = view.jacobian[:, :, own.parameters_without(*removed)]
+        lens = NormalEquations(
+            ResidualView(left, slope, view.floor, view.lengths), candidate_sensitivities
+        )
         chosen = lens.children(lens.bare, count, rest.terms)
         structures = [lens.bare, *(lens.structure(c) for c in chosen)]
         hypotheses = [rest.with_terms(s.starts) for s in structures]
         seen = [LinearizedFit(h, s.residual) for h, s in zip(hypotheses, structures, strict=True)]
-        values = linearized_evidence(view, [LinearizedFit(own, view.residual), *seen], name_price)
+        values = linearized_evidence(
+            view, [LinearizedFit(own, view.residual), *seen], penalty_per_effect
+        )
         values = np.nan_to_num(values, nan=-np.inf)
         far = bool(view.above(np.mean(left**2, axis=0), EXCHANGE.far_apart).any())
         for s, h, value in zip(structures, hypotheses, values[1:] - values[0], strict=True):
             new = next(iter(s.starts), None)
-            doubtful = far and new is not None and (gear or look.linear is None)
-            out.append(TermExchange(gone, new, h, float(value), doubtful))
+            is_doubtful = far and new is not None and (gear or linearized.linear is None)
+            out.append(TermExchange(removed, new, h, float(value), is_doubtful))
     return out
 
 
-def _left_of(
+def _residuals_of(
     problem: Problem,
     linear: Linear | None,
     view: ResidualView,
-    rests: Sequence[Hypothesis],
+    reduced: Sequence[Hypothesis],
     gears: Sequence[bool],
 ) -> list[FloatArray]:
-    """(bins, signals) that each of the rests leaves: simulated without gears and where nothing is
-    of first order, else along the motion.
+    """(bins, signals) residual of each reduced model.
+
+    It is simulated if an elastic transmission was removed or the problem has no linearization.
     """
     simulated = [k for k, gear in enumerate(gears) if gear or linear is None]
-    along = [k for k in range(len(rests)) if k not in simulated]
+    not_simulated = [k for k in range(len(reduced)) if k not in simulated]
     out: dict[int, FloatArray] = {}
     if simulated:
         binned = bins(problem, problem.fit)
-        found = problem.residuals([rests[k] for k in simulated], problem.fit)
+        found = problem.residuals([reduced[k] for k in simulated], problem.fit)
         out = {k: binned.mean(np.nan_to_num(r)) for k, r in zip(simulated, found, strict=True)}
-    if along and linear is not None:
-        differences = linear.differences([rests[k] for k in along])
-        out |= {k: view.residual - d for k, d in zip(along, differences, strict=True)}
-    return [np.nan_to_num(out[k]) for k in range(len(rests))]
+    if not_simulated and linear is not None:
+        differences = linear.differences([reduced[k] for k in not_simulated])
+        out |= {k: view.residual - d for k, d in zip(not_simulated, differences, strict=True)}
+    return [np.nan_to_num(out[k]) for k in range(len(reduced))]
 
 
 def residuals_without(
@@ -324,16 +356,18 @@ def residuals_without(
     own: Hypothesis,
     places: Sequence[tuple[Term, ...]],
 ) -> list[FloatArray]:
-    """(bins, signals) that a fit leaves without each of several subsets of its terms, the others as
-    they are: simulated where a gear goes, else along the motion.
+    """(bins, signals) residual of a fit without each of several sets of its terms.
+
+    The other parameters are not fitted again. The residual is simulated if an elastic transmission
+    is removed, else it is linearized.
     """
-    gears = [any(t.law.is_elastic_transmission for t in gone) for gone in places]
-    rests = [own.without(*gone) for gone in places]
-    return _left_of(problem, linear, view, rests, gears)
+    gears = [any(t.law.is_elastic_transmission for t in removed) for removed in places]
+    reduced = [own.without(*removed) for removed in places]
+    return _residuals_of(problem, linear, view, reduced, gears)
 
 
-def _together(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
-    """Terms of one joint that are taken away together, bodies of the whole robot with them."""
+def _groups_of_joint(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
+    """Sets of terms that are removed together: of one joint, with rigid-body terms of the robot."""
     out: dict[tuple[Term, ...], None] = {}
     for joint in {t.joint for t in terms if t.joint >= 0}:
         crowd = [

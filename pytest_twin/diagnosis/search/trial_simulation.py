@@ -1,4 +1,4 @@
-"""What hypotheses leave as they are, by simulation, where most is to be explained."""
+"""Errors of many hypotheses without a fit, on the fit segments with the largest residual."""
 
 from __future__ import annotations
 
@@ -14,10 +14,16 @@ from pytest_twin.diagnosis.search.scored_model import ScoredModel
 
 
 class TrialSimulation:
-    """A try of many hypotheses on half of what is fitted, enough to tell which are worth a fit."""
+    """Simulates hypotheses on half of the fit segments, to choose which of them are fitted.
+
+    Attributes:
+        problem: the problem.
+        weights: (signals,) reciprocal standard deviations.
+        segments: indices of the segments, those with the largest weighted residual.
+    """
 
     def __init__(self, problem: Problem, best: ScoredModel, left: FloatArray) -> None:
-        """Around ``best``, weighted by the (signals,) mean square ``left``."""
+        """Choose segments by the residual of ``best``, with weights from mean squares ``left``."""
         self.problem, self.weights = problem, problem.weights(left)
         ends = np.cumsum(problem.lengths(problem.fit))[:-1]
         parts = np.split(best.fitted.residual, ends)
@@ -26,12 +32,12 @@ class TrialSimulation:
         self.segments = problem.fit[np.sort(most)]
 
     def costs(self, rows: Sequence[Hypothesis]) -> list[float]:
-        """What each leaves."""
+        """Weighted mean squared error of each hypothesis; infinite where it diverges."""
         found = self.problem.residuals(rows, self.segments)
         return [weighted_cost(r, self.weights) for r in found]
 
     def cheapest(self, rows: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Of each last term the row that leaves least, best first."""
+        """For each last term the hypothesis with the smallest error, best first."""
         costs = self.costs(rows)
         found: dict[Term, Hypothesis] = {}
         for i in np.argsort(costs):

@@ -51,30 +51,32 @@ class Proposal:
 
 
 def proposals(
-    scorer: Scorer, look: LinearizedView, settings: StructureSearchSettings
+    scorer: Scorer, linearized: LinearizedView, settings: StructureSearchSettings
 ) -> list[Proposal]:
     """Proposals around the incumbent, most promising first.
 
     Args:
         scorer: of the problem.
-        look: the incumbent, linearized, with the responses of all candidates.
+        linearized: the incumbent, linearized, with the responses of all candidates.
         settings: of the search.
     """
-    own = look.around.hypothesis
+    own = linearized.around.hypothesis
     pool: dict[tuple[frozenset[Term], bytes], Hypothesis] = {}
-    for hypothesis in itertools.chain(_exchanged(scorer, look, settings), _rewritten(scorer, own)):
+    for hypothesis in itertools.chain(
+        _exchanged(scorer, linearized, settings), _rewritten(scorer, own)
+    ):
         form = np.array([m for t in sorted(hypothesis.terms)
                          for m in t.movable(hypothesis.theta[hypothesis.slice_of(t)])])  # fmt: skip
         pool.setdefault((frozenset(hypothesis.terms), form.tobytes()), hypothesis)
     starts = list(pool.values())
-    linear = look.linear
+    linear = linearized.linear
     if linear is None:
         return [Proposal(h, 0.0) for h in starts]
-    incumbent = LinearizedFit(own, look.view.residual)
+    incumbent = LinearizedFit(own, linearized.view.residual)
 
     def fitted(models: Sequence[Hypothesis], iterations: int) -> list[Proposal]:
-        fits = fit_linearized(linear, look.view, models, iterations)
-        worth = linearized_evidence(look.view, [incumbent, *fits], scorer.name_price)
+        fits = fit_linearized(linear, linearized.view, models, iterations)
+        worth = linearized_evidence(linearized.view, [incumbent, *fits], scorer.penalty_per_effect)
         gains = np.nan_to_num(worth[1:] - worth[0], nan=-np.inf)
         found = [Proposal(f.hypothesis, float(g)) for f, g in zip(fits, gains, strict=True)]
         return sorted(found, key=lambda p: -p.gain)
@@ -104,13 +106,13 @@ def best_of_each_size(
 
 
 def _exchanged(
-    scorer: Scorer, look: LinearizedView, settings: StructureSearchSettings
+    scorer: Scorer, linearized: LinearizedView, settings: StructureSearchSettings
 ) -> Iterable[Hypothesis]:
     """The incumbent with terms removed and others added."""
-    own, view = look.around.hypothesis, look.view
-    removed = removals(own)
-    rests = [own.without(*gone) for gone in removed]
-    lefts = _residuals(scorer, look, removed, rests)
+    own, view = linearized.around.hypothesis, linearized.view
+    removed_sets = removals(own)
+    reduced = [own.without(*removed) for removed in removed_sets]
+    lefts = _residuals(scorer, linearized, removed_sets, reduced)
 
     def search(most: int, width: int) -> BeamSearch:
         return BeamSearch(
@@ -118,13 +120,15 @@ def _exchanged(
             lambda before, after: bool((after < before).any()),
         )  # fmt: skip
 
-    for gone, rest, left in zip(removed, rests, lefts, strict=True):
-        if gone:
+    for removed, rest, left in zip(removed_sets, reduced, lefts, strict=True):
+        if removed:
             yield rest
-        slope = view.jacobian[:, :, own.parameters_without(*gone)]
-        lens = NormalEquations(ResidualView(left, slope, view.floor, view.lengths), look.answers)
-        most = settings.added if not gone else min(len(gone) + 1, 2)
-        width = settings.beam if not gone else settings.beam // 2
+        slope = view.jacobian[:, :, own.parameters_without(*removed)]
+        lens = NormalEquations(
+            ResidualView(left, slope, view.floor, view.lengths), linearized.candidate_sensitivities
+        )
+        most = settings.added if not removed else min(len(removed) + 1, 2)
+        width = settings.beam if not removed else settings.beam // 2
         for level in search(most, width).levels(lens):
             for structure in level[:width]:
                 yield rest.with_terms(structure.starts)
@@ -144,25 +148,25 @@ def removals(own: Hypothesis) -> list[tuple[Term, ...]]:
 
 def _residuals(
     scorer: Scorer,
-    look: LinearizedView,
-    removed: Sequence[tuple[Term, ...]],
-    rests: Sequence[Hypothesis],
+    linearized: LinearizedView,
+    removed_sets: Sequence[tuple[Term, ...]],
+    reduced: Sequence[Hypothesis],
 ) -> list[FloatArray]:
     """(bins, signals) residual of each rest; simulated where the motion then differs widely."""
-    problem, view = scorer.problem, look.view
+    problem, view = scorer.problem, linearized.view
     out: dict[int, FloatArray] = {}
-    if look.linear is not None:
-        for k, d in enumerate(look.linear.differences(rests)):
+    if linearized.linear is not None:
+        for k, d in enumerate(linearized.linear.differences(reduced)):
             left = view.residual - d
-            separates = any(t.law.overrides("separates") for t in removed[k])
+            separates = any(t.law.overrides("separates") for t in removed_sets[k])
             if np.isfinite(left).all() and not separates:
                 out[k] = left
-    missing = [k for k in range(len(rests)) if k not in out]
+    missing = [k for k in range(len(reduced)) if k not in out]
     if missing:
         binned = bins(problem, problem.fit)
-        found = problem.residuals([rests[k] for k in missing], problem.fit)
+        found = problem.residuals([reduced[k] for k in missing], problem.fit)
         out |= {k: np.nan_to_num(binned.mean(r)) for k, r in zip(missing, found, strict=True)}
-    return [out[k] for k in range(len(rests))]
+    return [out[k] for k in range(len(reduced))]
 
 
 def _rewritten(scorer: Scorer, own: Hypothesis) -> list[Hypothesis]:

@@ -24,23 +24,27 @@ _ITERATIONS = 3
 
 
 def corrected_fits(
-    scorer: Scorer, look: LinearizedView, models: Sequence[Model], corrections: int
+    scorer: Scorer, linearized: LinearizedView, models: Sequence[Model], corrections: int
 ) -> list[Model]:
     """Models fitted by the linearized motion, each step confirmed by a simulation."""
-    if look.linear is None:
+    if linearized.linear is None:
         return list(models)
     best = list(models)
     active = [i for i, m in enumerate(best) if np.isfinite(m.mean_square).all()]
     for _ in range(corrections):
         if not active:
             break
-        changes = look.linear.differences([best[i].hypothesis for i in active])
+        changes = linearized.linear.differences([best[i].hypothesis for i in active])
         targets = [
-            look.linear.bins.mean(best[i].residual) + d
+            linearized.linear.bins.mean(best[i].residual) + d
             for i, d in zip(active, changes, strict=True)
         ]
         fitted = fit_linearized(
-            look.linear, look.view, [best[i].hypothesis for i in active], _ITERATIONS, targets
+            linearized.linear,
+            linearized.view,
+            [best[i].hypothesis for i in active],
+            _ITERATIONS,
+            targets,
         )
         tried = scorer.simulate([p.hypothesis for p in fitted])
         still = []

@@ -48,14 +48,14 @@ class Scorer:
 
     Attributes:
         problem: recordings and simulator.
-        name_price: penalty of the log-likelihood for each effect.
+        penalty_per_effect: penalty of the log-likelihood for each effect.
         earns, share: thresholds, as in :class:`StructureSearchSettings`.
         nominal: the model without any effect.
     """
 
     def __init__(self, problem: Problem, candidates: int, earns: float, share: float) -> None:
         self.problem = problem
-        self.name_price = effect_penalty(candidates)
+        self.penalty_per_effect = effect_penalty(candidates)
         self.earns, self.share = earns, share
         self.nominal = self.simulate([Hypothesis((), np.empty(0))])[0]
 
@@ -105,7 +105,9 @@ class Scorer:
         ratio = log_likelihood(model.residual, floor, count)
         ratio -= log_likelihood(over.residual, floor, count)
         ratio -= parameter_penalty(count) * (model.hypothesis.free - over.hypothesis.free)
-        ratio -= self.name_price * (len(model.hypothesis.terms) - len(over.hypothesis.terms))
+        ratio -= self.penalty_per_effect * (
+            len(model.hypothesis.terms) - len(over.hypothesis.terms)
+        )
         if len(better.validation):
             held = effective_samples(better.validation, problem.lengths(problem.held_out))
             ratio += log_likelihood(model.validation, floor, held)

@@ -101,13 +101,13 @@ class Covariate:
 
 def covariates(linear: Linear, joint: int) -> list[Covariate]:
     """Every variable that varies in the recordings, over its whole range, the plainest first."""
-    along, simulator = linear.along, linear.simulator
-    segments = [simulator.segments[s] for s in along.segments]
-    inside = along.time <= np.array([s.time[-1] for s in segments])[:, None]
-    position, velocity = along.position[..., joint], along.velocity[..., joint]
+    trajectory, simulator = linear.trajectory, linear.simulator
+    segments = [simulator.segments[s] for s in trajectory.segments]
+    inside = trajectory.time <= np.array([s.time[-1] for s in segments])[:, None]
+    position, velocity = trajectory.position[..., joint], trajectory.velocity[..., joint]
     still = STILL * float(linear.problem.scales.of["velocity"][joint])
     cold = np.array([s.cold_fraction for s in segments])
-    against = -np.tanh(velocity / along.slip_velocity[joint])
+    against = -np.tanh(velocity / trajectory.slip_velocity[joint])
     force, friction = np.ones_like(position), UnnamedFriction.id
     found = [
         (UnnamedLaw.id, POSITION, position, force),
@@ -115,13 +115,13 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
         (friction, SPEED, np.abs(velocity), against),
         (UnnamedLaw.id, VELOCITY, velocity, force),
         (friction, LOAD, np.abs(linear.laws.load[..., joint]), against),
-        (friction, SINCE_REVERSAL, _since(velocity, still, along.interval), against),
+        (friction, SINCE_REVERSAL, _since(velocity, still, trajectory.interval), against),
     ]  # fmt: skip
     if all(s.mode_of(joint) == "position" for s in segments):
         # A recorded velocity or effort is mostly an outer loop's, and has its reaction to the
         # missing force in it: that would explain any force.
         command = np.stack([
-            s.setpoint.at(t)[:, joint] for s, t in zip(segments, along.time, strict=True)
+            s.setpoint.at(t)[:, joint] for s, t in zip(segments, trajectory.time, strict=True)
         ])  # fmt: skip
         found.append((UnnamedLaw.id, COMMAND, command, force))
     if len(set(cold)) >= _FEWEST_TEMPERATURES:

@@ -54,8 +54,8 @@ def with_tables(
     coefficients: FloatArray,
 ) -> Hypothesis:
     """A hypothesis with tables, instead of those that it has at the joint."""
-    gone = [t for t in hypothesis.terms if t.joint == joint and not t.law.candidate]
-    out = hypothesis.without(*gone)
+    removed = [t for t in hypothesis.terms if t.joint == joint and not t.law.candidate]
+    out = hypothesis.without(*removed)
     for table, values in zip(tables, np.split(coefficients, len(tables)), strict=True):
         term = Term(table.effect, joint)
         law, others = TABLES[table.effect], {}

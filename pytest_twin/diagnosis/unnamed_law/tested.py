@@ -115,10 +115,10 @@ def on_test(
                     "the fitted law does"
                 )
             errors = joint_errors(tested.prepared, tested.before, after)
-            gone = [law.term for law in found.laws if law.term not in terms]
+            removed = [law.term for law in found.laws if law.term not in terms]
             return TestedLaws(
                 tuple(zip(kept, gains, strict=True)),
-                found.hypothesis.without(*gone),
+                found.hypothesis.without(*removed),
                 replace(tested, after=after, errors=errors),
                 tuple(notes),
             )
