@@ -290,7 +290,7 @@ class Run:
         mujoco.mj_resetData(self.model, data)
         data.qpos[self.qpos_index] = self.encoders.model_position(self.trial.position[0])
         if self.trial.velocity is not None:
-            velocity = self.encoders.signed(self.trial.velocity[0])
+            velocity = self.encoders.model_velocity(self.trial.velocity[0])
             data.qvel[self.dof_index] = np.where(np.isfinite(velocity), velocity, 0.0)
         follow_joint_equalities(self.model, data, set(self.joint_ids))
 
@@ -393,7 +393,7 @@ class Run:
             trial=self.trial,
             time=self.trial.time,
             position=self.encoders.read_position(self.qpos[:, self.qpos_index]),
-            velocity=self.encoders.signed(self.velocity),
+            velocity=self.encoders.read_velocity(self.velocity),
             effort=self.encoders.signed(self.effort),
             qpos=self.qpos,
             error=self.error,

@@ -213,7 +213,8 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
 
 
 def _calibration(calibration: JointCalibration) -> dict[str, Any]:
-    return {"offset [rad or m]": calibration.offset, "sign": calibration.sign}
+    scale = {} if calibration.scale == 1.0 else {"scale": calibration.scale}
+    return {"offset [rad or m]": calibration.offset, "sign": calibration.sign, **scale}
 
 
 def _record(record: CalibrationRecord) -> dict[str, Any]:

@@ -121,15 +121,22 @@ class Payload:
 
 @dataclass(frozen=True, slots=True)
 class JointCalibration:
-    """``model = sign * measured + offset``.
+    """``model = sign * scale * measured + offset``.
 
     Attributes:
         offset: rad or m.
         sign: 1.0 or -1.0.
+        scale: true turn over the turn that is read.
     """
 
     offset: float = 0.0
     sign: float = 1.0
+    scale: float = 1.0
+
+    @property
+    def slope(self) -> float:
+        """Derivative of the model's position by the reading."""
+        return self.sign * self.scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,7 +307,9 @@ class Twin:
         controllers: id -> actuator -> attribute -> value.
         payloads: id -> body -> mass.
         parts: name -> declared part.
-        calibration: what holds now: ``calibration:`` with what ``calibrations:`` lay over it.
+        calibration: what holds now: ``calibration:`` with what ``calibrations:`` and the encoders
+            of ``fit:`` lay over it.
+        calibrated: the same without ``fit:``.
         calibrations: records of ``pytest-twin calibrate``, the newest last.
         fit: what holds now: all of ``fit:`` laid one over the other.
         fits: records of ``pytest-twin identify`` under ``fit:``, the newest last.
@@ -329,6 +338,7 @@ class Twin:
     controllers: Mapping[str, Mapping[str, Patch]] = field(default_factory=dict)
     payloads: Mapping[str, Mapping[str, Payload]] = field(default_factory=dict)
     calibration: Calibration | None = None
+    calibrated: Calibration | None = None
     calibrations: tuple[CalibrationEntry, ...] = ()
     fit: Fit | None = None
     fits: tuple[FitEntry, ...] = ()
@@ -364,8 +374,7 @@ class Twin:
     @property
     def holding_fits(self) -> tuple[IdentificationRecord, ...]:
         """Records under ``fit:`` that no later one supersedes, the newest last."""
-        gone = {name for entry in self.fits for name in entry.supersedes}
-        return tuple(entry.record for entry in self.fits if entry.record.id not in gone)
+        return _holding(self.fits)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -472,6 +481,7 @@ class _Reader:
         release = data.get("release", {})
         entries = self._calibrations()
         fit, fits = self._fits()
+        calibrated = _laid_over(self._calibration(), entries, self.path)
         return Twin(
             path=self.path,
             name=data.get("name") or self.path.parent.name or "twin",
@@ -491,7 +501,8 @@ class _Reader:
                 name: {body: _payload(added) for body, added in bodies.items()}
                 for name, bodies in data.get("payloads", {}).items()
             },
-            calibration=_laid_over(self._calibration(), entries, self.path),
+            calibration=_with_encoders(calibrated, _holding(fits), self.path),
+            calibrated=calibrated,
             calibrations=entries,
             fit=fit,
             fits=fits,
@@ -602,7 +613,7 @@ class _Reader:
             id=str(section.data["id"]),
             transform_world_to_base=None if base is None else _pose(base, section),
             joints={
-                joint: JointCalibration(float(d.get("offset", 0.0)), float(d.get("sign", 1.0)))
+                joint: JointCalibration(**{key: float(value) for key, value in d.items()})
                 for joint, d in section.data.get("joints", {}).items()
             },
             path=section.path,
@@ -852,6 +863,33 @@ def _laid_over(
         path=path if stated is None else stated.path,
         lines={} if stated is None else stated.lines,
     )
+
+
+def _holding(fits: tuple[FitEntry, ...]) -> tuple[IdentificationRecord, ...]:
+    gone = {name for entry in fits for name in entry.supersedes}
+    return tuple(entry.record for entry in fits if entry.record.id not in gone)
+
+
+def _with_encoders(
+    calibrated: Calibration | None, records: tuple[IdentificationRecord, ...], path: Path
+) -> Calibration | None:
+    """The calibration with the encoders that identifications found on top of it.
+
+    What was found on top of another calibration says nothing: a later one has measured the encoder.
+    """
+    stated = {} if calibrated is None else calibrated.joints
+    joints = dict(stated)
+    changed = []
+    for record in records:
+        for joint, change in record.encoders.items():
+            if stated.get(joint, JointCalibration()) == JointCalibration(**change.before):
+                joints[joint] = JointCalibration(**change.after)
+                changed.append(record.id)
+    if not changed:
+        return calibrated
+    ids = [*([] if calibrated is None else [calibrated.id]), *dict.fromkeys(changed)]
+    none = Calibration("", None, {}, path)
+    return replace(calibrated or none, id="+".join(ids), joints=joints)
 
 
 def _line(lines: Mapping[str, int], where: str) -> int | None:

@@ -129,6 +129,7 @@ _OF_EFFECT = {
     "command_delay": "timing",
     "sensor_delay": "timing",
     "effort_delay": "timing",
+    "effort_lag": "timing",
     "clock_drift": "timing",
     "encoder_bias": "sensing",
     "encoder_scale": "sensing",

@@ -80,8 +80,8 @@ class _Motion:
         self.nominal = self._replay(self.row, lambda time: np.zeros(len(self.joints)))
         encoders = Encoders.of(calibration_of(realization), self.joints)
         self.position = encoders.model_position(self.nominal.position)
-        self.velocity = encoders.signed(self.nominal.velocity)
-        self.sign = encoders.sign
+        self.velocity = encoders.model_velocity(self.nominal.velocity)
+        self.slope = encoders.slope
         self.effort = self._effort()
         self.forces = len(found.columns)
 
@@ -93,7 +93,7 @@ class _Motion:
         rms = np.sqrt(np.sum(slopes**2, axis=2).mean(axis=0))
         moving = self._frame(self.nominal.position)
         chain = self._on_chain()
-        on_chain = (self.sign[:, None] * responses)[:, chain]
+        on_chain = (self.slope[:, None] * responses)[:, chain]
         categories = np.array([category_of_parameter(name) for name in self.found.names])
         alone = {}
         for category in dict.fromkeys(categories.tolist()):

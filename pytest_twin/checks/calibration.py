@@ -206,4 +206,4 @@ def _chain(golden: Golden, plan: Plan, realization: Realization) -> SerialChain:
         )
     chain = load_serial_chain(realization.path, plan.flange)
     encoders = Encoders.of(calibration_of(realization), chain.joints)
-    return replace(chain, signs=encoders.sign, offsets=encoders.offset)
+    return replace(chain, signs=encoders.slope, offsets=encoders.offset)

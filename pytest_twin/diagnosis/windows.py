@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -136,8 +136,8 @@ def _recorded(
         start=0.0,
         time=trial.time[keep],
         position=position,
-        velocity=_columns(trial.velocity, keep, columns, encoders),
-        effort=_columns(trial.effort, keep, columns, encoders),
+        velocity=_columns(trial.velocity, keep, columns, encoders.model_velocity),
+        effort=_columns(trial.effort, keep, columns, encoders.signed),
         command_time=setpoint.time[ascending],
         command=encoders.model_command(command, each)[ascending],
         initial_position=position[0],
@@ -257,9 +257,12 @@ def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:
 
 
 def _columns(
-    values: FloatArray | None, keep: NDArray[np.bool_], columns: list[int], encoders: Encoders
+    values: FloatArray | None,
+    keep: NDArray[np.bool_],
+    columns: list[int],
+    in_model: Callable[[FloatArray], FloatArray],
 ) -> FloatArray | None:
-    return None if values is None else encoders.signed(values[keep][:, columns])
+    return None if values is None else in_model(values[keep][:, columns])
 
 
 _MODELS: weakref.WeakKeyDictionary[Realization, dict[tuple[str | None, ...], mujoco.MjModel]] = (

@@ -277,7 +277,7 @@ def _write(found: Excitation, out: Path) -> dict[str, list[str]]:
     for one in found.safe:
         position = encoders.read_position(one.motion.position)
         paths = files.write(
-            folder / names[one.motion.name], one.motion, found.approved.names, encoders.sign,
+            folder / names[one.motion.name], one.motion, found.approved.names, 1.0 / encoders.slope,
             position, modes_of(found),
         )  # fmt: skip
         written[one.motion.name] = [str(path.relative_to(out)) for path in paths]

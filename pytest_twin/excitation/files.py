@@ -25,7 +25,7 @@ def write(
     path: Path,
     motion: Motion,
     joints: Sequence[str],
-    signs: FloatArray,
+    slope: FloatArray,
     position: FloatArray,
     modes: Sequence[CommandMode],
 ) -> list[Path]:
@@ -34,7 +34,8 @@ def write(
     Args:
         path: without suffix.
         joints: names of the columns.
-        signs: (j,) of the encoders, for velocities and accelerations.
+        slope: (j,) derivative of the reading by the model's position, for velocities and
+            accelerations.
         position: (n, j) as the robot's controller takes it, rad or m.
         modes: (j,) what each joint's controller takes, for CSV and MCAP.
 
@@ -43,8 +44,8 @@ def write(
     """
     # One rounding for all forms: whoever evaluates a file sees what was checked to 1e-12.
     position = np.round(position, _DIGITS)
-    velocity = np.round(signs * motion.velocity, _DIGITS)
-    acceleration = np.round(signs * motion.acceleration, _DIGITS)
+    velocity = np.round(slope * motion.velocity, _DIGITS)
+    acceleration = np.round(slope * motion.acceleration, _DIGITS)
     files = [path.with_name(path.name + suffix) for suffix in SUFFIXES]
     command = np.where([mode == "velocity" for mode in modes], velocity, position)
     atomic.write_text(files[0], _csv(motion.time, command, joints))

@@ -28,6 +28,20 @@ Laid = Mapping[str, Mapping[str, Mapping[str, float | tuple[float, ...]]]]
 
 
 @dataclass(frozen=True, slots=True)
+class EncoderChange:
+    """What an identification says of one encoder: ``model = sign * scale * measured + offset``.
+
+    Attributes:
+        before: ``offset`` (rad or m), ``sign`` and ``scale`` of the twin that was identified,
+            without its records of identifications.
+        after: what the efforts say in its place.
+    """
+
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class IdentificationRecord:
     """What a twin takes from one identification.
 
@@ -50,6 +64,7 @@ class IdentificationRecord:
         without_effort: joints whose motion was measured, and whose effort was not.
         sensors: sensors that it estimated.
         encoder_steps: joint -> quantization of its encoder, rad or m.
+        encoders: joint -> how its encoder relates to the model, before and after.
     """
 
     id: str
@@ -71,6 +86,7 @@ class IdentificationRecord:
     without_effort: tuple[str, ...] = ()
     sensors: tuple[SensorFields, ...] = ()
     encoder_steps: Mapping[str, float] = field(default_factory=dict)
+    encoders: Mapping[str, EncoderChange] = field(default_factory=dict)
 
 
 def read_identification_record(path: Path) -> IdentificationRecord:
@@ -133,6 +149,10 @@ def read_identification_record(path: Path) -> IdentificationRecord:
                 text(joint): number(step)
                 for joint, step in content.get("encoder_steps", {}).items()
             },
+            encoders={
+                text(joint): EncoderChange(_encoder(one["before"]), _encoder(one["after"]))
+                for joint, one in content.get("encoders", {}).items()
+            },
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise FormatError(
@@ -144,6 +164,13 @@ def _positive(value: Any) -> float:
     if not number(value) > 0.0:
         raise ValueError(f"{value!r} is no step of an encoder")
     return number(value)
+
+
+def _encoder(value: Mapping[str, Any]) -> Mapping[str, float]:
+    found = {key: number(value[key]) for key in ("offset", "sign", "scale")}
+    if abs(found["sign"]) != 1.0 or not found["scale"] > 0.0:
+        raise ValueError("encoders: a sign that is not 1 or -1, or a scale that is not positive")
+    return found
 
 
 def _fit(value: Any) -> Laid:

@@ -13,6 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries, Recording
 from pytest_twin.realization import Realization
+from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import ANGLES, Signals
 from pytest_twin.trial import recordings_at
@@ -104,7 +105,7 @@ def read_measured(
         refuse_final(recording.metadata, path, "an identification")
         series = _named(recording, "state", realization, topics, options)
         commanded, notes = _commanded(recording, series, realization, topics, options)
-        whole = _at_joints(series, commanded, recording, signals)
+        whole = _in_model(_at_joints(series, commanded, recording, signals), realization)
         found += _stretches(replace(whole, notes=(*whole.notes, *notes)))
     return found
 
@@ -225,6 +226,17 @@ def _at_joints(
         metadata=dict(recording.metadata),
         notes=(*notes, *said),
         command=command,
+    )
+
+
+def _in_model(read: Measured, realization: Realization) -> Measured:
+    """The recording as the model counts joints, by the twin's calibration."""
+    encoders = Encoders.of(calibration_of(realization), read.joints)
+    return replace(
+        read,
+        position=encoders.model_position(read.position),
+        velocity=None if read.velocity is None else encoders.model_velocity(read.velocity),
+        effort=encoders.signed(read.effort),
     )
 
 

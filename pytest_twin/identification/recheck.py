@@ -10,10 +10,13 @@ import numpy as np
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.identification_record import IdentificationRecord
-from pytest_twin.identification.effort.encoders import BIAS, SCALE, Reading, without_errors
+from pytest_twin.identification.effort.delay import DELAY, LAG, without_delay
 from pytest_twin.identification.effort.filtering import Filter
-from pytest_twin.identification.effort.sampled import Sampled, sample
-from pytest_twin.identification.measured import read_measured
+from pytest_twin.identification.effort.judging import errors_of
+from pytest_twin.identification.effort.least_squares import linear
+from pytest_twin.identification.effort.sampled import sample
+from pytest_twin.identification.effort.scale import Scale, payload_effort, scaled
+from pytest_twin.identification.measured import Measured, read_measured
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
 from pytest_twin.signals import NO_SIGNALS
@@ -46,9 +49,9 @@ def recheck(
 ) -> dict[str, Rechecked]:
     """Joint -> error of the realization's inverse dynamics along the measured motion.
 
-    Inertia, armature and friction are the realization's own; constant efforts, scales of currents,
-    shared motors and errors of encoders are the record's, which no model holds. Motion is
-    filtered as it was then.
+    Inertia, armature, friction and encoders are the twin's of today; constant efforts, scales of
+    currents, shared motors, and delay and scale of the efforts are the record's, which no model
+    holds. Known payloads count. Motion is filtered as it was then.
 
     Raises:
         RecordingError: no effort, or an identification without measured effort.
@@ -70,12 +73,6 @@ def recheck(
         for part in read_measured(path, realization, topics, twin.recordings, signals)
     ]
     joints = measured[0].joints
-    encoders = [
-        Reading(joint, kind, record.values[f"{joint}.{kind}"], 0.0)
-        for joint in joints
-        for kind in (BIAS, SCALE)
-        if f"{joint}.{kind}" in record.values
-    ]
     shared = [
         SharedMotor(j, own.joint, own.ratio)
         for j in joints
@@ -85,32 +82,36 @@ def recheck(
     regressor = Regressor(realization, joints, shared, unscaled)
     values = regressor.prior.copy()
     for at, column in enumerate(regressor.columns):
-        if column.kind in _OF_RECORD:
+        # The drive's parameters of a current are in A.
+        of_drive = column.joint in unscaled and not column.inertial
+        if of_drive or column.kind in _OF_RECORD:
             values[at] = record.values.get(column.name, 0.0)
-        elif column.joint in unscaled and not column.inertial:
-            # The drive's parameters of a current are in A.
-            values[at] = record.values.get(column.name, 0.0)
-    right = without_errors(measured, encoders)
+    right = _as_identified(measured, record, unscaled)
     rows = sample(right, [regressor] * len(right), Filter(*record.filter))
+    for one, taken in zip(right, rows, strict=True):
+        carried = payload_effort(realization, regressor, one, taken)
+        if carried is not None:
+            taken.effort[...] -= carried
+    every = np.arange(len(regressor.columns))
+    problem = linear(rows, every, np.zeros((len(joints), len(every)), dtype=bool))
+    slides = dict(zip(joints, regressor.slides, strict=True))
     return {
-        joint: found
-        for k, joint in enumerate(joints)
-        if (found := _error(rows, values, k, regressor.slides[k])) is not None
+        joint: Rechecked(error.relative, error.rms, slides[joint])
+        for joint, error in errors_of(problem, values, joints).items()
     }
 
 
-def _error(
-    rows: Sequence[Sampled], values: np.ndarray, joint: int, slide: bool
-) -> Rechecked | None:
-    effort = np.concatenate([one.effort[:, joint] for one in rows])
-    predicted = np.concatenate([one.matrix[:, joint] @ values for one in rows])
-    known = np.isfinite(effort)
-    if not known.any():
-        return None
-    off = effort[known] - predicted[known]
-    size = float(np.linalg.norm(effort[known]))
-    return Rechecked(
-        float(np.linalg.norm(off)) / size if size > 0 else 0.0,
-        float(np.sqrt(np.mean(off**2))),
-        slide,
-    )
+def _as_identified(
+    measured: Sequence[Measured], record: IdentificationRecord, unscaled: Sequence[str]
+) -> tuple[Measured, ...]:
+    """The recordings without the delay and the scale of the efforts that the record found."""
+    moved = tuple(measured)
+    for name in (DELAY, LAG):
+        if name in record.values:
+            moved = without_delay(moved, record.values[name], name)
+    scales = {
+        joint: Scale(record.values[f"{joint}.effort_scale"], 0.0)
+        for joint in measured[0].joints
+        if joint not in unscaled and f"{joint}.effort_scale" in record.values
+    }
+    return scaled(moved, scales)

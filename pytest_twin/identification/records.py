@@ -105,12 +105,15 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "ci95": [reading.value - reading.half_width, reading.value + reading.half_width],
             "prior": 0.0,
             "stage": "encoder",
-            "used": any(name in s.parameters and s.state == "accepted" for s in stages),
+            "used": any(
+                (one.joint, one.kind) == (reading.joint, reading.kind)
+                for one in result.encoders.corrected
+            ),
             "estimator": SQUARES,
         }
     if result.delay is not None:
         late = result.delay
-        parameters["robot.effort_delay"] = {
+        parameters[late.name] = {
             "value": late.value,
             "unit": "s",
             "ci95": [late.value - late.half_width, late.value + late.half_width],

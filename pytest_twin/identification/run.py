@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from pytest_twin.identification.closed_loop import simulated, trials_of
 from pytest_twin.identification.contact.identify import are_tosses, identify_contact
 from pytest_twin.identification.contact.roles import TossOptions
 from pytest_twin.identification.effort.identify import has_effort, identify_effort
+from pytest_twin.identification.encoder_changes import encoder_changes
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.records import effort_document
@@ -112,8 +113,8 @@ def identify_files(
     if has_effort(measured):
         result = identify_effort(realization, measured, signals)
         progress(0.8)
-        fit = patches_of(realization, result)
-        write_fitted(folder, realization, fit)
+        fit, encoders = patches_of(realization, result), encoder_changes(realization, result)
+        write_fitted(folder, realization, fit, encoders)
         fitted_model = load_written(folder)
         tried = trials_of(
             realization, _paths(measured.held_out) or _paths(measured.fit),
@@ -122,6 +123,7 @@ def identify_files(
         positions, loop = simulated(realization, fitted_model, tried)
         document = effort_document(result, (*result.stages, loop))
         document["fit"] = fit
+        document["encoders"] = {joint: asdict(one) for joint, one in encoders.items()}
         document["frequency_response"] = (
             [] if isinstance(tried, TwinError) else frequency_responses(fitted_model, tried)
         )

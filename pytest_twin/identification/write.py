@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from pytest_twin.diagnosis.patched.model import MODEL_FILE
 from pytest_twin.diagnosis.patched.write import twin_text
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import atomic
-from pytest_twin.realization import Realization, mjcf, patch
-from pytest_twin.twin import FILE_NAME
+from pytest_twin.formats.identification_record import EncoderChange
+from pytest_twin.realization import Realization, mjcf, mjcf_file, patch
+from pytest_twin.twin import FILE_NAME, Calibration, JointCalibration
 
 
 def write_fitted(
-    folder: Path, realization: Realization, patches: Mapping[str, Mapping[str, Any]]
+    folder: Path,
+    realization: Realization,
+    patches: Mapping[str, Mapping[str, Any]],
+    encoders: Mapping[str, EncoderChange],
 ) -> None:
-    """Write ``model.xml`` with the fit in it and, of a twin, ``twin.yaml`` with its controllers.
+    """Write ``model.xml`` with the fit in it and ``twin.yaml`` with what no model holds.
+
+    The latter has controllers and payloads of the nominal twin, and the encoders.
 
     Args:
         folder: new, empty.
         realization: the nominal model.
         patches: family -> element -> attribute -> value.
+        encoders: what changes of them.
 
     Raises:
         SpecError: the fit names what the model lacks.
@@ -34,11 +44,23 @@ def write_fitted(
         return SpecError(problem, path=realization.path, where=where, **details)
 
     patch.apply_fit(spec, patches, {}, refuse=refuse)
-    mjcf.compiled(spec)
+    model, _ = mjcf.compiled(spec)
     if realization.source.kind == "mjcf":
         for name, path in realization.source.assets.items():
             if not name.endswith(".xml"):
                 atomic.write_bytes(folder / name, path.read_bytes())
-    atomic.write_text(folder / MODEL_FILE, str(spec.to_xml()))
-    if realization.twin is not None:
-        atomic.write_text(folder / FILE_NAME, twin_text(realization.twin, None))
+    atomic.write_text(folder / MODEL_FILE, mjcf_file.with_exact_inertia(spec, model))
+    twin = realization.twin
+    after = {joint: JointCalibration(**one.after) for joint, one in encoders.items()}
+    if twin is not None:
+        stated = twin.calibration or Calibration("identified", None, {}, twin.path)
+        own = replace(stated, joints={**stated.joints, **after})
+        atomic.write_text(folder / FILE_NAME, twin_text(replace(twin, calibration=own), None))
+    elif encoders:
+        joints = {joint: dict(one.after) for joint, one in encoders.items()}
+        data = {
+            "name": "identified",
+            "model": MODEL_FILE,
+            "calibration": {"id": "identified", "joints": joints},
+        }
+        atomic.write_text(folder / FILE_NAME, yaml.safe_dump(data, sort_keys=False))

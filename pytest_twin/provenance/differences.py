@@ -268,6 +268,9 @@ class _Judge:
         slide = self.new.realization.structure.joint_type.get(joint) == "slide"
         if was.sign != now.sign:
             return f"the direction of joint {joint!r} was turned round"
+        if was.scale != now.scale:
+            percent = 100.0 * (now.scale / was.scale - 1.0)
+            return f"the scale of the encoder of joint {joint!r} changed by {percent:+.3g} %"
         return f"the zero of joint {joint!r} moved by {abs(now.offset - was.offset):.4g} " + (
             "m" if slide else "rad"
         )

@@ -1,7 +1,7 @@
-"""Between what a robot's encoders read and what its model means: ``model = sign * read + offset``.
+"""Between what a robot's encoders read and what its model means.
 
-Offsets are of positions alone; velocities and efforts follow the sign. Position commands are in
-the encoders' terms too.
+``model = sign * scale * read + offset``. Offsets are of positions alone; velocities follow sign and
+scale, efforts the sign. Position and velocity commands are in the encoders' terms too.
 """
 
 from __future__ import annotations
@@ -32,29 +32,48 @@ class Encoders:
     Attributes:
         sign: (j,) 1.0 or -1.0.
         offset: (j,) rad or m.
+        scale: (j,) true turn over the turn that is read.
     """
 
     sign: FloatArray
     offset: FloatArray
+    scale: FloatArray
 
     @classmethod
     def of(cls, calibration: Mapping[str, JointCalibration], joints: Sequence[str]) -> Self:
         """Those of ``joints``; a joint without a calibration has the identity."""
         items = [calibration.get(joint, _IDENTITY) for joint in joints]
-        return cls(np.array([i.sign for i in items]), np.array([i.offset for i in items]))
+        table = np.array([(i.sign, i.offset, i.scale) for i in items]).reshape(-1, 3)
+        return cls(table[:, 0], table[:, 1], table[:, 2])
+
+    @property
+    def slope(self) -> FloatArray:
+        """(j,) derivative of the model's position by the reading."""
+        slope: FloatArray = self.sign * self.scale
+        return slope
 
     def model_position(self, read: FloatArray) -> FloatArray:
         """Positions (..., j) as the model has them, rad or m."""
-        position: FloatArray = self.sign * read + self.offset
+        position: FloatArray = self.slope * read + self.offset
         return position
 
     def read_position(self, model: FloatArray) -> FloatArray:
         """Positions (..., j) as the encoders read them, rad or m."""
-        position: FloatArray = self.sign * (model - self.offset)
+        position: FloatArray = (model - self.offset) / self.slope
         return position
 
+    def model_velocity(self, read: FloatArray) -> FloatArray:
+        """Velocities (..., j) as the model has them, rad/s or m/s."""
+        velocity: FloatArray = self.slope * read
+        return velocity
+
+    def read_velocity(self, model: FloatArray) -> FloatArray:
+        """Velocities (..., j) as the encoders read them, rad/s or m/s."""
+        velocity: FloatArray = model / self.slope
+        return velocity
+
     def signed(self, values: FloatArray) -> FloatArray:
-        """Velocities or efforts (..., j), from either side to the other."""
+        """Efforts (..., j), from either side to the other."""
         signed: FloatArray = self.sign * values
         return signed
 
@@ -62,5 +81,7 @@ class Encoders:
         """Commands (..., j) as the model has them, each column of its own mode: ``position``,
         ``velocity`` or ``effort``."""
         positions = np.array([mode == "position" for mode in modes])
-        command: FloatArray = self.sign * sent + np.where(positions, self.offset, 0.0)
+        efforts = np.array([mode == "effort" for mode in modes])
+        slope = np.where(efforts, self.sign, self.slope)
+        command: FloatArray = slope * sent + np.where(positions, self.offset, 0.0)
         return command

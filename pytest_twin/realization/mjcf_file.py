@@ -71,6 +71,26 @@ def text(spec: mujoco.MjSpec) -> str:
     return etree.tostring(root, encoding="unicode") + "\n"
 
 
+def with_exact_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
+    """MuJoCo's text of a ``spec``, with the inertia of every named body in full.
+
+    Six digits may break the triangle inequality of a thin body, and MuJoCo then refuses the file.
+
+    Args:
+        spec: compiled.
+        model: what it was compiled to.
+    """
+    root = etree.fromstring(spec.to_xml().encode())
+    for element in root.iter("body"):
+        inertial = element.find("inertial")
+        if inertial is None or "diaginertia" not in inertial.attrib or not element.get("name"):
+            continue
+        body = model.body(element.get("name"))
+        _put(inertial, quat=body.iquat, diaginertia=body.inertia)
+    etree.indent(root)
+    return etree.tostring(root, encoding="unicode") + "\n"
+
+
 def _each(root: _Element, tag: str, section: str, find: Any, write_out: Any) -> None:
     for place in root.findall(section):
         for element in place.iter(tag):

@@ -33,7 +33,8 @@ class SerialChain:
         axes: (n, 3) unit axis of each joint in its own frame.
         revolute: (n,) True where a joint turns, False where it slides.
         end: (4, 4) the frame in the last joint's.
-        signs, offsets: (n,) ``model = sign * reading + offset``, from ``twin.yaml``, rad or m.
+        signs, offsets: (n,) ``model = sign * reading + offset``, from ``twin.yaml``, rad or m;
+            the sign has the encoder's scale in it.
         limits: (n, 2) lowest and highest model position, infinite where none is stated, rad or m;
             None where they are not known.
     """
@@ -155,7 +156,7 @@ def _series(
         axes=np.reshape(axes, (-1, 3)),
         revolute=np.array(revolute, dtype=bool),
         end=np.array(end.homogeneous),
-        signs=np.array([one.sign for one in known], dtype=np.float64),
+        signs=np.array([one.slope for one in known], dtype=np.float64),
         offsets=np.array([one.offset for one in known], dtype=np.float64),
     )
 

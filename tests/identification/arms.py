@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 from scipy import signal
 
+from pytest_twin.formats.mcap import write_recording as write_mcap_file
+from pytest_twin.formats.recording import JointSeries
 from pytest_twin.realization import Realization, load
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
@@ -67,6 +69,15 @@ def write_recording(path: Path, time: np.ndarray, position: np.ndarray, effort: 
     head = ",".join(["time", *(f"{j}.position" for j in JOINTS), *(f"{j}.effort" for j in JOINTS)])
     table = np.column_stack([time, position, effort])
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=head, comments="")
+    return path
+
+
+def write_mcap(
+    path: Path, time: np.ndarray, position: np.ndarray, effort: np.ndarray, payload: str
+) -> Path:
+    stamp = np.round(time * 1e9).astype(np.int64)
+    series = JointSeries("/joint_states", JOINTS, stamp, stamp, position, None, effort)
+    write_mcap_file(path, [series], {"payload": payload})
     return path
 
 

@@ -6,8 +6,9 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
-from arms import JOINTS, real, record, write_model, write_recording
+from arms import JOINTS, REAL, TRUE, real, record, write_mcap, write_model, write_recording
 
 from pytest_twin.checks import check_of
 from pytest_twin.checks.base import Measure, NothingToProposeError
@@ -204,6 +205,114 @@ def test_a_new_record_makes_the_goldens_stale_that_feel_it(cell: Path) -> None:
     document["parameters"]["elbow.viscous_friction"]["value"] += 0.01
     (cell / "record.json").write_text(json.dumps(document))
     assert stale(before, stock(cell)) == {"golden/effort@mujoco"}
+
+
+def with_errors(folder: Path, bias: float, late: float, payload: str) -> Path:
+    """A twin with an accepted record of encoders and efforts that err, and its golden."""
+    write_model(folder)
+    (folder / "twin.yaml").write_text(
+        "model: model.xml\npayloads: {kg3: {lower: {mass: 3, com: [0.4, 0, 0.1]}}}\n"
+    )
+    twin = load_twin(folder / "twin.yaml")
+    (folder / "real.xml").write_text(TRUE.format(**REAL))
+    robot = load(folder / "real.xml", twin=twin)
+    for name, seed in (("one", 1), ("two", 2), ("check", 3)):
+        time, q, effort = record(robot.variant(payload=payload), seed)
+        acted = [np.interp(time - late, time, column) for column in effort.T]
+        write_mcap(folder / f"{name}.mcap", time, q + [bias, 0.0], np.array(acted).T, payload)
+    (folder / "out").mkdir()
+    document = identify_files(
+        {
+            "model": str(folder / "twin.yaml"),
+            "recordings": [str(folder / "one.mcap"), str(folder / "two.mcap")],
+            "held_out": [str(folder / "check.mcap")],
+            "out": str(folder / "out"),
+            "name": "october",
+        }
+    )
+    (folder / "record.json").write_text(json.dumps(document))
+    text = (folder / "twin.yaml").read_text()
+    (folder / "twin.yaml").write_text(text + "fit: [{file: record.json}]\n")
+    (folder / "golden").mkdir()
+    spec = SPEC.replace("check.csv", "check.mcap")
+    (folder / "golden" / "effort.yaml").write_text(spec)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def erring(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return with_errors(tmp_path_factory.mktemp("erring"), 0.08, 0.012, "kg3")
+
+
+def test_a_golden_repeats_delay_payload_and_encoders_of_its_record(erring: Path) -> None:
+    document = json.loads((erring / "record.json").read_text())
+    assert document["parameters"]["robot.effort_delay"]["value"] == pytest.approx(0.012, abs=0.003)
+    found = [m for m in measured(erring) if m.name == "effort"]
+    assert found
+    for one in found:
+        assert one.passed
+        # 12 ms of delay alone make 0.01 to 0.04.
+        assert one.error == pytest.approx(one.golden, abs=0.002)
+
+
+def test_the_twin_has_the_encoder_that_was_identified(erring: Path) -> None:
+    twin = load_twin(erring / "twin.yaml")
+    assert twin.calibration is not None
+    assert twin.calibrated is None
+    assert twin.calibration.id == "october"
+    assert twin.calibration.joints["shoulder"].offset == pytest.approx(-0.08, abs=0.015)
+    written = load_twin(erring / "out" / "realization" / "twin.yaml")
+    assert written.calibration is not None
+    assert written.calibration.joints == twin.calibration.joints
+
+
+def test_a_later_calibration_replaces_an_identified_encoder(erring: Path, tmp_path: Path) -> None:
+    shutil.copytree(erring, tmp_path / "cell")
+    path = tmp_path / "cell" / "twin.yaml"
+    path.write_text(
+        path.read_text() + "calibration: {id: laser, joints: {shoulder: {offset: -0.07}}}\n"
+    )
+    twin = load_twin(path)
+    assert twin.calibration is not None
+    assert twin.calibration.id == "laser"
+    assert twin.calibration.joints["shoulder"].offset == -0.07
+
+
+def test_an_identified_encoder_is_a_part_that_goldens_depend_on(erring: Path) -> None:
+    assert "calibration:shoulder" in stock(erring).parts
+    assert "calibration:shoulder" in stock(erring).rests_on["golden/effort@mujoco"]
+
+
+def test_a_second_record_states_what_the_first_one_corrected(erring: Path, tmp_path: Path) -> None:
+    """Identified again with the first record in the twin, nothing is left to correct."""
+    shutil.copytree(erring, tmp_path / "cell")
+    cell = tmp_path / "cell"
+    (cell / "again").mkdir()
+    document = identify_files(
+        {
+            "model": str(cell / "twin.yaml"),
+            "recordings": [str(cell / "one.mcap"), str(cell / "two.mcap")],
+            "held_out": [str(cell / "check.mcap")],
+            "out": str(cell / "again"),
+            "name": "november",
+        }
+    )
+    (encoder,) = (one for one in document["stages"] if one["stage"] == "encoder")
+    assert encoder["state"] == "not_observable"
+    first = json.loads((cell / "record.json").read_text())
+    assert document["encoders"] == first["encoders"]
+    (cell / "second.json").write_text(json.dumps(document))
+    text = (cell / "twin.yaml").read_text()
+    (cell / "twin.yaml").write_text(
+        text.replace(
+            "[{file: record.json}]",
+            "[{file: record.json}, {file: second.json, supersedes: [october]}]",
+        )
+    )
+    twin = load_twin(cell / "twin.yaml")
+    assert twin.calibration is not None
+    assert twin.calibration.id == "november"
+    assert twin.calibration.joints == load_twin(erring / "twin.yaml").calibration.joints
 
 
 def test_nothing_is_proposed_for_a_new_twin(cell: Path) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import JOINTS, real, record, write_model
+from arms import JOINTS, REAL, real, record, write_model
+from scipy import signal
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.measured import Measured, MeasuredSet, _clipped_at
@@ -83,6 +84,39 @@ def test_a_delay_of_the_efforts_is_found_and_taken_out(tmp_path: Path, late: flo
     assert result.delay.value == pytest.approx(late, abs=0.003)
     plain = identified(tmp_path, lambda one: one)
     assert plain.stages[0].state == "not_observable"
+
+
+def low_passed(order: int, cutoff: float):
+    """Efforts behind a filter in the drive, Hz."""
+
+    def filtered(one: Measured) -> Measured:
+        b, a = signal.butter(order, cutoff, fs=one.rate)
+        at_rest = signal.lfilter_zi(b, a)
+        columns = [signal.lfilter(b, a, c, zi=at_rest * c[0])[0] for c in one.effort.T]
+        return replace(one, effort=np.column_stack(columns))
+
+    return filtered
+
+
+def test_a_first_order_filter_of_the_efforts_is_found_and_taken_out(tmp_path: Path) -> None:
+    result = identified(tmp_path, low_passed(1, 2.0))
+    assert result.delay is not None
+    assert result.delay.name == "robot.effort_lag"
+    assert result.delay.value == pytest.approx(1.0 / (2.0 * np.pi * 2.0), abs=0.002)
+    stage = result.stages[0]
+    assert stage.state == "accepted"
+    assert stage.why.startswith("efforts pass a low-pass filter with a time constant of 79.")
+    kept = [result.base.names[i] for i in result.fitted.kept]
+    at = kept.index("shoulder.coulomb_friction")
+    solution = result.fitted.solution
+    assert abs(solution.values[at] - REAL["friction"]) < solution.half_width[at]
+
+
+def test_a_filter_above_the_motion_is_a_delay(tmp_path: Path) -> None:
+    result = identified(tmp_path, low_passed(2, 10.0))
+    assert result.delay is not None
+    assert result.delay.name == "robot.effort_delay"
+    assert result.delay.value == pytest.approx(np.sqrt(2.0) / (2.0 * np.pi * 10.0), abs=0.001)
 
 
 def test_a_clipped_effort_is_found() -> None:

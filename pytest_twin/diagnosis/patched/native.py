@@ -26,7 +26,7 @@ from pytest_twin.effects import (
 )
 from pytest_twin.effects.base import ModelFields
 from pytest_twin.errors import SpecError, TwinError
-from pytest_twin.realization import Realization, patch
+from pytest_twin.realization import Realization, mjcf_file, patch
 from pytest_twin.realization.mjcf import compiled
 from pytest_twin.twin import Payload
 
@@ -87,7 +87,7 @@ class NativeWriter:
 
     def text(self) -> str:
         """The MJCF."""
-        return str(self.spec.to_xml())
+        return mjcf_file.with_exact_inertia(self.spec, self.model)
 
     # -- helpers of the laws below
 

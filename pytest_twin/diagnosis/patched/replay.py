@@ -171,7 +171,7 @@ def _as_measured(
     at = np.clip(np.searchsorted(segment.time, trial.time), 0, len(segment.time) - 1)
     return Predicted(
         encoders.read_position(predicted.position[at]),
-        encoders.signed(predicted.velocity[at]),
+        encoders.read_velocity(predicted.velocity[at]),
         encoders.signed(predicted.effort[at]),
     )
 

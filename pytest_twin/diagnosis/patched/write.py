@@ -7,7 +7,7 @@ applies the listed effects.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -141,9 +141,7 @@ def twin_text(twin: Twin, between: CommandBetween | None) -> str:
     if twin.calibration is not None and twin.calibration.joints:
         data["calibration"] = {
             "id": twin.calibration.id,
-            "joints": {
-                j: {"offset": c.offset, "sign": c.sign} for j, c in twin.calibration.joints.items()
-            },
+            "joints": {joint: asdict(one) for joint, one in twin.calibration.joints.items()},
         }
     if twin.tcp is not None:
         data["tcp"] = twin.tcp

@@ -72,7 +72,7 @@ def identify_contact(
         "rate": None if tosses.units.period is None else 1.0 / tosses.units.period,
         "velocity_age": tosses.units.lag,
     }
-    write_fitted(folder, _with_contact(realization, fit), {})
+    write_fitted(folder, _with_contact(realization, fit), {}, {})
     return document
 
 

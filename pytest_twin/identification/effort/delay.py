@@ -1,4 +1,4 @@
-"""How much later the efforts are stamped than the motion."""
+"""How much later the efforts are than the motion: a late stamp, or a low-pass filter."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from pytest_twin.identification.effort.essential import SIGNIFICANT
 from pytest_twin.identification.effort.least_squares import Linear, solve
 from pytest_twin.identification.measured import Measured
 
+DELAY, LAG = "robot.effort_delay", "robot.effort_lag"
+"""Their names among the parameters of a record."""
+
 
 @dataclass(frozen=True, slots=True)
 class Delay:
@@ -21,10 +24,12 @@ class Delay:
     Attributes:
         value: s; negative where the motion is stamped later.
         half_width: s, of the 95 % interval.
+        name: ``DELAY``; or ``LAG``, the time constant of a first-order low-pass.
     """
 
     value: float
     half_width: float
+    name: str = DELAY
 
     @property
     def is_significant(self) -> bool:
@@ -32,7 +37,7 @@ class Delay:
         return abs(self.value) * Z95 >= SIGNIFICANT * self.half_width
 
 
-def delay_of(problem: Linear, rate: float) -> Delay:
+def delay_of(problem: Linear, recorded: FloatArray, rate: float) -> Delay:
     """The delay to first order: effort(t) = needed(t - delay) = needed - delay * d(effort)/dt.
 
     All parameters of the problem are free beside it, so that friction and inertia cannot pass for
@@ -40,35 +45,45 @@ def delay_of(problem: Linear, rate: float) -> Delay:
 
     Args:
         problem: rows of all recordings at equal intervals.
+        recorded: (n, joints) efforts with those of known payloads, which are as late.
         rate: of its rows, Hz.
     """
-    slope = _slopes(problem, rate)
+    slope = _slopes(problem, recorded, rate)
     columns = np.concatenate([problem.matrix, -slope[..., None]], axis=2)
     dry = np.concatenate([problem.dry, np.zeros((len(problem.dry), 1), dtype=bool)], axis=1)
     found = solve(replace(problem, matrix=columns, dry=dry, instrument=None))
     return Delay(float(found.values[-1]), float(found.half_width[-1]))
 
 
-def without_delay(recordings: Sequence[Measured], delay: float) -> tuple[Measured, ...]:
-    """The recordings with each effort moved to the time at which it acted.
+def without_delay(
+    recordings: Sequence[Measured], value: float, name: str = DELAY
+) -> tuple[Measured, ...]:
+    """The recordings with the efforts as they acted.
 
     Args:
         recordings: as they were read.
-        delay: s, by which efforts are stamped late.
+        value: s, of the delay.
+        name: ``DELAY``: efforts are moved in time. ``LAG``: effort + value d(effort)/dt is what
+            went into the low-pass.
     """
+
+    def acted(time: FloatArray, column: FloatArray) -> FloatArray:
+        if not np.isfinite(column).all():
+            return column
+        if name == LAG:
+            return np.asarray(column + value * np.gradient(column, time))
+        return np.asarray(np.interp(time + value, time, column))
+
     return tuple(
-        replace(one, effort=np.column_stack([
-            np.interp(one.time + delay, one.time, column) if np.isfinite(column).all() else column
-            for column in one.effort.T
-        ]))
+        replace(one, effort=np.column_stack([acted(one.time, c) for c in one.effort.T]))
         for one in recordings
-    )  # fmt: skip
+    )
 
 
-def _slopes(problem: Linear, rate: float) -> FloatArray:
+def _slopes(problem: Linear, recorded: FloatArray, rate: float) -> FloatArray:
     ends = np.cumsum(problem.lengths)
     parts = [
-        np.gradient(problem.effort[end - n : end], 1.0 / rate, axis=0)
+        np.gradient(recorded[end - n : end], 1.0 / rate, axis=0)
         for end, n in zip(ends, problem.lengths, strict=True)
     ]
     return np.where(problem.known, np.concatenate(parts), 0.0)

@@ -56,10 +56,12 @@ class Encoders:
     Attributes:
         readings: those that the motion determines, whether they differ from zero or not.
         undetermined: (joint, kind) of the others.
+        corrected: those of the readings that were taken out of the recordings.
     """
 
     readings: tuple[Reading, ...] = ()
     undetermined: tuple[tuple[str, str], ...] = ()
+    corrected: tuple[Reading, ...] = ()
 
     @property
     def wrong(self) -> tuple[Reading, ...]:

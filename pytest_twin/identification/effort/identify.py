@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
-from pytest_twin.identification.effort.delay import Delay, delay_of, without_delay
+from pytest_twin.identification.effort.delay import LAG, Delay, delay_of, without_delay
 from pytest_twin.identification.effort.encoders import (
     Encoders,
     Reading,
@@ -64,6 +64,13 @@ from pytest_twin.signals import Signals
 
 _ROUNDS = 6
 """Errors of encoders that are corrected one after another, at most."""
+_REFINEMENTS = 3
+"""Estimates of a delay, each to first order about the one before."""
+_SHORTEST_LAG = 0.3
+"""rad of phase at the highest frequency that is fitted: below, a filter attenuates by less than
+5 %, and acts as a delay."""
+_LESS_NOISE = 0.05
+"""By which share a filter has to leave less residual than a delay, the simpler explanation."""
 
 
 @dataclass(frozen=True)
@@ -133,8 +140,13 @@ def identify_effort(
         SpecError: a payload that the twin does not state.
     """
     found, late = _identify(realization, measured, signals)
-    measured, found, delay = _with_delay(realization, measured, signals, found, late)
-    measured, found, encoder = _with_encoders(realization, measured, signals, found)
+    moved, found, delay = _with_delay(realization, measured, signals, found, late)
+    right, found, encoder = _with_encoders(realization, moved, signals, found)
+    if found.encoders.corrected:
+        measured = _at_true_positions(measured, found.encoders.corrected)
+        measured, found, delay = _reopened(realization, (measured, right), signals, found, delay)
+    else:
+        measured = right
     return _with_scales(realization, measured, signals, replace(found, stages=(
         delay, encoder, *found.stages,
     )))  # fmt: skip
@@ -152,21 +164,49 @@ def _with_delay(
         why = "the efforts are not stamped later than the motion, as far as the motion shows"
         stage = Stage("delay", "not_observable", why, (), None, EXCLUDES["delay"])
         return measured, found, stage
-    moved = MeasuredSet(
-        without_delay(measured.fit, late.value), without_delay(measured.held_out, late.value)
-    )
-    again, _ = _identify(realization, moved, signals)
+    moved, again, late = _without(realization, measured, signals, late)
+    turn = 2.0 * np.pi * found.filter.parallel * late.value
     said = (
         f"efforts are stamped {1e3 * late.value:+.2f} ms (± {1e3 * late.half_width:.2f}) later "
         "than the motion"
     )
+    if turn > _SHORTEST_LAG:
+        lagged = _without(realization, measured, signals, replace(late, name=LAG))
+        if _log_noise(lagged[1]) < _log_noise(again) - _LESS_NOISE:
+            moved, again, late = lagged
+            said = (
+                f"efforts pass a low-pass filter with a time constant of {1e3 * late.value:.2f} ms "
+                f"(± {1e3 * late.half_width:.2f}), {0.5 / np.pi / late.value:.3g} Hz"
+            )
     stage = judged(
-        Stage("delay", "accepted", said, ("robot.effort_delay",), None, EXCLUDES["delay"]),
+        Stage("delay", "accepted", said, (late.name,), None, EXCLUDES["delay"]),
         HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
     )
     if stage.state != "accepted":
         return measured, found, stage
     return moved, replace(again, delay=late), stage
+
+
+def _without(
+    realization: Realization, measured: MeasuredSet, signals: Signals, late: Delay
+) -> tuple[MeasuredSet, EffortResult, Delay]:
+    """The recordings without a delay or lag, what they say then, and the refined delay."""
+    for _ in range(_REFINEMENTS):
+        moved = MeasuredSet(
+            without_delay(measured.fit, late.value, late.name),
+            without_delay(measured.held_out, late.value, late.name),
+        )
+        again, rest = _identify(realization, moved, signals)
+        if rest is None or not rest.is_significant:
+            return moved, again, late
+        late = Delay(late.value + rest.value, rest.half_width, late.name)
+    return moved, again, late
+
+
+def _log_noise(found: EffortResult) -> float:
+    """Mean logarithm of the residuals' standard deviations."""
+    noise = found.fitted.solution.noise
+    return float(np.mean(np.log(noise[np.isfinite(noise) & (noise > 0.0)])))
 
 
 def _with_encoders(
@@ -194,9 +234,7 @@ def _with_encoders(
             clearest = max(fresh, key=lambda one: abs(one.value) / one.half_width)
             applied[clearest.joint, clearest.kind] = clearest
         readings = tuple(applied.values())
-        right = MeasuredSet(
-            without_errors(measured.fit, readings), without_errors(measured.held_out, readings)
-        )
+        right = _at_true_positions(measured, readings)
         again, _ = _identify(realization, right, signals)
         left = _encoders(realization, right, again)
         if not any((one.joint, one.kind) not in applied for one in left.wrong):
@@ -219,7 +257,45 @@ def _with_encoders(
     )
     if stage.state != "accepted":
         return measured, found, stage
+    told = replace(told, corrected=readings)
     return right, replace(again, delay=found.delay, encoders=told), stage
+
+
+def _at_true_positions(measured: MeasuredSet, readings: Sequence[Reading]) -> MeasuredSet:
+    return MeasuredSet(
+        without_errors(measured.fit, readings), without_errors(measured.held_out, readings)
+    )
+
+
+def _reopened(
+    realization: Realization,
+    recordings: tuple[MeasuredSet, MeasuredSet],
+    signals: Signals,
+    found: EffortResult,
+    delay: Stage,
+) -> tuple[MeasuredSet, EffortResult, Stage]:
+    """The stage of the delay again, where corrected encoders change what it found.
+
+    Args:
+        realization: the nominal model.
+        recordings: at true positions, as recorded and without the delay that was found.
+        signals: what they record.
+        found, delay: what was found without the delay, and its stage.
+    """
+    recorded, moved = recordings
+    first, late = _identify(realization, recorded, signals)
+    again, result, stage = _with_delay(realization, recorded, signals, first, late)
+    if stage.state != "accepted" or result.delay is None:
+        return moved, found, delay
+    before = found.delay
+    if before is not None and abs(result.delay.value - before.value) <= before.half_width:
+        return moved, found, delay
+    why = f"encoders that were corrected change it: {stage.why}"
+    return (
+        again,
+        replace(result, encoders=found.encoders),
+        replace(stage, state="reopened", why=why),
+    )
 
 
 def _encoders(realization: Realization, measured: MeasuredSet, found: EffortResult) -> Encoders:
@@ -278,6 +354,7 @@ def _identify(
     chosen = choose_filter(measured.fit)
     regressors = [regressor] * len(everything)
     sampled = sample(everything, regressors, chosen, instruments_of(everything, chosen))
+    recorded = np.concatenate([rows.effort for rows in sampled[: len(measured.fit)]])
     for recording, rows in zip(everything, sampled, strict=True):
         carried = payload_effort(realization, regressor, recording, rows)
         if carried is not None:
@@ -320,7 +397,7 @@ def _identify(
     whole = np.zeros(len(base))
     whole[columns] = full.values
     rate = 1.0 / float(np.median(np.diff(fit[0].time)))
-    late = delay_of(problem.only(fitted.kept), rate) if len(fitted.kept) else None
+    late = delay_of(problem.only(fitted.kept), recorded, rate) if len(fitted.kept) else None
     gears = [signals.of(joint).gear for joint in joints]
     suspected = [
         *suspects(realization, measured.fit, fit, regressor, gears),

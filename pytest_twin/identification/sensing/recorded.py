@@ -18,6 +18,7 @@ from pytest_twin.formats.serialized import Integers
 from pytest_twin.formats.stamped_readings import IMU as IMU_TYPE
 from pytest_twin.identification.sensing.camera_frames import CameraTrial, frames_seen
 from pytest_twin.realization import Realization
+from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.sensed import load_at, sensed_at
 from pytest_twin.sensors.encoder import encoder_of
 
@@ -103,13 +104,15 @@ def read_sensor(
     if "payload" in bag.metadata and realization.twin is not None and realization.twin.payloads:
         realization = realization.variant(payload=bag.metadata["payload"])
     role = bag.metadata.get("role")
+    steps = _steps(joints)
+    joints = _in_model(joints, realization)
     if bag.poses.get(sensor.topic):
         poses = bag.poses[sensor.topic]
         stamps = np.array([one.stamp for one in poses], dtype=np.int64)
         values = np.array([one.values for one in poses])
         names = _known(joints, realization)
         found = frames_seen(path, sensor.frame, stamps, values, joints, names, realization)
-        return replace(found, role=role, steps=_steps(joints))
+        return replace(found, role=role, steps=steps)
     loads = bag.readers["load"].finish() if at_joint else None
     stamps, values = _readings(path, sensor, bag, loads)
     _, rows = np.unique(stamps, return_index=True)
@@ -150,7 +153,7 @@ def read_sensor(
         kind,
         at_joint and realization.structure.joint_type[sensor.frame] == "slide",
         role,
-        _steps(joints),
+        steps,
     )
 
 
@@ -182,6 +185,13 @@ def _steps(series: JointSeries) -> dict[str, float]:
         if encoder is not None:
             found[name] = encoder.step
     return found
+
+
+def _in_model(series: JointSeries, realization: Realization) -> JointSeries:
+    """The positions as the model counts them, by the twin's calibration."""
+    assert series.position is not None
+    encoders = Encoders.of(calibration_of(realization), series.names)
+    return replace(series, position=encoders.model_position(series.position))
 
 
 def _positions(
