@@ -15,6 +15,7 @@ def fourier(
     harmonics: int,
     base: float,
     sizes: tuple[float, float],
+    decay: float = 0.5,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Positions, velocities and accelerations (n, joints), in rad, rad/s and rad/s^2.
 
@@ -24,14 +25,14 @@ def fourier(
         joints: how many.
         harmonics: of each joint.
         base: frequency of the first, Hz.
-        sizes: least and greatest amplitude of the first, rad; others by one over the square root
-            of their number.
+        sizes: least and greatest amplitude of the first, rad.
+        decay: amplitudes of the others fall with this power of their number.
     """
     q, v, a = (np.zeros((len(time), joints)) for _ in range(3))
     for joint in range(joints):
         for harmonic in range(1, harmonics + 1):
             omega = 2 * np.pi * base * harmonic
-            size, phase = random.uniform(*sizes) / harmonic**0.5, random.uniform(0, 2 * np.pi)
+            size, phase = random.uniform(*sizes) / harmonic**decay, random.uniform(0, 2 * np.pi)
             q[:, joint] += size * np.sin(omega * time + phase)
             v[:, joint] += size * omega * np.cos(omega * time + phase)
             a[:, joint] -= size * omega**2 * np.sin(omega * time + phase)

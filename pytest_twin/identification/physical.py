@@ -28,6 +28,9 @@ _OFF_BOUND = 1e-4
 """SI units by which a start is off its bound, so that the solver can move it."""
 _NOT_NEGATIVE = frozenset({"armature", "viscous_friction", "coulomb_friction", "effort_scale"})
 _PINOCCHIO = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+_ROWS = np.array([0, 1, 2, 3, 1, 2, 2, 3, 3, 3])
+_COLUMNS = np.array([0, 1, 2, 3, 0, 0, 1, 0, 1, 2])
+"""Entries of a triangular (4, 4) matrix: its diagonal, then row by row what is below it."""
 _TO_PINOCCHIO = [INERTIAL.index(name) for name in _PINOCCHIO]
 
 
@@ -131,17 +134,28 @@ class _Link:
 
     def parameters(self, x: FloatArray) -> FloatArray:
         """(10,) in the order of ``INERTIAL``."""
-        upper = np.zeros((4, 4))
-        upper[np.diag_indices(4)] = np.exp(x[:4])
-        upper[np.tril_indices(4, -1)] = x[4:]
-        whole = self.root @ upper @ upper.T @ self.root.T
-        return _of_pseudo(whole)
+        triangle = self.root @ _triangle(x)
+        return _of_pseudo(triangle @ triangle.T)
 
     def slope(self, x: FloatArray) -> FloatArray:
         """(10, 10) derivative."""
-        step = 1e-6
-        ends = [(self.parameters(x + step * e), self.parameters(x - step * e)) for e in np.eye(10)]
-        return np.array([(up - down) / (2.0 * step) for up, down in ends]).T
+        triangle = self.root @ _triangle(x)
+        columns = []
+        for k in range(10):
+            row, column = _ROWS[k], _COLUMNS[k]
+            size = np.exp(x[k]) if k < 4 else 1.0
+            # The change of J by one entry of U is of rank two.
+            half = size * np.outer(self.root[:, row], triangle[:, column])
+            columns.append(_of_pseudo(half + half.T))
+        return np.array(columns).T
+
+
+def _triangle(x: FloatArray) -> FloatArray:
+    """(4, 4) U of log-Cholesky coordinates: logarithms of its diagonal, then what is below it."""
+    found = np.zeros((4, 4))
+    found[_ROWS, _COLUMNS] = x
+    found[_ROWS[:4], _COLUMNS[:4]] = np.exp(x[:4])
+    return found
 
 
 def _of_pseudo(matrix: FloatArray) -> FloatArray:

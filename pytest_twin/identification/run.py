@@ -22,6 +22,7 @@ from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify import identify_sensors
 from pytest_twin.identification.sensing.recorded import Mounted
+from pytest_twin.identification.signal_table import signal_table
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
@@ -147,6 +148,7 @@ def identify_files(
             folder,
             progress,
         )
+    document["signals"] = signal_table((*measured.fit, *measured.held_out), signals)
     reasons = [] if has_effort(measured) else [n for one in measured.fit for n in one.notes]
     said = [*notes, *measured.notes, *dict.fromkeys(reasons)]
     progress(1.0)

@@ -29,6 +29,8 @@ def render(document: Mapping[str, Any]) -> str:
         headline=headline,
         mood=mood,
         errors=error_lines(document),
+        signals=signal_rows(document),
+        encoders=encoder_rows(document),
         spread=spread_rows(document),
         stages=[(stage, _held_out(stage)) for stage in document["stages"]],
         frequency_rows=rows_of(document.get("frequency_response", ())),
@@ -65,6 +67,73 @@ def error_lines(document: Mapping[str, Any]) -> list[str]:
             parts.append(_toss_words(error))
         lines.append(f"{joint}: {', '.join(parts)}")
     return lines
+
+
+def signal_rows(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """A row for each joint: what its positions and efforts are."""
+    rows = []
+    for joint, own in document.get("signals", {}).items():
+        position = [own["position"]["unit"], f"{own['position']['side']} side of the gear"]
+        if own["zero"]:
+            position.append(f"zero {own['zero']:g}")
+        effort = ["not used: no measurement of a torque"]
+        if own["effort_used"]:
+            stated = own["effort"]
+            effort = [stated["quantity"], f"{stated['side']} side of the gear"]
+            if stated["constant"] is not None:
+                effort.append(f"constant {stated['constant']:g}")
+            elif stated["quantity"] == "current":
+                effort.append("constant unknown")
+            if stated["limit"] is not None:
+                effort.append(f"limit {stated['limit']:g}")
+            effort += _told(stated)
+        if own["shared_with"] is not None:
+            effort.append(f"motor shared with {own['shared_with']}")
+        rows.append({
+            "joint": joint,
+            "position": ", ".join([*position, *_told(own["position"])]),
+            "effort": ", ".join(effort),
+            "gear": own["gear"],
+            "rate": own["rate"],
+        })  # fmt: skip
+    return rows
+
+
+def _told(signal: Mapping[str, Any]) -> list[str]:
+    """Source, filter, clock and rate, as far as they are stated."""
+    words = ["inferred from commands"] if signal["source"] == "inferred" else []
+    words += [f"{key}: {signal[key]}" for key in ("filter", "clock") if signal[key]]
+    if signal["rate"] is not None:
+        words.append(f"rate {signal['rate']:g} Hz")
+    return words
+
+
+def encoder_rows(document: Mapping[str, Any]) -> list[dict[str, str]]:
+    """A row for each encoder whose error was estimated: error, and relation before and after."""
+    changes = document.get("encoders", {})
+    joints: dict[str, list[str]] = {joint: [] for joint in changes}
+    for name, one in document["parameters"].items():
+        joint, _, kind = name.rpartition(".")
+        if kind in ("encoder_bias", "encoder_scale") and one.get("ci95") is not None:
+            scale, unit = (100.0, "%") if kind == "encoder_scale" else (1e3, f"m{one['unit']}")
+            half = (one["ci95"][1] - one["ci95"][0]) / 2.0
+            joints.setdefault(joint, []).append(
+                f"{kind.removeprefix('encoder_')} {scale * one['value']:+.3g} "
+                f"(± {scale * half:.2g}) {unit}"
+            )
+    return [
+        {
+            "joint": joint,
+            "found": ", ".join(found) or "corrected by an earlier record",
+            "before": _relation(changes[joint]["before"]) if joint in changes else "",
+            "after": _relation(changes[joint]["after"]) if joint in changes else "unchanged",
+        }
+        for joint, found in joints.items()
+    ]
+
+
+def _relation(one: Mapping[str, float]) -> str:
+    return f"sign {one['sign']:+.0f}, scale {one['scale']:.5g}, offset {one['offset']:+.5g}"
 
 
 def spread_rows(document: Mapping[str, Any]) -> list[tuple[str, list[str]]]:

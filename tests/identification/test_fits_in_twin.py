@@ -19,6 +19,7 @@ from pytest_twin.gate.parts import installed_version
 from pytest_twin.gate.specs import load_golden
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import load
+from pytest_twin.report.identification import encoder_rows, render, signal_rows
 from pytest_twin.staleness import Baseline, Model, Stock, Surroundings, staleness, take_stock
 from pytest_twin.twin import load_twin
 
@@ -219,7 +220,9 @@ def with_errors(folder: Path, bias: float, late: float, payload: str) -> Path:
     for name, seed in (("one", 1), ("two", 2), ("check", 3)):
         time, q, effort = record(robot.variant(payload=payload), seed)
         acted = [np.interp(time - late, time, column) for column in effort.T]
-        write_mcap(folder / f"{name}.mcap", time, q + [bias, 0.0], np.array(acted).T, payload)
+        write_mcap(
+            folder / f"{name}.mcap", time, q + np.array([bias, 0.0]), np.array(acted).T, payload
+        )
     (folder / "out").mkdir()
     document = identify_files(
         {
@@ -318,3 +321,20 @@ def test_a_second_record_states_what_the_first_one_corrected(erring: Path, tmp_p
 def test_nothing_is_proposed_for_a_new_twin(cell: Path) -> None:
     with pytest.raises(NothingToProposeError, match="it needs an accepted identification"):
         check_of("identification").first(load(cell / "model.xml"))
+
+
+def test_the_page_shows_signals_and_encoders(erring: Path) -> None:
+    document = json.loads((erring / "record.json").read_text())
+    shoulder = document["signals"]["shoulder"]
+    shoulder["effort"] |= {"quantity": "current", "constant": 0.09, "filter": "low-pass, 200 Hz"}
+    rows = signal_rows(document)
+    assert rows[0]["effort"] == (
+        "current, output side of the gear, constant 0.09, filter: low-pass, 200 Hz"
+    )
+    assert rows[0]["rate"] == pytest.approx(200.0)
+    (encoder,) = (row for row in encoder_rows(document) if row["joint"] == "shoulder")
+    assert encoder["before"] == "sign +1, scale 1, offset +0"
+    assert encoder["after"].startswith("sign +1, scale 1, offset -0.07")
+    page = render(document)
+    assert "filter: low-pass, 200 Hz" in page
+    assert encoder["found"] in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,9 @@ import numpy as np
 
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import JointSeries
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+from fourier_motion import fourier
 
 JOINTS = ("shoulder", "elbow")
 TIMESTEP, RATE, NOISE = 0.002, 100, 2e-4
@@ -125,12 +129,8 @@ def record_motion(
     every = round(1.0 / RATE / model.opt.timestep)
     steps = round(seconds / model.opt.timestep)
     time = np.arange(steps) * model.opt.timestep
-    command = np.zeros((steps, 2))
-    for joint in range(2):
-        for harmonic in range(1, 5):
-            omega = 2.0 * np.pi * 0.3 * harmonic
-            size, phase = rng.uniform(0.1, 0.4) / harmonic, rng.uniform(0, 2 * np.pi)
-            command[:, joint] += size * (np.sin(omega * time + phase) - np.sin(phase))
+    command, _, _ = fourier(rng, time, 2, 4, 0.3, (0.1, 0.4), decay=1.0)
+    command -= command[0]
     held = command[np.arange(steps) // every * every]
     mujoco.mj_forward(model, data)
     position = []

@@ -12,8 +12,8 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.least_squares import Linear, moved_by, solve
-from pytest_twin.identification.effort.sampled import Sampled, sample
-from pytest_twin.identification.effort.scale import payload_effort
+from pytest_twin.identification.effort.sampled import predicted
+from pytest_twin.identification.effort.scale import payload_parameters
 from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.regressor import BaseParameters, Regressor
 from pytest_twin.realization import Realization
@@ -99,13 +99,14 @@ def encoders_of(
     whole = np.zeros(len(regressor.columns))
     whole[base.independent] = values
     names = [(joint, kind) for joint in regressor.joints for kind in (BIAS, SCALE)]
+    carried = [payload_parameters(realization, regressor, one) for one in recordings]
+    each = [whole if one is None else whole + one for one in carried]
     slopes = []
     for joint, kind in names:
         ends = []
         for step in (_STEP, -_STEP):
             moved = without_errors(recordings, [Reading(joint, kind, step, 0.0)])
-            rows = sample(moved, [regressor] * len(moved), chosen)
-            ends.append(_effort(realization, regressor, moved, rows, whole))
+            ends.append(np.concatenate(predicted(moved, regressor, chosen, each)))
         slopes.append((ends[0] - ends[1]) / (2.0 * _STEP))
     own = np.stack(slopes, axis=2)
     free = problem.matrix.shape[2]
@@ -164,22 +165,6 @@ def _true(recording: Measured, readings: Sequence[Reading]) -> FloatArray:
             elif one.kind == kind:
                 position[:, column] /= 1.0 + one.value
     return position
-
-
-def _effort(
-    realization: Realization,
-    regressor: Regressor,
-    recordings: Sequence[Measured],
-    samples: Sequence[Sampled],
-    parameters: FloatArray,
-) -> FloatArray:
-    """(n, joints) effort of all recordings under some parameters, with their payloads."""
-    parts = []
-    for recording, rows in zip(recordings, samples, strict=True):
-        effort = rows.matrix @ parameters
-        carried = payload_effort(realization, regressor, recording, rows)
-        parts.append(effort if carried is None else effort + carried)
-    return np.concatenate(parts)
 
 
 def undetermined_words(undetermined: Sequence[tuple[str, str]]) -> list[dict[str, str]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy import signal
@@ -173,11 +174,17 @@ def _resampled(at: FloatArray, time: FloatArray, values: FloatArray) -> FloatArr
     return np.array(columns).T
 
 
+@cache
+def _sections(cutoff: float, rate: float) -> FloatArray:
+    """Second-order sections of the low-pass; designing it costs as much as applying it."""
+    return np.asarray(signal.butter(_ORDER, cutoff, fs=rate, output="sos"))
+
+
 def low_passed(values: FloatArray, cutoff: float, rate: float) -> FloatArray:
     """(n, k) values without a phase lag below ``cutoff`` Hz; columns with NaN stay as they are."""
     if cutoff >= _HIGHEST * rate:
         return values
-    sections = signal.butter(_ORDER, cutoff, fs=rate, output="sos")
+    sections = _sections(cutoff, rate)
     known = np.isfinite(values).all(axis=0)
     out = values.copy()
     pad = min(len(values) - 1, int(3 * rate / cutoff))

@@ -60,8 +60,7 @@ def sample(
         commanded: the same recordings with a motion that has no noise, for an instrument.
     """
     motions = [differentiate(one, chosen) for one in recordings]
-    fastest = np.max([np.abs(m.velocity).max(axis=0) for m in motions], axis=0)
-    rest = np.maximum(_REST * fastest, 1e-9)
+    rest = _rest(motions)
     rows = [
         _rows(one, motion, regressor, chosen, rest)
         for one, motion, regressor in zip(recordings, motions, regressors, strict=True)
@@ -72,6 +71,36 @@ def sample(
         replace(own, instrument=_matrix(differentiate(one, chosen), regressor, chosen, rest))
         for own, one, regressor in zip(rows, commanded, regressors, strict=True)
     ]
+
+
+def predicted(
+    recordings: Sequence[Measured],
+    regressor: Regressor,
+    chosen: Filter,
+    parameters: Sequence[FloatArray],
+) -> list[FloatArray]:
+    """(n, joints) effort of each recording: ``matrix @ parameters`` of its rows.
+
+    The effort is filtered instead of the matrix, which has thirty times as many columns.
+
+    Args:
+        recordings: with the joints of the regressor.
+        regressor: of the robot.
+        chosen: how motion is filtered.
+        parameters: (p,) of each recording.
+    """
+    motions = [differentiate(one, chosen) for one in recordings]
+    rest = _rest(motions)
+    return [
+        _inner_rows(_unfiltered(motion, regressor, rest) @ own, motion, chosen)
+        for motion, own in zip(motions, parameters, strict=True)
+    ]
+
+
+def _rest(motions: Sequence[Motion]) -> FloatArray:
+    """(joints,) speeds below which the direction of dry friction is unknown."""
+    fastest = np.max([np.abs(m.velocity).max(axis=0) for m in motions], axis=0)
+    return np.asarray(np.maximum(_REST * fastest, 1e-9))
 
 
 def _rows(
@@ -92,11 +121,18 @@ def _rows(
 
 
 def _matrix(motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray) -> FloatArray:
+    return _inner_rows(_unfiltered(motion, regressor, rest), motion, chosen)
+
+
+def _unfiltered(motion: Motion, regressor: Regressor, rest: FloatArray) -> FloatArray:
     moving = np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
-    matrix = decimated(
-        regressor.matrix(motion.position, moving, motion.acceleration), motion.rate, chosen
-    )
-    return np.asarray(matrix[_inner(len(matrix), chosen)])
+    return regressor.matrix(motion.position, moving, motion.acceleration)
+
+
+def _inner_rows(values: FloatArray, motion: Motion, chosen: Filter) -> FloatArray:
+    """Values (n, ...) at the rate that is fitted, without the edges."""
+    found = decimated(values, motion.rate, chosen)
+    return np.asarray(found[_inner(len(found), chosen)])
 
 
 def _inner(count: int, chosen: Filter) -> slice:

@@ -48,14 +48,27 @@ def payload_effort(
     Raises:
         SpecError: the payload names a body that the model lacks.
     """
+    added = payload_parameters(realization, regressor, recording)
+    return None if added is None else np.asarray(rows.matrix @ added)
+
+
+def payload_parameters(
+    realization: Realization, regressor: Regressor, recording: Measured
+) -> FloatArray | None:
+    """(p,) what a known payload of the recording adds to the parameters; None without one.
+
+    Raises:
+        SpecError: the payload names a body that the model lacks.
+    """
     payload = recording.metadata.get("payload")
     if payload is None or realization.twin is None or payload not in realization.twin.payloads:
         return None
     loaded = Regressor(realization.variant(payload=payload), regressor.joints)
     change = loaded.prior - Regressor(realization, regressor.joints).prior
     at = {column.name: k for k, column in enumerate(regressor.columns)}
-    columns = [at[column.name] for column in loaded.columns]
-    return np.asarray(rows.matrix[..., columns] @ change)
+    found = np.zeros(len(regressor.columns))
+    found[[at[column.name] for column in loaded.columns]] = change
+    return found
 
 
 def payload_scales(

@@ -1,0 +1,36 @@
+"""What the recorded signals of each joint are, as a record states them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.identification.measured import Measured
+from pytest_twin.signals import Signals
+
+
+def signal_table(recordings: Sequence[Measured], signals: Signals) -> dict[str, Any]:
+    """Joint -> ``position``, ``effort``, ``gear``, ``zero`` as stated, and ``rate`` as found.
+
+    ``effort_used`` says whether some recording has an effort of the joint that is a measurement.
+
+    Args:
+        recordings: of the same joints.
+        signals: what the twin states.
+    """
+    found: dict[str, Any] = {}
+    for column, joint in enumerate(recordings[0].joints):
+        own = signals.of(joint)
+        found[joint] = {
+            "position": asdict(own.position),
+            "effort": asdict(own.effort),
+            "gear": own.gear,
+            "zero": own.zero,
+            "shared_with": None if own.shared is None else own.shared.joint,
+            "rate": min(one.rate for one in recordings),
+            "effort_used": any(bool(np.isfinite(m.effort[:, column]).any()) for m in recordings),
+        }
+    return found
