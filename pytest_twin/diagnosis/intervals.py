@@ -15,6 +15,8 @@ from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import SMOOTH_STEP
+from pytest_twin.formats.record_fields import Z95
+from pytest_twin.metrics.joint_covariance import upper_covariance, with_deviations
 
 Near = tuple[float, Mapping[Term, FloatArray]]
 """A structure that explains nearly as much: its odds, and for each shared term the difference of
@@ -40,12 +42,15 @@ class Spread:
         correlation: (parameters, parameters) correlation matrix.
         covariance: (parameters, parameters) covariance matrix of the scaled parameters.
         quantile: quantile of Student's t distribution that the half widths contain.
+        joint: (parameters, parameters) covariance matrix with half widths of 1.96 deviations, which
+            is in no direction narrower than the estimates that these are the widest of.
     """
 
     half_width: FloatArray
     correlation: FloatArray
     covariance: FloatArray
     quantile: float
+    joint: FloatArray
 
     def apart(self, which: NDArray[np.int64], offset: FloatArray) -> float:
         """Normalized distance of a point from the fit: 1 on the border of the joint 95 % region.
@@ -87,7 +92,8 @@ def parameter_spread(
     """
     count = fitted.hypothesis.theta.size
     if not count:
-        return Spread(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), 0.0)
+        none = np.zeros((0, 0))
+        return Spread(np.zeros(0), none, none, 0.0, none)
     residual, floor = fitted.residual, problem.signal_floor
     mean_square = np.maximum(np.mean(residual**2, axis=0), floor**2)
     weight = 1.0 / mean_square
@@ -110,10 +116,11 @@ def parameter_spread(
     shift = np.abs(inverse @ _discretization_pull(problem, jac, weight))
     owner = clusters([problem.simulator.segments[s].trial for s in problem.fit], lengths)
     information = _by_cluster(jac, weight, owner)
-    between = jackknife(_sums(scores, owner), information)
+    left_out = jackknife(_sums(scores, owner), information)
     if not in_parts and len({problem.simulator.segments[s].trial for s in problem.fit}) < _FEWEST:
-        between = np.zeros_like(between)
-    half = np.maximum(quantile * deviation, between)
+        left_out = np.zeros_like(left_out)
+    half = np.maximum(quantile * deviation, np.sqrt(np.diag(left_out)))
+    together = upper_covariance(quantile**2 * upper_covariance(wide, sandwich), left_out)
     half = np.hypot(half, quantile * _between_structures(fitted.hypothesis, near))
     for i, p in enumerate(p for t in fitted.hypothesis.terms for p in t.parameters):
         if p.step > SMOOTH_STEP:
@@ -125,16 +132,18 @@ def parameter_spread(
         correlation,
         correlation * np.outer(deviation, deviation),
         quantile,
+        with_deviations(together, half + shift) / Z95**2,
     )
 
 
 def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
-    """(parameters,) half widths of 95 % intervals by the jackknife over clusters.
+    """(parameters, parameters) covariance by the jackknife over clusters, times a squared quantile.
 
-    For each cluster a Gauss-Newton step from the optimum without it is computed. This is the
-    estimator CR3 of MacKinnon and White (J. Econometrics 29, 1985) and Bell and McCaffrey (Survey
-    Methodology 28, 2002). The quantile is Student's with (clusters - 1) degrees of freedom. It is
-    valid if the model error differs between recordings, which residuals within one do not show.
+    The roots of its diagonal are half widths of 95 % intervals. For each cluster a Gauss-Newton
+    step from the optimum without it is computed. This is the estimator CR3 of MacKinnon and White
+    (J. Econometrics 29, 1985) and Bell and McCaffrey (Survey Methodology 28, 2002). The quantile is
+    Student's with (clusters - 1) degrees of freedom. It is valid if the model error differs between
+    recordings, which residuals within one do not show.
 
     Args:
         scores: (clusters, parameters) gradients at the optimum.
@@ -142,7 +151,7 @@ def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
     """
     count, size = scores.shape
     if count < _FEWEST:
-        return np.zeros(size)
+        return np.zeros((size, size))
     whole = information.sum(axis=0)
     scale = np.sqrt(np.diag(whole))
     # A parameter without influence gets a large finite variance.
@@ -156,9 +165,8 @@ def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
         without = 1.0 / (1.0 - np.minimum(shares, _MOST_LEVERAGE))
         moved[k] = root @ (axes * without) @ axes.T @ root.T @ -scores[k]
     deviation = moved - moved.mean(axis=0)
-    variance = (count - 1.0) / count * np.sum(deviation**2, axis=0)
-    half: FloatArray = stats.t.ppf(_LEVEL, count - 1) * np.sqrt(variance)
-    return half
+    covariance = (count - 1.0) / count * deviation.T @ deviation
+    return np.asarray(stats.t.ppf(_LEVEL, count - 1) ** 2 * covariance)
 
 
 def clusters(trials: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ from pytest_twin.identification.effort.groups import FRICTION
 from pytest_twin.identification.effort.identify import EffortResult
 from pytest_twin.identification.effort.judging import parameter_name
 from pytest_twin.identification.stages import Stage, in_order
+from pytest_twin.metrics.joint_covariance import with_deviations
 
 Verdict = Literal["accepted", "improved", "rejected"]
 
@@ -67,10 +68,9 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         }
         if estimate.estimator != SQUARES:
             parameters[names[k]]["least_squares"] = float(estimate.squares.values[k])
-    # Wider where leaving out recordings moves the values more than their noise does.
     widths = half / Z95
-    noise = np.sqrt(np.diag(fitted.solution.covariance).clip(1e-300))
-    covariance = fitted.solution.covariance * np.outer(widths / noise, widths / noise)
+    # The bias of parameters that are held at zero varies on its own.
+    covariance = with_deviations(fitted.solution.covariance, widths)
     tested = bool(result.held_out)
     errors = {
         joint: {

@@ -139,7 +139,7 @@ def test_intervals_hold_where_the_model_is_wrong_in_another_way_in_each_recordin
         plain.append(np.abs(theta - TRUTH) <= half)
         parts = [design[owner == k] for k in range(5)]
         scores = np.array([d.T @ residual[owner == k] for k, d in enumerate(parts)])
-        wide = jackknife(scores, np.array([d.T @ d for d in parts]))
+        wide = np.sqrt(np.diag(jackknife(scores, np.array([d.T @ d for d in parts]))))
         widened.append(np.abs(theta - TRUTH) <= wide)
     assert float(np.mean(plain)) < 0.9
     assert 0.9 <= float(np.mean(widened)) <= 0.99

@@ -444,7 +444,7 @@ def test_what_acts_in_leaps_has_no_interval_and_is_there(slope: float, absent: b
     hypothesis = EMPTY.with_term(term, np.array([50.0, 0.05]))
     jacobian = np.ones((4, 1, 2)) * [slope, 1.0]
     fitted = Fitted(hypothesis, np.zeros((4, 1)), jacobian, 0.0)
-    known = Spread(np.array([1e6, 1e-3]), np.eye(2), np.eye(2), 2.0)
+    known = Spread(np.array([1e6, 1e-3]), np.eye(2), np.eye(2), 2.0, np.eye(2))
     assert may_be_absent(fitted, term, known) is absent
 
 
@@ -463,7 +463,7 @@ def test_what_trades_off_is_judged_together(together: float, absent: bool) -> No
     fitted = Fitted(hypothesis, np.zeros((4, 1)), np.ones((4, 1, 3)), 0.0)
     correlation = np.eye(3)
     correlation[0, 1] = correlation[1, 0] = together
-    known = Spread(np.array([0.12, 0.12, 1.0]), correlation, np.eye(3), 2.0)
+    known = Spread(np.array([0.12, 0.12, 1.0]), correlation, np.eye(3), 2.0, np.eye(3))
     assert may_be_absent(fitted, term, known) is absent
 
 
@@ -471,7 +471,7 @@ def test_the_joint_region_holds_what_normal_draws_say() -> None:
     """95 % of draws from a correlated normal distribution lie inside of it."""
     random = np.random.default_rng(3)
     correlation = np.array([[1.0, -0.8], [-0.8, 1.0]])
-    known = Spread(np.full(2, 1.96), correlation, correlation, 1.96)
+    known = Spread(np.full(2, 1.96), correlation, correlation, 1.96, correlation)
     draws = random.multivariate_normal(np.zeros(2), correlation, 2000)
     inside = np.mean([known.apart(np.arange(2), d) <= 1.0 for d in draws])
     assert inside == pytest.approx(0.95, abs=0.015)

@@ -32,7 +32,7 @@ PROBLEM: Problem = SimpleNamespace(  # type: ignore[assignment]
 
 def found(correlation: np.ndarray, sd: np.ndarray) -> Spread:
     covariance = correlation * np.outer(sd, sd)
-    return Spread(1.96 * sd, correlation, covariance, 1.96)
+    return Spread(1.96 * sd, correlation, covariance, 1.96, covariance)
 
 
 @pytest.mark.parametrize("rho", [0.97, -0.97])

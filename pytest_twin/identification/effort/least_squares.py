@@ -14,6 +14,7 @@ from pytest_twin.diagnosis.intervals import clusters, jackknife
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.sampled import Sampled
 from pytest_twin.identification.regressor import predicted_covariance
+from pytest_twin.metrics.joint_covariance import upper_covariance
 
 _ITERATIONS = 12
 _SETTLED = 1e-4
@@ -244,6 +245,6 @@ def _uncertainty(
         rows = (problem.matrix[mine] * weight[mine][..., None]).reshape(-1, count)
         scores.append(rows.T @ (residual[mine] * weight[mine]).ravel())
         parts.append(rows.T @ rows)
-    between = jackknife(np.array(scores), np.array(parts))
-    half = np.maximum(Z95 * np.sqrt(np.diag(covariance).clip(0.0)), between)
-    return covariance, half
+    left_out = jackknife(np.array(scores), np.array(parts))
+    half = np.maximum(Z95 * np.sqrt(np.diag(covariance).clip(0.0)), np.sqrt(np.diag(left_out)))
+    return upper_covariance(covariance, left_out / Z95**2), half

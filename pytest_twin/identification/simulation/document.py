@@ -13,7 +13,6 @@ from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.physical_totals import impossible
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
-from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.records import correlated, verdict_of
 from pytest_twin.identification.simulation.identify import SimulationResult, place_of
 
@@ -97,8 +96,7 @@ def _unit(problem: Problem, term: Term, parameter: Parameter) -> str:
 
 
 def _covariance(result: SimulationResult, kept: NDArray[np.intp], scale: FloatArray) -> FloatArray:
-    """(n, n) in SI units, as wide as the intervals."""
-    correlation = result.spread.correlation[np.ix_(kept, kept)]
-    half = result.spread.half_width[kept]
-    std = np.where(np.isfinite(half), half, 0.0) / Z95 * scale
-    return np.nan_to_num(correlation * np.outer(std, std))
+    """(n, n) in SI units, as wide as the intervals; 0 where an interval has no end."""
+    known = np.where(np.isfinite(result.spread.half_width[kept]), scale, 0.0)
+    joint = result.spread.joint[np.ix_(kept, kept)]
+    return np.asarray(np.nan_to_num(joint * np.outer(known, known)))
