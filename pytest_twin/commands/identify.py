@@ -200,8 +200,8 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
     ]
     lines += [f"without a usable effort: {joint}" for joint in document.get("without_effort", ())]
     lines += [
-        f"not observable: {one['expression']}; to identify it: {one['motion']}"
-        for one in document.get("unobservable", ())
+        f"not observable: {', '.join(names)}; to identify it: {motion}"
+        for motion, names in identification.by_motion(document).items()
     ]
     lines += [
         f"correlated: {' and '.join(one['pair'])} ({one['correlation']:+.2f})"

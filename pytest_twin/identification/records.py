@@ -72,12 +72,13 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
     # The bias of parameters that are held at zero varies on its own.
     covariance = with_deviations(fitted.solution.covariance, widths)
     tested = bool(result.held_out)
+    of_robot = any(not name.endswith(".effort_bias") for name in names)
     errors = {
         joint: {
             "effort_relative": error.relative,
             "effort_rms": error.rms,
             "effort_unit": _effort_unit(result, joint),
-            "effort_relative_moving": error.moving,
+            **({} if error.moving is None else {"effort_relative_moving": error.moving}),
             "effort_relative_nominal": result.nominal[joint].relative,
         }
         for joint, error in result.errors.items()
@@ -124,7 +125,9 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         }
     return {
         "schema": 1,
-        "verdict": verdict_of(ordered, better and not fatal, tested, result.physical.consistent),
+        "verdict": verdict_of(
+            ordered, better and not fatal, tested and of_robot, result.physical.consistent
+        ),
         "way": "measured effort",
         "stages": [stage.to_json() for stage in ordered],
         "parameters": parameters,
@@ -217,7 +220,7 @@ def correlated(names: Sequence[str], covariance: np.ndarray) -> list[dict[str, A
 def _unobservable(result: EffortResult) -> list[dict[str, str]]:
     """What the motion leaves open, and the motion that would tell it."""
     found = []
-    for i in np.flatnonzero(result.unobservable):
+    for i in np.flatnonzero(result.unobservable | result.unsure):
         column = result.base.columns[result.base.independent[i]]
         found.append(
             {

@@ -9,7 +9,7 @@ from typing import Any
 
 from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.write import load_written
-from pytest_twin.errors import PathError, TwinError
+from pytest_twin.errors import PathError, RecordingError, TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.identification.closed_loop import simulated, trials_of
 from pytest_twin.identification.contact.identify import are_tosses, identify_contact
@@ -139,20 +139,35 @@ def identify_files(
             "held_out": list(dict.fromkeys(one.path.name for one in aside)),
         }
     else:
-        document = _from_commands(
-            realization,
-            _paths(measured.fit),
-            _paths(measured.held_out),
-            {**stated, **topics},
-            chosen,
-            folder,
-            progress,
-        )
+        try:
+            document = _from_commands(
+                realization,
+                _paths(measured.fit),
+                _paths(measured.held_out),
+                {**stated, **topics},
+                chosen,
+                folder,
+                progress,
+            )
+        except RecordingError as error:
+            raise _without_effort(error, measured.fit) from None
     document["signals"] = signal_table((*measured.fit, *measured.held_out), signals)
     reasons = [] if has_effort(measured) else [n for one in measured.fit for n in one.notes]
     said = [*notes, *measured.notes, *dict.fromkeys(reasons)]
     progress(1.0)
     return _finished(document, said, name, realization, [Path(model), *paths, *tested])
+
+
+def _without_effort(error: RecordingError, recordings: Sequence[Measured]) -> RecordingError:
+    """The error of recordings whose commands cannot be used, with why their efforts cannot."""
+    why = "; ".join(dict.fromkeys(note for one in recordings for note in one.notes))
+    return RecordingError(
+        f"{error.problem}, and no effort that can be used: {why or 'none is recorded'}",
+        path=error.path,
+        where=error.where,
+        value=error.value,
+        expected=error.expected,
+    )
 
 
 def _made(folder: Path) -> Path:

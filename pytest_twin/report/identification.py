@@ -13,7 +13,11 @@ from pytest_twin.report.page import style_of, template
 
 _VERDICT = {
     "accepted": ("Accepted: every stage that the motion shows lowers the held-out error", "good"),
-    "improved": ("Improved, and not accepted: a stage is rejected, or nothing is held out", "bad"),
+    "improved": (
+        "Improved, and not accepted: a stage is rejected, nothing is held out, or the motion shows "
+        "no parameter of the robot",
+        "bad",
+    ),
     "rejected": ("Rejected: the fitted model predicts no better than the nominal one", "bad"),
 }
 
@@ -22,6 +26,8 @@ def render(document: Mapping[str, Any]) -> str:
     """``identification.json`` as one HTML document without external files."""
     style = style_of("report.css", "diagnosis.css")
     headline, mood = _VERDICT[document["verdict"]]
+    if any(one.get("fatal") for one in document.get("suspected", ())):
+        headline = "Rejected: a mistake of the input is suspected; correct it and identify again"
     return _template().render(
         document=document,
         style=style.text,
@@ -29,6 +35,7 @@ def render(document: Mapping[str, Any]) -> str:
         headline=headline,
         mood=mood,
         errors=error_lines(document),
+        open=by_motion(document),
         signals=signal_rows(document),
         encoders=encoder_rows(document),
         spread=spread_rows(document),
@@ -134,6 +141,14 @@ def encoder_rows(document: Mapping[str, Any]) -> list[dict[str, str]]:
 
 def _relation(one: Mapping[str, float]) -> str:
     return f"sign {one['sign']:+.0f}, scale {one['scale']:.5g}, offset {one['offset']:+.5g}"
+
+
+def by_motion(document: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Motion -> the parameters that it would identify, and that the recordings do not."""
+    found: dict[str, list[str]] = {}
+    for one in document.get("unobservable", ()):
+        found.setdefault(one["motion"], []).append(one["expression"])
+    return found
 
 
 def spread_rows(document: Mapping[str, Any]) -> list[tuple[str, list[str]]]:

@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import JOINTS, REAL, real, record, write_model
+from arms import JOINTS, REAL, real, record, write_model, write_recording
 from scipy import signal
 
+from pytest_twin.errors import RecordingError
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.measured import Measured, MeasuredSet, _clipped_at
+from pytest_twin.identification.records import effort_document
+from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS, Signals
 
@@ -22,6 +25,12 @@ def measured(folder: Path, seed: int, seconds: float = 20.0) -> Measured:
         folder / f"{seed}.csv", 0.0, JOINTS, time, q, None, effort,
         np.zeros(2, dtype=bool), np.full(2, np.inf), {},
     )  # fmt: skip
+
+
+def identified_from_two(folder: Path, change) -> EffortResult:
+    """The result for three recordings that were changed alike, the last one held out."""
+    *fit, held = (change(measured(folder, seed)) for seed in (1, 2, 3))
+    return identify_effort(load(write_model(folder)), MeasuredSet((*fit,), (held,)), NO_SIGNALS)
 
 
 def identified(folder: Path, change, signals: Signals = NO_SIGNALS) -> EffortResult:
@@ -43,6 +52,62 @@ def test_a_wrong_sign_of_one_motor_is_named(tmp_path: Path) -> None:
     assert suspect.what.startswith("elbow: the effort helps the motion")
     assert "its sign is wrong" in suspect.what
     assert suspect.fatal
+
+
+def test_no_encoder_and_no_delay_pass_for_a_wrong_sign(tmp_path: Path) -> None:
+    result = identified_from_two(tmp_path, scaled([1.0, -1.0]))
+    assert [one.fatal for one in result.suspected] == [True]
+    for stage in result.stages[:2]:
+        assert stage.state == "not_observable"
+        assert stage.why == (
+            "not estimated: a mistake of the input is suspected, and would pass for it"
+        )
+
+
+def test_joints_that_hardly_move_identify_nothing_and_it_is_said(tmp_path: Path) -> None:
+    def hardly_moved(one: Measured) -> Measured:
+        random = np.random.default_rng(int(one.effort[0, 0] * 1e6) % 1000)
+        turn = 0.02 * np.sin(0.5 * one.time)[:, None] * np.array([1.0, 0.0])
+        return replace(
+            one,
+            position=0.3 + turn + 1e-5 * random.standard_normal(one.position.shape),
+            effort=30.0 + 0.05 * random.standard_normal(one.effort.shape),
+        )
+
+    result = identified_from_two(tmp_path, hardly_moved)
+    document = effort_document(result, result.stages)
+    assert document["verdict"] == "improved"
+    motion = {one["expression"]: one["motion"] for one in document["unobservable"]}
+    assert motion["mx2"] == (
+        "hold poses in which gravity acts on the link of elbow from several sides"
+    )
+    assert motion["Iyy1 + Ia1 + 0.25*m2"] == (
+        "accelerate shoulder, and the joints before it, in several poses at once"
+    )
+
+
+def test_degrees_are_named_where_the_model_has_no_range(tmp_path: Path) -> None:
+    result = identified(tmp_path, lambda one: replace(one, position=np.degrees(one.position)))
+    assert {one.mend for one in result.suspected if "degrees" in one.what} == {
+        f"signals: joints: {joint}: position: {{unit: deg}}" for joint in JOINTS
+    }
+
+
+def test_an_amount_without_commands_says_why_neither_can_be_used(tmp_path: Path) -> None:
+    write_model(tmp_path)
+    time, q, effort = record(real(tmp_path), 1, about=np.pi / 2)
+    write_recording(tmp_path / "one.csv", time, q, np.abs(effort))
+    (tmp_path / "out").mkdir()
+    with pytest.raises(RecordingError) as error:
+        identify_files({
+            "model": str(tmp_path / "model.xml"), "recordings": [str(tmp_path / "one.csv")],
+            "held_out": [], "out": str(tmp_path / "out"), "name": "unsigned",
+        })  # fmt: skip
+    assert (
+        "no command messages, and no effort that can be used: shoulder: effort never changes"
+        in (str(error.value))
+    )
+    assert "(expected commands in the file" in str(error.value)
 
 
 def test_a_gear_that_is_not_applied_is_named(tmp_path: Path) -> None:

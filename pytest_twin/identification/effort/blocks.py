@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.least_squares import Linear, Solution
+from pytest_twin.identification.effort.least_squares import Linear, Solution, weighed
 
 _ENOUGH = 10
 """Recordings from which each is a block of its own."""
@@ -70,13 +70,12 @@ def normal_equations(
         weight: (n, joints) reciprocal deviations of the rows.
         left: Z, (n, joints, b); W itself by default.
     """
-    count = problem.matrix.shape[2]
     owner = block_of(problem.lengths)
     matrices, rights = [], []
     for k in range(int(owner.max()) + 1):
         mine = owner == k
-        w = (problem.matrix[mine] * weight[mine][..., None]).reshape(-1, count)
-        z = w if left is None else (left[mine] * weight[mine][..., None]).reshape(-1, count)
+        w = weighed(problem.matrix[mine], weight[mine])
+        z = w if left is None else weighed(left[mine], weight[mine])
         matrices.append(z.T @ w)
         rights.append(z.T @ (problem.effort[mine] * weight[mine]).ravel())
     return np.array(matrices), np.array(rights)

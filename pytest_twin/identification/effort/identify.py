@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.delay import LAG, Delay, delay_of, without_delay
 from pytest_twin.identification.effort.encoders import (
     Encoders,
@@ -64,6 +65,10 @@ from pytest_twin.signals import Signals
 
 _ROUNDS = 6
 """Errors of encoders that are corrected one after another, at most."""
+_FARTHEST = 1.0
+"""rad, m, or share: greatest error of an encoder that is corrected. Each step is to first order."""
+_ENOUGH_FRICTION = 0.05
+"""Share of a joint's effort above which dry friction matters."""
 _REFINEMENTS = 3
 """Estimates of a delay, each to first order about the one before."""
 _SHORTEST_LAG = 0.3
@@ -87,6 +92,7 @@ class EffortResult:
         nominal: joint -> the same with the model's own parameters.
         without_effort: joints whose effort is unknown.
         unobservable: base parameters that the motion leaves open.
+        unsure: base parameters that are left out, and that may be as large as the model has them.
         physical: full parameters.
         filter: how motion was filtered.
         samples: of the recordings that were fitted.
@@ -108,6 +114,7 @@ class EffortResult:
     nominal: dict[str, EffortError]
     without_effort: tuple[str, ...]
     unobservable: NDArray[np.bool_]
+    unsure: NDArray[np.bool_]
     physical: Physical
     filter: Filter
     samples: tuple[Sampled, ...]
@@ -140,6 +147,11 @@ def identify_effort(
         SpecError: a payload that the twin does not state.
     """
     found, late = _identify(realization, measured, signals)
+    if any(one.fatal for one in found.suspected):
+        why = "not estimated: a mistake of the input is suspected, and would pass for it"
+        skipped: tuple[StageName, ...] = ("delay", "encoder")
+        before = (Stage(n, "not_observable", why, (), None, EXCLUDES[n]) for n in skipped)
+        return replace(found, stages=(*before, *found.stages))
     moved, found, delay = _with_delay(realization, measured, signals, found, late)
     right, found, encoder = _with_encoders(realization, moved, signals, found)
     if found.encoders.corrected:
@@ -234,6 +246,11 @@ def _with_encoders(
             clearest = max(fresh, key=lambda one: abs(one.value) / one.half_width)
             applied[clearest.joint, clearest.kind] = clearest
         readings = tuple(applied.values())
+        if max(abs(one.value) for one in readings) > _FARTHEST:
+            why = (
+                f"{words_of(readings, slides)}: too far for the efforts to tell; look at its marks"
+            )
+            return measured, found, Stage("encoder", "rejected", why, (), None, excludes)
         right = _at_true_positions(measured, readings)
         again, _ = _identify(realization, right, signals)
         left = _encoders(realization, right, again)
@@ -413,6 +430,7 @@ def _identify(
         nominal=errors_of(tested, prior, joints),
         without_effort=tuple(j for j, k in zip(joints, known, strict=True) if not k),
         unobservable=open_,
+        unsure=_unsure(problem, prior, columns, kept, full),
         physical=physical(regressor.columns, regressor.prior, base.combination, whole, said),
         filter=chosen,
         samples=tuple(fit),
@@ -443,6 +461,38 @@ def _problem(samples: Sequence[Sampled], regressor: Regressor, base: BaseParamet
 def _unobservable(problem: Linear) -> NDArray[np.bool_]:
     """(b,) parameters that the motion leaves open, whatever the noise."""
     return ~moved_by(problem.matrix, problem)
+
+
+def _unsure(
+    problem: Linear,
+    prior: FloatArray,
+    columns: NDArray[np.intp],
+    kept: NDArray[np.intp],
+    full: Solution,
+) -> NDArray[np.bool_]:
+    """(b,) of the parameters that do not differ from zero, those that may matter all the same.
+
+    Their 95 % interval is wider than the model's own value or, of dry friction, than 5 % of the
+    joint's effort.
+
+    Args:
+        problem: all columns.
+        prior: (b,) the model's own values.
+        columns: those that the motion shows.
+        kept: those that differ from zero.
+        full: the fit of all that the motion shows.
+    """
+    shown = problem.only(columns)
+    said = information(shown, full.residual, full.weight).covariance(np.arange(len(columns)))
+    half = Z95 * np.sqrt(np.diag(said).clip(0.0))
+    size = np.sqrt(np.sum(problem.effort**2, axis=0) / np.maximum(problem.known.sum(axis=0), 1))
+    allowed = np.abs(prior)[columns]
+    found = np.zeros(len(prior), dtype=bool)
+    dry = _ENOUGH_FRICTION * (problem.dry * size[:, None]).max(axis=0)[columns]
+    limit = np.where(dry > 0.0, dry, allowed)
+    found[columns] = (limit > 0.0) & (half > limit)
+    found[kept] = False
+    return found
 
 
 def _precision(problem: Linear, solution: Solution) -> FloatArray:

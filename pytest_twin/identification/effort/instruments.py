@@ -20,7 +20,7 @@ from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.blocks import bootstrap_deviations, normal_equations
 from pytest_twin.identification.effort.filtering import Filter, low_passed, uniform
-from pytest_twin.identification.effort.least_squares import Linear, Solution, row_weights
+from pytest_twin.identification.effort.least_squares import Linear, Solution, row_weights, weighed
 from pytest_twin.identification.measured import Measured
 
 _ITERATIONS = 3
@@ -134,7 +134,7 @@ def instrumental(problem: Linear, start: Solution) -> Solution:
     equations = normal_equations(problem, weight, problem.instrument)
     between = Z95 * bootstrap_deviations(*equations)
     half = np.maximum(Z95 * np.sqrt(np.diag(covariance)), between)
-    unit = _weighed(problem.instrument, weight)
+    unit = weighed(problem.instrument, weight)
     unit = unit / np.maximum(np.linalg.norm(unit, axis=0), 1e-300)
     condition = float(np.linalg.cond(np.linalg.qr(unit, mode="r"))) if count else 1.0
     return Solution(values, covariance, noise, residual, weight, condition, half)
@@ -172,13 +172,8 @@ def endogeneity(
     )
 
 
-def _weighed(columns: FloatArray, weight: FloatArray) -> FloatArray:
-    """(n * joints, b)."""
-    return np.asarray((columns * weight[..., None]).reshape(-1, columns.shape[2]))
-
-
 def _solved(problem: Linear, left: FloatArray, weight: FloatArray) -> FloatArray:
-    z, w = _weighed(left, weight), _weighed(problem.matrix, weight)
+    z, w = weighed(left, weight), weighed(problem.matrix, weight)
     sizes = np.maximum(np.linalg.norm(w, axis=0), 1e-300)
     rows, right = z.T @ w, z.T @ (problem.effort * weight).ravel()
     scaled = rows / np.outer(sizes, sizes)
@@ -187,7 +182,7 @@ def _solved(problem: Linear, left: FloatArray, weight: FloatArray) -> FloatArray
 
 def _influence(problem: Linear, left: FloatArray, weight: FloatArray) -> FloatArray:
     """(b, n * joints) derivative of the estimate by each effort."""
-    z, w = _weighed(left, weight), _weighed(problem.matrix, weight)
+    z, w = weighed(left, weight), weighed(problem.matrix, weight)
     sizes = np.maximum(np.linalg.norm(w, axis=0), 1e-300)
     scaled = np.linalg.pinv((z.T @ w) / np.outer(sizes, sizes))
     return np.asarray((scaled / sizes[:, None]) @ (z / sizes).T * weight.ravel())
@@ -215,7 +210,7 @@ def _explained(tested: Linear, solution: Solution) -> float:
         np.isfinite(solution.noise), solution.noise, 1.0
     ))  # fmt: skip
     residual = ((tested.effort - tested.matrix @ solution.values) * weight).ravel()
-    z = _weighed(tested.instrument, weight)
+    z = weighed(tested.instrument, weight)
     basis, triangle = np.linalg.qr(z / np.maximum(np.linalg.norm(z, axis=0), 1e-300))
     sound = np.abs(np.diag(triangle)) > 1e-8
     return float(np.sum((basis[:, sound].T @ residual) ** 2))

@@ -33,12 +33,12 @@ class EffortError:
     Attributes:
         relative: |measured - predicted| / |measured|.
         rms: N*m or N (A where the effort is a current).
-        moving: ``relative`` over the samples at which the joint moves.
+        moving: ``relative`` over the samples at which the joint moves; None where it never does.
     """
 
     relative: float
     rms: float
-    moving: float
+    moving: float | None
 
 
 def judged_stages(
@@ -143,7 +143,7 @@ def errors_of(problem: Linear, values: FloatArray, joints: Sequence[str]) -> dic
         found[joint] = EffortError(
             relative=_ratio(off[rows, k], problem.effort[rows, k]),
             rms=float(np.sqrt(np.mean(off[rows, k] ** 2))),
-            moving=_ratio(off[moving, k], problem.effort[moving, k]),
+            moving=_ratio(off[moving, k], problem.effort[moving, k]) if moving.any() else None,
         )
     return found
 

@@ -138,7 +138,7 @@ def solve(problem: Linear, *, intervals: bool = True) -> Solution:
     values: FloatArray = np.zeros(count)
     for _ in range(_ITERATIONS):
         before = values
-        rows = (problem.matrix * weight[..., None]).reshape(-1, count)
+        rows = weighed(problem.matrix, weight)
         # The triangle has the same solution and at most as many rows as columns.
         both = np.column_stack([rows, (problem.effort * weight).ravel()])
         triangle = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64).reshape(-1, count + 1)
@@ -157,6 +157,12 @@ def solve(problem: Linear, *, intervals: bool = True) -> Solution:
         return Solution(values, empty, noise, residual, weight, condition, np.zeros(count))
     covariance, half = _uncertainty(problem, residual, weight)
     return Solution(values, covariance, noise, residual, weight, condition, half)
+
+
+def weighed(columns: FloatArray, weight: FloatArray) -> FloatArray:
+    """(n joints, b) rows of (n, joints, b) columns times (n, joints) weights; b may be 0."""
+    instants, joints, count = columns.shape
+    return np.asarray((columns * weight[..., None]).reshape(instants * joints, count))
 
 
 def row_weights(
@@ -242,7 +248,7 @@ def _uncertainty(
     scores, parts = [], []
     for k in range(int(owner.max()) + 1):
         mine = owner == k
-        rows = (problem.matrix[mine] * weight[mine][..., None]).reshape(-1, count)
+        rows = weighed(problem.matrix[mine], weight[mine])
         scores.append(rows.T @ (residual[mine] * weight[mine]).ravel())
         parts.append(rows.T @ rows)
     left_out = jackknife(np.array(scores), np.array(parts))

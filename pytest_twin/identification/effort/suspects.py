@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.least_squares import Linear, Solution, dry_levels, solve
-from pytest_twin.identification.effort.sampled import Sampled
+from pytest_twin.identification.effort.sampled import Sampled, sample
 from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
@@ -28,6 +29,8 @@ _FEWEST_ROWS, _BLOCKS = 100, 10
 """Samples of a moving joint that a trend needs, and parts that they are divided into."""
 _OUTSIDE = 3.0
 """Times a joint's own range that positions span where they are in degrees."""
+_MANY_TURNS = 4.0 * math.pi
+"""rad that a joint without a range has to span before its positions may be degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +71,8 @@ def suspects(
         gears: (joints,) ratios that the signals state, 1 where they do not.
     """
     found = _degrees(realization, recordings)
+    if not found:
+        found = _degrees_by_effort(realization, recordings, samples, regressor)
     for k, joint in enumerate(regressor.joints):
         alone = _alone(samples, regressor, k)
         if alone is None:
@@ -147,6 +152,41 @@ def _degrees(realization: Realization, recordings: Sequence[Measured]) -> list[S
                 "seem to be in degrees",
                 f"signals: joints: {joint}: position: {{unit: deg}}",
             ))  # fmt: skip
+    return found
+
+
+def _degrees_by_effort(
+    realization: Realization,
+    recordings: Sequence[Measured],
+    samples: Sequence[Sampled],
+    regressor: Regressor,
+) -> list[Suspect]:
+    """Joints without a range, whose effort the model explains far better along degrees."""
+    spans = np.max([np.ptp(one.position, axis=0) for one in recordings], axis=0)
+    wide = [
+        k
+        for k, joint in enumerate(regressor.joints)
+        if not regressor.slides[k]
+        and not realization.model.jnt_limited[realization.joint_index(joint)]
+        and spans[k] > _MANY_TURNS
+    ]
+    if not wide:
+        return []
+    factor = np.ones(len(regressor.joints))
+    factor[wide] = math.pi / 180.0
+    turned = [replace(one, position=one.position * factor) for one in recordings]
+    rows = sample(turned, [regressor] * len(turned), choose_filter(turned))
+    found = []
+    for k in wide:
+        before, after = _alone(samples, regressor, k), _alone(rows, regressor, k)
+        if before is None or after is None or after.noise[0] > 0.5 * before.noise[0]:
+            continue
+        joint = regressor.joints[k]
+        found.append(Suspect(
+            f"{joint}: positions span {spans[k]:.4g} rad, and along so many degrees the model "
+            "explains the effort better: they seem to be in degrees",
+            f"signals: joints: {joint}: position: {{unit: deg}}",
+        ))  # fmt: skip
     return found
 
 
