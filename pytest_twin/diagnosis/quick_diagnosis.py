@@ -1,8 +1,8 @@
 """A quick diagnosis of one recording, in seconds: the single most likely effect.
 
 It locates the missing force, fits each effect at that joint to a short part of the recording, and
-tests the best one on the whole recording. It does not combine effects and uses no other recording;
-:mod:`pytest_twin.diagnosis.diagnose` does.
+tests the best one on the whole recording. In contrast to :mod:`pytest_twin.diagnosis.diagnose` it
+neither combines effects nor uses several recordings.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ from pytest_twin.replay import replay
 from pytest_twin.trial import Trial
 
 Starts = dict[Term, FloatArray]
-"""Terms that are fitted together -> where their parameters start."""
+"""Terms that are fitted together -> start values of their parameters."""
 
 
 Place = tuple[str, tuple[str, ...]]
-"""An effect and the joints that have it; none where it is the whole robot's."""
+"""An effect and the names of its joints; no joints for an effect of the robot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +54,11 @@ class LikelyEffect:
 
     Attributes:
         place: the effect and its joints.
-        values: reported name of a parameter -> (value, unit); of the first joint.
-        share: of the evidence among what was tried.
-        removed: share of the squared error over all that was looked at that it removes.
-        rivals: what explains the recording about as well, the best first.
-        of: joints whose errors it was to explain; empty for all of the robot's.
+        values: reported name of a parameter -> (value, unit), at the first joint.
+        share: posterior share among the fitted candidates, 0 to 1.
+        removed: share of the squared error of the examined part that it removes.
+        rivals: other effects that explain the recording about as well, best first.
+        of: joints whose errors it was fitted to explain; empty for all joints.
     """
 
     place: Place
@@ -74,12 +74,12 @@ class QuickDiagnosis:
     """Result of a quick diagnosis.
 
     Attributes:
-        suspects: the effect that explains most, then, for joints that it does not explain, the
-            effect that explains most of theirs; empty where nothing stands out.
-        unexplained: joints that left their tolerance and that no suspect explains.
-        joint: whose force is missing, None where none stands out of the sensors' noise.
-        where: when and in which regime.
-        floors: RMS error of the worst joint that was to be explained, in noise floors.
+        suspects: the most likely effect, then the most likely one for the joints that it does not
+            explain, and so on; empty if no effect is supported.
+        unexplained: joints outside their tolerance that no suspect explains.
+        joint: joint with the largest missing force; None if no force exceeds the sensor noise.
+        where: when and in which regime the error occurs.
+        floors: RMS error of the worst examined joint, in noise floors.
     """
 
     suspects: tuple[LikelyEffect, ...]
@@ -95,14 +95,14 @@ def quick_diagnosis(
     patched: Patched | None = None,
     failed: Collection[str] = (),
 ) -> QuickDiagnosis:
-    """Look at one trial.
+    """Find the most likely effects of one trial.
 
     Args:
         realization: the nominal model.
-        trial: what was recorded.
-        patched: effects outside the model, if a diagnosis wrote it.
-        failed: joints whose errors are to be explained; all, where it names none that both have.
-            Others may have errors that somebody allowed them, and that are larger in noise floors.
+        trial: the recording.
+        patched: effects that a diagnosis wrote outside the MJCF.
+        failed: joints whose errors are to be explained; all if none of them is in the trial. Other
+            joints may have larger errors within their tolerances.
 
     Raises:
         RecordingError: the model and the recording share no joint.
@@ -120,52 +120,55 @@ def quick_diagnosis(
             "inertias and servo gains of the model",
         )
     joints = len(whole.problem.joints)
-    counted = _counted(whole.problem.joints, failed)
+    counted = _to_explain(whole.problem.joints, failed)
     size = np.sqrt(np.mean(before[:, :joints] ** 2, axis=0)) / whole.problem.floor
     force = missing_force(whole.problem, before, whole.floor_parts[NOISE])
     causes = _causes(force, size, counted)
     where = _where(whole, seen, since, _blame(force, causes[:1]), causes[0])
     suspects: list[LikelyEffect] = []
     left = counted & (size > VERDICT.at_floor)
-    looks = QUICK.most_rounds
-    while left.any() and looks:
-        looks -= 1
-        look = _Look(realization, patched, seen, whole, before, counted if not suspects else left)
-        found = look.suspect(force, size)
+    rounds = QUICK.most_rounds
+    while left.any() and rounds:
+        rounds -= 1
+        search = _EffectSearch(
+            realization, patched, seen, whole, before, counted if not suspects else left
+        )
+        found = search.suspect(force, size)
         if found is None:
             break
         suspect, after = found
         suspects.append(suspect)
         left = left & ~_explained(before, after, joints)
-    influence = bool(force.strength[causes[0]] > 1.0)
+    is_located = bool(force.strength[causes[0]] > 1.0)
     names = whole.problem.joints
     return QuickDiagnosis(
         suspects=tuple(suspects),
         unexplained=tuple(n for n, out in zip(names, left, strict=True) if out and n in failed),
-        joint=names[causes[0]] if influence else None,
+        joint=names[causes[0]] if is_located else None,
         where=where,
         floors=float(size[counted].max()),
     )
 
 
 def _blame(force: MissingForce, causes: Sequence[int]) -> FloatArray:
-    """(samples,) what of the force that is missing at joints stands out of its noise, squared."""
+    """(samples,) squared missing force of the joints ``causes`` above its noise, in variances."""
     squared: FloatArray = (force.force[:, causes] / force.noise[list(causes)]) ** 2
     blame: FloatArray = np.maximum(squared - 1.0, 0.0).sum(axis=1)
     return blame
 
 
 def _explained(before: FloatArray, after: FloatArray, joints: int) -> NDArray[np.bool_]:
-    """(joints,) of whose squared error an effect removes at least what a name has to."""
+    """(joints,) whether the share of the squared error that an effect removes is large enough."""
     left, whole = (np.sum(r[:, :joints] ** 2, axis=0) for r in (after, before))
     explained: NDArray[np.bool_] = left <= (1.0 - QUICK.removes) * whole
     return explained
 
 
 def cut(trial: Trial, start: float, end: float) -> Trial:
-    """A stretch of a trial, s from its first state; earlier commands stay, as they still act.
+    """The part of a trial between two times in s from its first state.
 
-    Where no velocity was recorded, the first state gets that of a cubic through its neighbours.
+    Earlier commands are kept, because a delay makes them act later. Without a recorded velocity the
+    first state has that of a local cubic.
     """
     inside = np.flatnonzero((trial.time >= start) & (trial.time <= end))
     first = float(trial.time[inside[0]])
@@ -192,7 +195,7 @@ def cut(trial: Trial, start: float, end: float) -> Trial:
 def _worst_part(
     realization: Realization, trial: Trial, patched: Patched | None, failed: Collection[str]
 ) -> tuple[Trial, float]:
-    """The trial, or, of a long one, what lies around its largest error; and where that begins."""
+    """The part of a trial around its largest error, and its start in s; a short trial whole."""
     if trial.duration <= QUICK.looked_at:
         return trial, 0.0
     if patched is None:
@@ -201,7 +204,7 @@ def _worst_part(
         replayed = replay_whole(realization, patched, trial)
     if replayed.error is not None:
         raise replayed.error
-    off = (trial.position - replayed.position)[:, _counted(trial.joints, failed)]
+    off = (trial.position - replayed.position)[:, _to_explain(trial.joints, failed)]
     off = off / np.maximum(np.sqrt(np.mean(off**2, axis=0)), 1e-12)
     start = _fullest(trial.time, (off**2).sum(axis=1), QUICK.looked_at)
     return cut(trial, start, start + QUICK.looked_at), start
@@ -210,24 +213,27 @@ def _worst_part(
 def _prepared(
     realization: Realization, fit: Sequence[Trial], aside: Sequence[Trial], patched: Patched | None
 ) -> Prepared:
+    """The problem of fitting ``fit`` and predicting ``aside``."""
     return ModelSetup.of(realization, patched).prepared(fit, aside)
 
 
-def _counted(joints: Sequence[str], failed: Collection[str]) -> NDArray[np.bool_]:
-    """(joints,) whose errors are to be explained."""
+def _to_explain(joints: Sequence[str], failed: Collection[str]) -> NDArray[np.bool_]:
+    """(joints,) whether the error of a joint is to be explained: the failed joints, or all."""
     named = np.array([j in failed for j in joints])
     return named if named.any() else np.ones_like(named)
 
 
 def _causes(force: MissingForce, size: FloatArray, counted: NDArray[np.bool_]) -> list[int]:
-    """Joints whose own force is missing, the clearest first, of those that count before others
-    that may move them; else the joint that shows most.
+    """Joints at which effects are tried, the largest signal-to-noise ratio first.
+
+    Joints whose error is to be explained come first, then others that may move them. If no force
+    exceeds its noise, the joint with the largest error ``size``, in noise floors.
     """
     strength = force.strength
     order = np.argsort(-strength, kind="stable")
-    influence = np.where(counted, strength, 0.0).max()
-    # Where none of their own forces stands out of the noise, they are moved by others.
-    own = counted & (influence > 1.0) & (strength >= QUICK.cause * influence)
+    largest = np.where(counted, strength, 0.0).max()
+    # If the forces of these joints are all within the noise, other joints move them.
+    own = counted & (largest > 1.0) & (strength >= QUICK.cause * largest)
     clear = [int(j) for j in order if own[j]]
     clear += [int(j) for j in order if strength[j] >= max(QUICK.cause * strength.max(), 1e-9)]
     worst = int(np.argmax(np.where(counted, size, 0.0)))
@@ -246,7 +252,7 @@ def _where(prepared: Prepared, trial: Trial, since: float, blame: FloatArray, jo
 
 
 def _stretches(problem: Problem, trial: Trial, blame: FloatArray) -> list[Trial]:
-    """Where most of the blame lies, and, where there is room, where most of the rest does."""
+    """One or two short parts of a trial with the largest sums of ``blame``, not overlapping."""
     length = float(np.clip(QUICK.stretch_share * trial.duration, QUICK.shortest, QUICK.longest))
     time = np.concatenate([s.time for s in problem.simulator.segments])
     first = _fullest(time, blame, length)
@@ -260,7 +266,7 @@ def _stretches(problem: Problem, trial: Trial, blame: FloatArray) -> list[Trial]
 
 
 def _fullest(time: FloatArray, blame: FloatArray, length: float) -> float:
-    """Start of the stretch of ``length`` s that holds most of the blame."""
+    """Start in s of the part of ``length`` s with the largest sum of ``blame``."""
     summed = np.concatenate([[0.0], np.cumsum(blame)])
     last = max(float(time[-1]) - length, 0.0)
     begin = np.searchsorted(time, np.minimum(time, last))
@@ -269,14 +275,16 @@ def _fullest(time: FloatArray, blame: FloatArray, length: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class _Look:
-    """What is asked of one look.
+class _EffectSearch:
+    """Search for the single most likely effect.
 
     Attributes:
+        realization: the nominal model.
+        patched: effects that a diagnosis wrote outside the MJCF.
         seen: the trial, or its worst part.
-        whole: the problem over all of it.
-        before: (samples, signals) residual of the nominal model over all of it.
-        counted: (joints,) whose errors are to be explained.
+        whole: the problem over ``seen``.
+        before: (samples, signals) residual of the nominal model over ``seen``.
+        counted: (joints,) whether the error of a joint is to be explained.
     """
 
     realization: Realization
@@ -289,20 +297,25 @@ class _Look:
     def suspect(
         self, force: MissingForce, size: FloatArray
     ) -> tuple[LikelyEffect, FloatArray] | None:
-        """The effect that explains most, and the residual over all of the trial with it."""
+        """The most likely effect and the residual over ``seen`` with it; None if none is supported.
+
+        Args:
+            force: the missing force.
+            size: (joints,) RMS error of the nominal model, in noise floors.
+        """
         whole, counted = self.whole.problem, self.counted
         causes = _causes(force, size, counted)
         own = [j for j in causes if counted[j]] or causes
         parts = _stretches(whole, self.seen, _blame(force, own))
         problem = _prepared(self.realization, parts[:1], parts[1:], self.patched).problem
-        # One measure of parameters, so that a fit of the stretch means the same on the whole.
+        # The same scales, so that parameters fitted to the part have the same values on the whole.
         problem.scales, problem.floor = whole.scales, whole.floor
         signals = np.flatnonzero(counted)
         nominal = problem.residuals([EMPTY], problem.fit)[0]
-        tried = _tried(problem, causes, nominal, signals)
+        tried = _candidates(problem, causes, nominal, signals)
         if not tried:
             return None
-        fitted, evidence = _weighed(problem, tried, nominal, signals)
+        fitted, evidence = _fitted_candidates(problem, tried, nominal, signals)
         best = int(np.argmax(evidence))
         after = whole.residuals([f.hypothesis for f in fitted], whole.fit)
         removed = 1.0 - _squared(after[best], whole, counted) / _squared(
@@ -313,9 +326,10 @@ class _Look:
         named = tried[best]
         place = _place(problem, named)
         places = [_place(problem, starts) for starts in tried]
-        # Two forms of one law are one name. What holds the named one and more is no other name.
+        # Forms of one law are the same effect. A candidate that contains the best one and more is
+        # no alternative to it.
         same = np.array([p == place for p in places])
-        other = np.array([not _holds(starts, named) for starts in tried]) & ~same
+        other = np.array([not _contains(starts, named) for starts in tried]) & ~same
         share = np.exp(np.maximum(evidence - evidence.max(), -700.0)) * (same | other)
         share /= share.sum()
         explained = counted & _explained(self.before, after[best], len(counted))
@@ -337,19 +351,21 @@ class _Look:
         return suspect, after[best]
 
 
-def _tried(
+def _candidates(
     problem: Problem, causes: Sequence[int], nominal: FloatArray, signals: NDArray[np.int64]
 ) -> list[Starts]:
-    """Effects worth a fit: the best to first order, and what the first of them is confused with."""
+    """Candidates to be fitted: the best to first order, and those confused with the first one."""
     terms = [
         t
         for t in candidates(problem)
-        # A stretch's clock begins anew, and what warms up does so over minutes.
+        # A short part does not show a warm-up, which takes minutes.
         if (t.joint < 0 or t.joint in causes) and not t.law.needs_temperature
     ]
-    # Positions come first, and are what is held; what efforts are off may be another law's.
-    answers, mean = sensitivities(problem, terms, problem.fit, residual=nominal)
-    seen = [replace(r, change=r.change[:, signals]) for r in answers if r.change[:, signals].any()]
+    # Only positions count: an error of the efforts may have another cause.
+    responses, mean = sensitivities(problem, terms, problem.fit, residual=nominal)
+    seen = [
+        replace(r, change=r.change[:, signals]) for r in responses if r.change[:, signals].any()
+    ]
     binned = bins(problem, problem.fit)
     left = mean[:, signals]
     view = ResidualView(
@@ -361,7 +377,7 @@ def _tried(
         return []
     first = seen[chosen[0][0]].term
     chosen += [(at,) for at, response in enumerate(seen) if _confused(first, response.term)]
-    # What the whole robot has and what each of its joints has may look the same.
+    # An effect of the robot may be the same effect at each of its joints.
     for robot in [seen[at].term for (at,) in chosen if seen[at].term.joint < 0]:
         alike: dict[str, list[int]] = {}
         for at, response in enumerate(seen):
@@ -372,13 +388,13 @@ def _tried(
 
 
 def _confused(one: Term, other: Term) -> bool:
-    """Whether the catalogue says that two effects, at one joint or the robot's, are confused."""
+    """Whether the catalogue lists two effects as confused, and they share a joint or the robot."""
     same = one.joint == other.joint or min(one.joint, other.joint) < 0
     return same and (other.effect in one.law.confused_with or one.effect in other.law.confused_with)
 
 
-def _holds(starts: Starts, named: Starts) -> bool:
-    """Whether a candidate is the named one with further joints, or with further parameters."""
+def _contains(starts: Starts, named: Starts) -> bool:
+    """Whether a candidate contains ``named``: at more joints, or as a special case of its law."""
     if named.keys() < starts.keys():
         return True
     (term,), (other,) = (list(starts)[:1], list(named)[:1])
@@ -386,17 +402,19 @@ def _holds(starts: Starts, named: Starts) -> bool:
     return term.joint == other.joint and other.effect in special
 
 
-def _weighed(
+def _fitted_candidates(
     problem: Problem,
     found: Sequence[Starts],
     nominal: FloatArray,
     signals: NDArray[np.int64],
 ) -> tuple[list[Fitted], FloatArray]:
-    """The candidates after a short fit, and the evidence of each over the nominal model.
+    """Candidates after a short fit, and their evidence relative to the nominal model.
 
     Args:
+        problem: the problem.
+        found: the candidates.
         nominal: (samples, signals) residual of the nominal model.
-        signals: columns of those that count.
+        signals: columns of the residual that count.
     """
     left = nominal[:, signals]
     mean_square = np.mean(left**2, axis=0)
@@ -437,7 +455,7 @@ def _place(problem: Problem, starts: Starts) -> Place:
 
 
 def _values(problem: Problem, hypothesis: Hypothesis) -> dict[str, tuple[float, str]]:
-    """Of the first term; without what only says which form of its law acts."""
+    """Reported name -> (value, unit) of the first term's parameters, without choices of a form."""
     term = hypothesis.terms[0]
     simulator = problem.simulator
     kind = "slide" if simulator.layout.slides[max(term.joint, 0)] else "hinge"

@@ -16,28 +16,30 @@ from pytest_twin.trial import Trial, make_trials, recordings_at
 from pytest_twin.trial.one_base import on_one_base
 from pytest_twin.trial.roles import refuse_final
 
-# Of this many whole recordings one is held out where nobody says which.
+# One of this many recordings is held out if neither the user nor the metadata chooses.
 _ONE_HELD_OUT_OF = 4
-# States follow commands with this correlation before their ratio is called one of units.
+# Smallest correlation of states with commands at which their ratio can be one of units; relative
+# deviation of the ratio from that of a unit; smallest ratio of encoder counts.
 _FOLLOWS = 0.9
 _LIKE = 0.15
 _COUNTS = 100.0
-# All within this of one end of its range, rad or m, a joint is held there by its stop.
+# Distance to one end of its range, rad or m, within which a joint is held by its mechanical stop.
 _AT_STOP = 0.05
-# An encoder that stands still for this share of a recording under a moving command is stuck.
+# Share of a recording with a constant position under a moving command from which an encoder counts
+# as stuck.
 _STUCK_SHARE = 0.6
-# Friction holds a joint at rest only so far: a setpoint that sweeps, seen from the encoder, this
-# many times as wide as it did while the joint moved would have moved it. Less travel than this
-# before, rad or m, shows no living encoder.
+# Dry friction holds a joint against a limited tracking error. If the error varies this many times
+# as much as during motion, the joint would have moved, so its encoder is stuck. An encoder that has
+# moved less than _TRAVEL, rad or m, is not known to work.
 _HELD_SWEEP = 2.0
 _TRAVEL = 0.2
-# A hinge that turns this far, rad, is asked about its unit.
+# Travel of a hinge, rad, from which a note asks for its unit.
 _FAR = 8.0 * np.pi
-# States, each at a time of its own, from which sensor noise can be told at all.
+# Smallest number of states with different stamps from which sensor noise can be estimated.
 _FEWEST = 8
-# s; in less than that a part of a recording shows little beside its start.
+# Shortest part of a recording, s: a shorter one shows little apart from its initial state.
 _SHORTEST_PART = 1.0
-# Share of messages with the very same greatest speed.
+# Share of messages with exactly the largest speed from which a velocity counts as clipped.
 _CLIPPED = 0.02
 
 
@@ -46,9 +48,9 @@ class TrialSet:
     """Trials by role.
 
     Attributes:
-        fit: parameters are fitted on these.
-        held_out: not fitted, predicted only; may be empty.
-        notes: how roles were decided, what was left out and what is doubtful, one line each.
+        fit: trials to which parameters are fitted.
+        held_out: trials that are predicted and not fitted; may be empty.
+        notes: roles, trials that were left out, and doubts, one line each.
         unseen: joints whose encoder is stuck in ``fit``; their error is not evaluated.
         untested: joints whose encoder is stuck in ``held_out``; their error there is not evaluated.
     """
@@ -68,23 +70,22 @@ def read_trials(
     options: RecordingOptions = NO_OPTIONS,
     episodes: Mapping[Path, Collection[int]] | None = None,
 ) -> TrialSet:
-    """Read every recording and decide its role.
+    """Read all recordings and decide their roles.
 
-    ``held_out`` decides where it is given, else the recordings' own metadata ``role``, else whole
-    recordings are set aside, the last of every four. A recording that cannot be used is left out
-    with a note, unless it is the only one of its role. Where roles are given, what is held out has
-    no influence on how the others are read.
+    ``held_out`` decides if it is given, else the metadata ``role``. Otherwise one of every four
+    whole recordings is held out. An unusable recording is left out with a note, unless it is the
+    only one of its role. Held-out recordings do not influence how the others are read.
 
     Args:
         recordings: files and folders.
-        held_out: those that no fit sees; they need not be among ``recordings``.
+        held_out: recordings that are not fitted; they need not be among ``recordings``.
         topics: role -> topic.
-        structure: of the model.
+        structure: joints of the model.
         options: how recordings are read.
-        episodes: data set -> the episodes that are used, from 0; all where it is not named.
+        episodes: data set -> indices of its episodes that are used, from 0; all if it is absent.
 
     Raises:
-        RecordingError: a recording that cannot be used where no other can stand in.
+        RecordingError: no usable recording remains to be fitted.
     """
     notes: list[str] = []
     known: dict[Path, list[Trial]] = {}
@@ -152,7 +153,7 @@ def _each_recording(
     options: RecordingOptions,
     chosen: Collection[int] | None,
 ) -> Sequence[Recording | TwinError]:
-    """The recordings of a path, of a data set the chosen episodes; or why it cannot be read."""
+    """The recordings of a path (of a data set: the chosen episodes), or the error of reading it."""
     try:
         found = recordings_at(path, topics, options)
     except TwinError as error:
@@ -161,7 +162,7 @@ def _each_recording(
 
 
 def _by_metadata(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str] | None:
-    """Roles as the recordings' own metadata have them; None where it holds out none, or all."""
+    """Fit trials, held-out trials and a note, by the metadata; None if it holds out none or all."""
     roles = [t.metadata.get("role") for t in trials]
     fit = [t for t, role in zip(trials, roles, strict=True) if role != "held_out"]
     aside = [t for t, role in zip(trials, roles, strict=True) if role == "held_out"]
@@ -171,7 +172,7 @@ def _by_metadata(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str
 
 
 def _by_count(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
-    """The last of every four recordings is held out; of one, nothing."""
+    """Fit trials, held-out trials and a note: every fourth recording is held out, none of one."""
     # Parts of one recording share temperature and sensor zeros, so they have the same role.
     paths = list(dict.fromkeys(t.path for t in trials))
     if len(paths) == 1:
@@ -193,7 +194,7 @@ def _by_count(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
 
 
 def _of_one_mode(trials: list[Trial], kept: str | None, notes: list[str]) -> list[Trial]:
-    """Those whose commands are of one kind, by default of the most common one."""
+    """The trials with one command mode: ``kept``, or the most common one."""
     modes = [_modes(t) for t in trials]
     kept = kept or max(modes, key=modes.count)
     notes += [
@@ -206,7 +207,7 @@ def _of_one_mode(trials: list[Trial], kept: str | None, notes: list[str]) -> lis
 
 
 def _modes(trial: Trial) -> str:
-    """What the commands are, in words: one mode for all joints, or joint by joint."""
+    """The command mode of a trial in words: one for all joints, or one for each joint."""
     if trial.command_mode != "mixed":
         return trial.command_mode
     pairs = sorted(zip(trial.command_joints, trial.command_modes, strict=True))
@@ -214,7 +215,7 @@ def _modes(trial: Trial) -> str:
 
 
 def _rules(trials: Sequence[Trial]) -> list[str]:
-    """What was decided while reading: a line for each rule, with its recordings."""
+    """Decisions made while reading, one line each, with the names of the recordings."""
     found: dict[str, list[str]] = {}
     for trial in trials:
         for note in trial.notes:
@@ -235,10 +236,10 @@ def _usual_joints(trials: Sequence[Trial]) -> list[str]:
 
 
 def _with_joints(trials: list[Trial], usual: Sequence[str], notes: list[str]) -> list[Trial]:
-    """Recordings that have all usual joints; all recordings, where none has them.
+    """The trials that have all joints ``usual``; all trials if none has them.
 
-    Where the missing joint was, nobody can tell, and it moves the rest of the robot. Where no
-    recording has them all, the joint is left out instead.
+    A joint with an unknown position moves the rest of the robot. If no recording has all joints,
+    the incomplete joints are left out later.
     """
     whole = [t for t in trials if set(usual) <= set(t.joints)]
     if not whole:
@@ -253,15 +254,14 @@ def _with_joints(trials: list[Trial], usual: Sequence[str], notes: list[str]) ->
 
 
 def _unseen(trials: list[Trial], notes: list[str]) -> tuple[list[Trial], frozenset[str]]:
-    """Recordings without those whose encoder is stuck, where some remain; else all, and the joints
-    whose encoder is stuck.
+    """The trials without a stuck encoder; if there are none, all trials and the stuck joints.
 
     Raises:
         RecordingError: every encoder is stuck.
     """
 
     def stuck(trial: Trial) -> set[str]:
-        # For a while dry friction holds a joint as well; a dead encoder stays where it is.
+        # Dry friction also holds a joint for some time, but not for most of a recording.
         still: dict[str, float] = {}
         for m in trial.marks:
             if m.kind == "stuck" and m.joint is not None:
@@ -294,7 +294,7 @@ def _unseen(trials: list[Trial], notes: list[str]) -> tuple[list[Trial], frozens
 
 
 def _testable(aside: list[Trial], notes: list[str]) -> tuple[list[Trial], frozenset[str]]:
-    """As :func:`_unseen`; none, where no encoder of the held-out recordings works."""
+    """As :func:`_unseen` for held-out trials; no trials if all of their encoders are stuck."""
     if not aside:
         return aside, frozenset()
     try:
@@ -307,10 +307,11 @@ def _testable(aside: list[Trial], notes: list[str]) -> tuple[list[Trial], frozen
 def _motionless(
     trials: Sequence[Trial], unseen: frozenset[str], notes: list[str]
 ) -> frozenset[str]:
-    """Joints that read one and the same position throughout and say nothing; of others that do, how
-    noisy their encoders are is not known.
+    """Joints with effort commands and a constant position in all trials.
 
-    Under effort commands nobody can tell a dead encoder from a joint that something holds.
+    Under effort commands a stuck encoder cannot be distinguished from a blocked joint, so their
+    error is not evaluated. For other joints with a constant position a note says that their noise
+    is unknown.
 
     Raises:
         RecordingError: no joint moves.
@@ -341,10 +342,10 @@ def _motionless(
 
 
 def _friction_could_hold(trial: Trial, joint: str) -> bool:
-    """Whether an encoder that stands still may be that of a joint at rest under its friction.
+    """Whether dry friction may be the reason for a constant encoder position.
 
-    It moved in the same recording, and while it stands its setpoint sweeps no wider than friction
-    allows. Nobody can tell where it never moved, nor where a setpoint is no position.
+    The joint must have moved in the same trial, and its tracking error must vary no more at rest
+    than friction allows. Only position commands show this.
     """
     if trial.mode_of(joint) != "position":
         return False
@@ -358,10 +359,10 @@ def _friction_could_hold(trial: Trial, joint: str) -> bool:
 
 
 def _refuse_too_few(trial: Trial) -> None:
-    """Refuse a recording that is too short to show the noise of its sensors.
+    """Refuse a trial that is too short to estimate the noise of its sensors.
 
     Raises:
-        RecordingError: it is.
+        RecordingError: the trial is too short.
     """
     if trial.parts > 1 and trial.duration < _SHORTEST_PART:
         raise RecordingError(
@@ -383,7 +384,7 @@ def _refuse_too_few(trial: Trial) -> None:
 
 
 def _held_by_its_stop(trial: Trial, joint: str, structure: Structure) -> bool:
-    """Whether a joint stands at one end of its range: its servo then hardly moves it."""
+    """Whether a joint is at one end of its range all the time, so that commands hardly move it."""
     ends = structure.joint_range.get(joint)
     if ends is None:
         return False
@@ -392,8 +393,9 @@ def _held_by_its_stop(trial: Trial, joint: str, structure: Structure) -> bool:
 
 
 def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
-    """Positions that follow what is commanded in a constant ratio, far from one, are in another
-    unit; not so those of a joint that its stop holds.
+    """Refuse positions that follow the commands in a constant ratio far from one.
+
+    Such a ratio shows another unit, unless a mechanical stop holds the joint.
 
     Raises:
         RecordingError: the ratio is that of degrees, or far from one.
@@ -430,7 +432,7 @@ def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
 
 
 def _clipped(trial: Trial) -> list[str]:
-    """Joints whose measured velocity stands at its own greatest value for a while."""
+    """A line for each joint whose measured velocity is constant at its largest value at times."""
     lines: list[str] = []
     if trial.velocity is None:
         return lines
@@ -448,7 +450,7 @@ def _clipped(trial: Trial) -> list[str]:
 
 
 def _far(trials: Sequence[Trial], structure: Structure) -> list[str]:
-    """Hinges that turn so often that degrees or counts are likelier than turns, a line each."""
+    """A line for each hinge that makes so many turns that its unit is doubtful."""
     lines = {}
     for trial in trials:
         for column, joint in enumerate(trial.joints):
@@ -467,11 +469,11 @@ def _names(trials: Sequence[Trial]) -> str:
 
 
 def _doubts(trials: Sequence[Trial]) -> list[str]:
-    """One line per kind of doubt and joint over all recordings."""
+    """A line for each kind of doubtful data and each joint, over all trials."""
     found: dict[tuple[str, str | None, str], list[str]] = {}
     for trial in trials:
         for mark in trial.marks:
-            # The file's own words for what other marks say of its stamps.
+            # Other marks report the same doubt about stamps in plainer words.
             if mark.kind == "damage" and "stamps" in mark.text:
                 continue
             place = f"{trial.path.name} at {trial.offset + mark.start:.3g} s"

@@ -1,9 +1,9 @@
-"""What recordings are, settled before what the robot does.
+"""Meaning of the recorded signals, determined before the search for effects.
 
-A setpoint that moves between two logged commands, a velocity that the driver differenced, an effort
-that was demanded and not measured: taken for something else, each becomes physics that the robot
-does not have. One file answers one question, each with its confidence and its evidence in words.
-Where the data cannot tell, the answer is None and nothing later may depend on it.
+Examples are setpoints that move between logged commands, velocities that the driver differenced,
+and efforts that were demanded instead of measured. A wrong assumption would lead to wrong effects.
+Each module answers one question, with confidence and evidence in words. If the data do not
+determine the answer it is None, and later steps do not depend on it.
 """
 
 from pytest_twin.diagnosis.recorded.command_between import Between

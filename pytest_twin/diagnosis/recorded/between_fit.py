@@ -1,8 +1,8 @@
-"""The fits behind :mod:`~pytest_twin.diagnosis.recorded.command_between`.
+"""Fits for :mod:`~pytest_twin.diagnosis.recorded.command_between`.
 
-A simulation's recordings have the integration error of its time step in them, which looks like a
-setpoint of another kind: 2 ms of semi-implicit Euler under a stiff servo, like one that moves on
-between commands of 10 ms. So each assumption is tried with that error left in as well.
+Recordings of a simulation contain the integration error of its time step, which may look like
+another interpolation of the commands. For example, 2 ms of semi-implicit Euler under a stiff servo
+look like interpolation of commands of 10 ms. So each assumption is also fitted with this error.
 """
 
 from __future__ import annotations
@@ -31,23 +31,24 @@ from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
 
 _SECONDS, _MOST = 2.5, 3
-"""s of each recording, from its first change of command, and recordings: enough to tell 2 ms from
-none at the noise of an encoder, at a tenth of the cost of all."""
+"""Duration in s of each recording that is used, from shortly before its first change of command,
+and number of recordings. They separate a shift of 2 ms from none at the noise of an encoder, at a
+tenth of the cost of all data."""
 _BEFORE = 0.2
 _CLEARLY = float(np.log(2.0))
-"""Fall of the logarithm of the RMS residual, summed over joints, from which a simulation's step is
-assumed: half of the residual at one joint. What is less cannot look like other commands."""
+"""Reduction of the logarithm of the RMS residual, summed over joints, from which the step of a
+simulation is assumed: a factor of 2 at one joint. A smaller reduction does not matter here."""
 
 
 @dataclass(frozen=True, slots=True)
 class BetweenFit:
-    """An answer, and the fit under it.
+    """An answer and the fit under this assumption.
 
     Attributes:
-        answer: of the recordings.
-        fit: of the answer, or of ``held`` where the data cannot tell.
-        space: its parameters.
-        joints: names.
+        answer: interpolation of the commands between their stamps.
+        fit: the fit under the answer, or under ``held`` if the data do not determine it.
+        space: the parameters of the fit.
+        joints: names of the joints.
     """
 
     answer: Between
@@ -59,15 +60,15 @@ class BetweenFit:
 def fit_between(
     given: ModelSetup, trials: Sequence[Trial], ways: Sequence[CommandBetween] = COMMAND_BETWEEN
 ) -> BetweenFit:
-    """Ask recordings of one command period what their commands do between stamps.
+    """Determine the interpolation of commands between their stamps.
 
     Args:
-        given: the model.
-        trials: the recordings.
-        ways: what their commands may do.
+        given: the model with its simulation settings.
+        trials: recordings with the same command period.
+        ways: possible interpolations.
 
     Raises:
-        TwinError: as :func:`~pytest_twin.diagnosis.search_result.pose`.
+        TwinError: as :func:`~pytest_twin.diagnosis.search_result.build_problem`.
     """
     chosen = _liveliest(trials)
     asked = tuple(
@@ -104,7 +105,7 @@ def fit_between(
 
 
 def _liveliest(trials: Sequence[Trial]) -> list[Trial]:
-    """The beginnings of the recordings whose commands move most."""
+    """The beginnings of the recordings whose commands change fastest on average."""
 
     def moved(trial: Trial) -> float:
         return float(np.abs(np.diff(trial.command, axis=0)).sum() / max(trial.duration, 1e-3))
@@ -114,15 +115,16 @@ def _liveliest(trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _beginning(trial: Trial) -> Trial:
-    """Some seconds of a recording from where its commands begin to change."""
+    """The beginning of a recording until some seconds after its first change of command."""
     changes = np.flatnonzero(np.diff(trial.command, axis=0).any(axis=1))
     first = float(trial.command_time[changes[0]]) if len(changes) else 0.0
     return replace(trial.until(max(first - _BEFORE, 0.0) + _SECONDS), effort=None)
 
 
 def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> JointFit:
-    """The fit as it is for a robot, or to first order with the integration error of a simulation's
-    step left in, whichever leaves less.
+    """The better fit: that for a robot, or that for a simulation with one of several time steps.
+
+    For a simulation the integration error is not corrected; the fit is adapted to first order.
     """
     discretization_error = space.problem.discretization_error
     if (
@@ -145,6 +147,12 @@ def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> J
 
 
 def _left(fit: JointFit, space: Parameters, lengths: Sequence[int], owner: Sequence[int]) -> Left:
+    """Cross-validated residual of a fit.
+
+    Args:
+        fit, space: the fit and its parameters.
+        lengths, owner: number of samples and recording of each segment.
+    """
     ends = np.cumsum([0, *lengths])
     rows = {
         r: np.concatenate([

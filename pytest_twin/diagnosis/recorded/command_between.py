@@ -1,10 +1,10 @@
-"""What commands do between two stamps: a likelihood ratio over whole recordings.
+"""Interpolation of commands between two stamps, by a likelihood ratio over whole recordings.
 
-``held``, ``interpolated`` and ``ramped`` setpoints differ in when they act on average (half a
-period, none, a whole one) and in their shape. A model that is wrong would hide or fake such a
-difference; so each assumption has the smooth parameters of every joint free, delays among them.
-A setpoint that acts later than assumed is a delay then, and cannot be told at high command rates;
-one that acts before its stamp cannot be a delay.
+``held``, ``interpolated`` and ``ramped`` setpoints differ in their mean delay (half a period, none,
+one period) and in their shape. An error of the model would hide or mimic such a difference, so the
+smooth parameters of every joint are fitted under each assumption, with delays. A setpoint that acts
+later than assumed is then a delay, and not identifiable at high command rates. A setpoint that acts
+before its stamp cannot be a delay.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from pytest_twin.diagnosis.recorded.fact import Fact, unknown
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 
 MEAN_DELAY: Mapping[CommandBetween, float] = {"held": 0.5, "interpolated": 0.0, "ramped": 1.0}
-"""Command periods by which a setpoint is late on average behind the line through its stamps."""
+"""Mean delay of a setpoint behind the straight line through its stamps, in command periods."""
 _NATS = 10.0
 """Log-likelihood ratio over all recordings from which an alternative is ruled out: odds of 22,000
-to 1. The samples are counted as :func:`effective_samples` counts them, so a residual of missing
-physics is worth few. Between 5 and 20 no case of the tests changes."""
+to 1. It uses the effective sample size, which is small for a residual of missing physics. Between 5
+and 20 no case of the tests changes."""
 _SHARE = 0.7
-"""Mean square that the answer leaves, of what an alternative leaves, at the joint that tells most:
-a difference smaller than that is as likely one of physics that nobody modelled."""
+"""Largest ratio of the mean squared residuals of the answer and of an alternative, at the joint
+with the smallest ratio. A smaller difference may come from physics that is not modelled."""
 _FAR_LESS = 0.25
-"""The same where the answer itself leaves more than :data:`_NEAR` times the noise, or where an
-alternative is not fitted to its end."""
+"""The same if the residual of the answer exceeds :data:`_NEAR` times the noise, or if the fit of
+the alternative has not converged."""
 _NEAR = 3.0
 _LIKE = 1.25
-"""Ratio of RMS residuals up to which two assumptions explain a recording alike."""
+"""Ratio of RMS residuals up to which two assumptions explain a recording equally well."""
 BY_MODEL = 0.9
-"""Confidence where only the model tells, by needing no correction or fewer effects."""
+"""Confidence if only the model decides, because it needs no correction or fewer effects."""
 
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What one assumption leaves of the positions.
+    """Position residuals under one assumption.
 
     Attributes:
-        residual: (samples, joints) rad or m, parameters fitted to the other recordings.
-        nominal: (joints,) RMS with the model's own parameters.
-        has_converged: whether the fit ended.
-        delay: (joints,) s, fitted delay of the commands.
+        residual: (samples, joints) rad or m, with parameters from the other recordings.
+        nominal: (joints,) RMS residual of the nominal model, rad or m.
+        has_converged: whether the fit has converged.
+        delay: (joints,) fitted delay of the commands, s.
     """
 
     residual: FloatArray
@@ -58,12 +58,12 @@ class Left:
 
 @dataclass(frozen=True, slots=True)
 class Between:
-    """The answer for recordings of one command period.
+    """The answer for recordings with one command period.
 
     Attributes:
         fact: the answer.
-        possible: which assumptions are not ruled out.
-        period: s, of the commands.
+        possible: assumptions that are not ruled out.
+        period: command period, s.
     """
 
     fact: Fact
@@ -71,8 +71,12 @@ class Between:
     period: float
 
     def later(self, than: CommandBetween) -> tuple[float, float]:
-        """Range, s, of what a delay found under an assumption may be more under another possible
-        one; (0, 0) where the data tell.
+        """Smallest and largest change of a delay in s if another possible assumption is true.
+
+        Both are 0 if only one assumption is possible.
+
+        Args:
+            than: assumption under which the delay was found.
         """
         if len(self.possible) == 1:
             return 0.0, 0.0
@@ -87,18 +91,18 @@ def decide(
     noise: FloatArray,
     period: float,
 ) -> Between:
-    """Choose between assumptions by what they leave.
+    """Choose between assumptions by their residuals.
 
-    An alternative is ruled out where the log-likelihood ratio is at least :data:`_NATS` over all
-    recordings, no recording contradicts it, and the mean square falls by :data:`_SHARE` at some
-    joint.
+    An alternative is ruled out if three conditions hold: the log-likelihood ratio over all
+    recordings is at least :data:`_NATS`, it is positive for each recording, and the ratio of mean
+    squared residuals is at most :data:`_SHARE` at some joint.
 
     Args:
-        left: by assumption.
-        lengths: samples of each segment.
-        owner: recording of each segment.
-        noise: (joints,) rad or m.
-        period: s, of the commands.
+        left: assumption -> its residuals.
+        lengths: number of samples of each segment.
+        owner: index of the recording of each segment.
+        noise: (joints,) encoder noise, rad or m.
+        period: command period, s.
     """
     usable = {b: x for b, x in left.items() if np.isfinite(x.residual).all()}
     if not usable:
@@ -145,7 +149,7 @@ def _ratio(
     best: FloatArray, other: FloatArray, lengths: Sequence[int], owner: Sequence[int],
     noise: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """(recordings,) log-likelihood ratio, each by the fewer independent samples of both."""
+    """(recordings,) log-likelihood ratios, with the smaller effective sample size of both."""
     ends = np.cumsum([0, *lengths])
     found = []
     for recording in dict.fromkeys(owner):
@@ -162,10 +166,15 @@ def _ratio(
 
 
 def _ruled_out(best: Left, other: Left, ratio: FloatArray, noise: FloatArray, later: float) -> bool:
-    """Whether an alternative is ruled out that acts ``later`` s later on average.
+    """Whether an alternative is ruled out.
 
-    Where the fitted delay lies nearer to that than to none, the alternative lacks a small part of
-    it only, which other physics may give.
+    Args:
+        best, other: residuals of the best assumption and of the alternative.
+        ratio: (recordings,) log-likelihood ratios.
+        noise: (joints,) encoder noise, rad or m.
+        later: mean delay of the alternative relative to the best assumption, s. If the fitted delay
+            is closer to it than to zero, other physics may explain the rest, so a larger difference
+            is required.
     """
     square = [np.maximum(np.mean(x.residual**2, axis=0), noise**2) for x in (best, other)]
     share = square[0] / square[1]
@@ -182,10 +191,10 @@ def _by_the_model(
     rms: Mapping[CommandBetween, FloatArray],
     noise: FloatArray,
 ) -> CommandBetween | None:
-    """The assumption under which the model's own parameters explain some joint as well as any do,
-    where they do so under no other; None where joints differ, or none tells.
+    """The only assumption under which the nominal model explains a joint as well as any fit.
 
-    One controller moves all joints: a joint that the model lacks nothing of tells for the others.
+    None if joints differ or no joint decides. One controller moves all joints, so a joint without
+    model error decides for the others.
     """
     least = np.min([rms[b] for b in possible], axis=0)
     alike = {b: (left[b].nominal <= _LIKE * least) & (least <= _NEAR * noise) for b in possible}
@@ -195,6 +204,7 @@ def _by_the_model(
 
 
 def _in_words(rms: Mapping[CommandBetween, FloatArray], noise: FloatArray) -> str:
+    """RMS residual under each assumption at the joint where they differ most, in words."""
     joint = int(np.argmax(np.ptp(np.array(list(rms.values())), axis=0) / noise))
     each = ", ".join(f"{b} {r[joint] / noise[joint]:.2f}" for b, r in rms.items())
     return (
@@ -207,14 +217,13 @@ def without_own_recording(
     residual: FloatArray, steps: Mapping[int, FloatArray], slopes: FloatArray,
     rows: Mapping[int, NDArray[np.int64]],
 ) -> FloatArray:  # fmt: skip
-    """(samples, joints) residuals with the parameters that the other recordings give, to first
-    order.
+    """(samples, joints) residuals with parameters from the other recordings, to first order.
 
     Args:
-        residual: (samples, joints).
-        steps: recording -> (parameters, joints) change when it is left out of the fit.
-        slopes: (samples, parameters, joints).
-        rows: recording -> its samples.
+        residual: (samples, joints) residuals of the fit to all recordings, rad or m.
+        steps: recording -> (parameters, joints) change of the fit without this recording.
+        slopes: (samples, parameters, joints) derivatives of the prediction.
+        rows: recording -> indices of its samples.
     """
     out = residual.copy()
     for recording, mine in rows.items():

@@ -1,7 +1,7 @@
-"""Findings where the recordings cannot tell what commands do between stamps.
+"""Findings if the recordings do not determine the interpolation of commands between stamps.
 
-A delay is then known no better than the assumptions differ by: half a command period to a
-setpoint that moves on, half a period the other way to one that ramps.
+The uncertainty of a delay then includes the differences between the assumptions: half a command
+period more for interpolated and half a period less for ramped setpoints.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ _TIMES = {
     SensorDelay.id: "delay",
     ActuatorLag.id: "time_constant",
 }
-"""Effects with a time that a setpoint between stamps changes, and that time."""
+"""Effect -> its parameter that depends on the interpolation of the commands, a time."""
 _DOUBTED = 0.5
-"""Largest confidence of a time that the setpoint alone may explain: one in two."""
+"""Largest confidence of an effect that the interpolation of the commands may explain alone."""
 _TEST = (
     "state in the metadata or in twin.yaml what commands do between their stamps "
     "(command_between), or log the controller's own setpoint at its own rate"
@@ -28,11 +28,11 @@ _TEST = (
 
 
 def with_doubt(explained: Explained, open_: Between | None) -> Explained:
-    """The same with findings whose times have intervals that allow for every possible setpoint.
+    """The findings with intervals of times that include all possible interpolations.
 
     Args:
-        explained: fitted with held commands.
-        open_: the answer that cannot tell; None where commands are known.
+        explained: findings that were fitted with held commands.
+        open_: the undetermined answer; None if the interpolation is known.
     """
     if open_ is None:
         return explained
@@ -42,11 +42,12 @@ def with_doubt(explained: Explained, open_: Between | None) -> Explained:
 
 
 def _doubted(finding: Finding, less: float, more: float) -> Finding:
+    """A finding whose time may be smaller by ``-less`` or larger by ``more``, s."""
     name = _TIMES[finding.effect]
     time = finding.parameters[name]
     wide = Estimate(time.value, time.unit, max(time.low + less, 0.0), time.high + more)
     finding = replace(finding, parameters={**finding.parameters, name: wide})
     if time.low + less > 0.0:
         return finding
-    # A setpoint that ramps, and no delay at all, explains as much.
+    # A ramped setpoint without any delay explains the recordings equally well.
     return replace(finding, confidence=min(finding.confidence, _DOUBTED), next_test=_TEST)

@@ -1,8 +1,8 @@
-"""Whether a logged effort is what the controller demanded or what a sensor measured, and how late.
+"""Origin of a logged effort (demanded by the controller or measured by a sensor) and its age.
 
-A demanded effort obeys the servo's law on the measured state whatever the drive makes of it: it
-shows no lag and no dead zone, and as evidence of a sensor it would deny both. An effort of another
-instant than its message's positions looks like a lag of the drive.
+A demanded effort follows the control law on the measured state and does not show what the drive
+does. Taken for a measurement it would exclude a lag or dead zone of the drive. An effort that is
+older than the positions of its message looks like a lag of the drive.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.recording_options import CommandMode
 from pytest_twin.trial.setpoint import Setpoint
 
-# Share of the efforts' deviation below which a difference is rounding.
+# Share of the efforts' standard deviation below which a difference is a rounding error.
 _NEGLIGIBLE = 1e-6
 
 
@@ -30,9 +30,9 @@ class Law:
     """How well a law explains efforts.
 
     Attributes:
-        left: deviation of what it leaves, N*m or N; the largest tenth, beside jumps, is left out.
-        older: s by which the effort is older than its stamp.
-        at_once: deviation where it is not older.
+        left: RMS residual without its largest tenth (samples next to jumps), N*m or N.
+        older: age of the effort relative to its stamp, s.
+        at_once: the same residual if the effort has no age.
     """
 
     left: float
@@ -42,14 +42,14 @@ class Law:
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """One joint's log, on a fine grid.
+    """Log of one joint, with the inputs of the control law on a fine time grid.
 
     Attributes:
-        time: (n,) s of the samples.
-        effort: (n,) N*m or N.
-        grid: (m,) s.
-        error: (m,) setpoint less position, or the commanded effort.
-        speed: (m,) rad/s or m/s; None under effort commands.
+        time: (n,) times of the samples, s.
+        effort: (n,) logged efforts, N*m or N.
+        grid: (m,) times of the grid, s.
+        error: (m,) setpoint minus measured value, or the commanded effort.
+        speed: (m,) velocity, rad/s or m/s; None under effort commands.
     """
 
     time: FloatArray
@@ -69,20 +69,17 @@ def signals(
     *,
     mode: CommandMode,
 ) -> Signals | None:
-    """What the laws need of one joint.
+    """Log of one joint for :func:`law`; None if there are too few samples.
 
-    Positions and velocities are smoothed alike, whatever time they are asked at: else a time
-    between two samples would seem to fit better, by their noise alone.
+    Positions and velocities are smoothed equally at all times of the grid. Otherwise times between
+    samples would fit better because interpolation reduces noise there.
 
     Args:
-        time: (n,) s.
-        position, velocity, effort: (n,) of the joint; finite.
-        setpoint: what is commanded.
-        joint: column of the setpoint.
-        mode: of the command.
-
-    Returns:
-        None where there are too few samples.
+        time: (n,) times of the samples, s.
+        position, velocity, effort: (n,) values of the joint, finite.
+        setpoint: the commands.
+        joint: column of the joint in ``setpoint``.
+        mode: command mode.
     """
     if len(time) < EFFORTS.fewest_samples:
         return None
@@ -102,7 +99,7 @@ def signals(
 
 
 def pooled(laws: Sequence[Law]) -> Law:
-    """One law over several recordings: geometric means of deviations, the median offset."""
+    """One law for several recordings: geometric means of the residuals, median of the ages."""
     left, at_once = (
         float(np.exp(np.mean(np.log(np.maximum(values, 1e-300)))))
         for values in ([x.left for x in laws], [x.at_once for x in laws])
@@ -111,12 +108,12 @@ def pooled(laws: Sequence[Law]) -> Law:
 
 
 def law(log: Signals, lag: float = 0.0, dead_zone: float = 0.0) -> Law:
-    """How well the controller's law on the measured state explains the efforts, its gains free.
+    """How well the control law on the measured state explains the efforts, with fitted gains.
 
     Args:
-        log: of the joint.
-        lag: s, time constant of the drive; without one it is the demand itself.
-        dead_zone: rad or m, half width, of the error.
+        log: log of the joint.
+        lag: time constant of the drive, s; 0 for the demanded effort.
+        dead_zone: half width of the dead zone of the error, rad or m.
     """
     error = log.error - np.clip(log.error, -dead_zone, dead_zone)
     columns = [error] if log.speed is None else [error, log.speed]
@@ -129,7 +126,7 @@ def law(log: Signals, lag: float = 0.0, dead_zone: float = 0.0) -> Law:
         then = [np.interp(log.time - older, log.grid, c) for c in columns]
         table = np.stack([*then, np.ones(len(log.time))], axis=1)
         tried.append((_left(log.effort[inner], table[inner]), float(older)))
-    # Between two steps of a held command all offsets fit alike: the least of them is claimed.
+    # Between two steps of a held command all ages fit equally well; the smallest one is reported.
     alike = EFFORTS.alike * max(min(tried)[0], _NEGLIGIBLE * float(np.std(log.effort)))
     left, older = min((t for t in tried if t[0] <= alike), key=lambda each: abs(each[1]))
     at_once = min(tried, key=lambda each: abs(each[1]))[0]
@@ -137,7 +134,7 @@ def law(log: Signals, lag: float = 0.0, dead_zone: float = 0.0) -> Law:
 
 
 def _lagged(values: FloatArray, lag: float, step: float) -> FloatArray:
-    """Values behind a first-order lag, settled at the start."""
+    """Values after a first-order lag of ``lag`` s, in equilibrium at the start."""
     if lag <= step:
         return values
     keep = float(np.exp(-step / lag))
@@ -146,11 +143,11 @@ def _lagged(values: FloatArray, lag: float, step: float) -> FloatArray:
 
 
 def is_the_command(log: Signals) -> bool:
-    """Whether efforts of an effort drive are the commanded ones, to within their noise.
+    """Whether the logged efforts of an effort drive equal its commands, to within their noise.
 
-    A drive that computes its effort from the current and the nominal motor constant logs the
-    command, whatever reaches the joint: as evidence of a sensor it would deny any error of the
-    motor constant. A sensor behind a perfect drive reads the same and adds nothing to the command.
+    A drive that computes the effort from current and nominal motor constant logs the command. Taken
+    for a measurement it would exclude any error of the motor constant. A sensor behind a perfect
+    drive reads the same and adds no information.
     """
     inner = slice(2, -2)
     command = np.interp(log.time, log.grid, log.error)[inner]
@@ -160,7 +157,7 @@ def is_the_command(log: Signals) -> bool:
     (gain, offset), *_ = np.linalg.lstsq(table, effort[near], rcond=None)
     off = effort[near] - table @ np.array([gain, offset])
     left, spread = _deviation(off), float(np.std(command[near]))
-    # What differs from sample to sample is noise; a lag or a dead zone differs for longer.
+    # Noise is independent from sample to sample; the error of a lag or dead zone lasts longer.
     noise = _deviation(np.diff(off)) / np.sqrt(2.0)
     if spread == 0.0 or left > EFFORTS.explains * spread or left > EFFORTS.ahead * noise:
         return False
@@ -172,15 +169,14 @@ def is_the_command(log: Signals) -> bool:
 
 
 def effort_fact(scale: float, demands: Sequence[Law], drives: Sequence[Law], period: float) -> Fact:
-    """What a logged effort is.
+    """Origin and age of a logged effort.
 
     Args:
-        scale: N*m or N, usual deviation of the efforts.
-        demands: the controller's law on the measured states, for each thing that commands may do
-            between stamps.
-        drives: the same behind the drive that explains the motion; empty where none is known, or
-            where that drive changes nothing.
-        period: s, of the samples.
+        scale: standard deviation of the efforts, N*m or N.
+        demands: the control law on the measured states, for each possible interpolation of the
+            commands.
+        drives: the same with the drive that explains the motion; empty if there is none.
+        period: sample period, s.
     """
     laws = {"demanded": tuple(demands), "measured": tuple(drives)}
     best = {name: min(x.left for x in each) for name, each in laws.items() if each}
@@ -211,8 +207,9 @@ def effort_fact(scale: float, demands: Sequence[Law], drives: Sequence[Law], per
 
 
 def _older(laws: Sequence[Law], period: float) -> float:
-    """s by which an effort is older than its stamp, the least of the laws that explain it alike; 0
-    where some needs none.
+    """Age of an effort relative to its stamp in s, the smallest among equally good laws.
+
+    It is 0 if a law explains the effort without an age.
     """
     late = [
         x.older
@@ -224,7 +221,7 @@ def _older(laws: Sequence[Law], period: float) -> float:
 
 
 def _left(effort: FloatArray, columns: FloatArray) -> float:
-    """Deviation of what a law with free gains leaves; a second fit heeds no jumps."""
+    """RMS residual of a law with fitted gains; a second fit leaves out samples next to jumps."""
     weights, *_ = np.linalg.lstsq(columns, effort, rcond=None)
     off = effort - columns @ weights
     near = np.abs(off) <= 3.0 * max(_deviation(off), 1e-12)
@@ -234,6 +231,6 @@ def _left(effort: FloatArray, columns: FloatArray) -> float:
 
 
 def _deviation(values: FloatArray) -> float:
-    """Root mean square of the smallest nine tenths: a sample beside a jump counts little."""
+    """Root mean square of the smallest nine tenths, without samples next to jumps."""
     square = np.sort(values**2)
     return float(np.sqrt(np.mean(square[: max(round(EFFORTS.kept * len(square)), 1)])))

@@ -12,19 +12,21 @@ class EffortSettings:
     They were chosen on simulated recordings of each law with jitter and delays.
 
     Attributes:
-        fewest_samples: of a recording that is asked.
-        ahead: factor on the deviation that the best law leaves, by which any other must leave more.
-        explains: share of the efforts' deviation that a law may leave to say anything.
-        reach: sample periods by which an effort is tried to be older, or newer, than its stamp.
-        parts: steps of that offset on either side.
-        late: share of a sample period from which an offset in time is real.
-        less: share of the deviation without the offset below which it is real.
-        alike: ratio of deviations up to which two laws explain the efforts alike.
-        kept: share of the samples that a deviation is of; the largest, beside jumps, are left out.
-        equal: error of gain and offset up to which an effort is the command: less than drives are
-            calibrated to.
+        fewest_samples: smallest number of samples of a recording that is examined.
+        ahead: ratio of the residuals of another law and of the best one from which the best is the
+            answer.
+        explains: largest residual of a law that explains the efforts, as a share of their standard
+            deviation.
+        reach: largest age of an effort that is tried, in sample periods, in both directions.
+        parts: steps of the age on either side.
+        late: smallest age that is reported, in sample periods.
+        less: largest ratio of the residuals with and without an age that is reported.
+        alike: ratio of residuals up to which two laws explain the efforts equally well.
+        kept: share of the samples in a residual; the largest values, next to jumps, are left out.
+        equal: largest error of gain and offset with which an effort equals its command. It is
+            smaller than the accuracy of drives.
         smooth: samples over which positions and velocities are smoothed.
-        fine: points of the fine grid in a sample period.
+        fine: points of the fine grid in each sample period.
     """
 
     fewest_samples: int = 50

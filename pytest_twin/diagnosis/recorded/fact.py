@@ -12,11 +12,11 @@ class Fact:
     """One answer about one recording, or about one joint of it.
 
     Attributes:
-        value: the answer; None where the data cannot tell.
-        confidence: that it is right, 0 to 1; of None, 0.
+        value: the answer; None if the data do not determine it.
+        confidence: probability that it is right, 0 to 1; 0 for None.
         source: ``data``, or where it is declared: ``option``, ``metadata``, ``twin.yaml``.
-        evidence: in words, with numbers and units.
-        numbers: name -> (value, unit).
+        evidence: reason in words, with numbers and units.
+        numbers: name -> (value, unit) of further results.
     """
 
     value: str | None
@@ -39,5 +39,5 @@ class Fact:
 
 
 def unknown(evidence: str) -> Fact:
-    """The data cannot tell."""
+    """The answer if the data do not determine it."""
     return Fact(None, 0.0, "data", evidence)

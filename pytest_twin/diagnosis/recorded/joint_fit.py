@@ -1,9 +1,8 @@
-"""A quick fit of the parameters that every joint has, to the measured positions alone.
+"""A quick fit of smooth parameters of all joints to the measured positions.
 
-It is no diagnosis: it lets the smooth physics of all joints be wrong, so that a question about the
-recording is not answered by an error of the model. All joints are perturbed together, and each
-joint's own motion gives its slopes: the cost does not grow with their number, and what couples them
-is corrected by the next iteration.
+It makes questions about the recording independent of errors of the model. All joints are perturbed
+together and each column of the Jacobian is taken from its own joint, so the cost does not grow with
+the number of joints. The next iteration corrects the neglected coupling.
 """
 
 from __future__ import annotations
@@ -39,30 +38,31 @@ PRIORS: dict[tuple[str, str], float] = {
     (EncoderBias.id, "bias"): 0.03,
 }
 """Effect and parameter -> standard deviation of its prior around the model's value, in the scale of
-the parameter (s, 1, or the joint's typical damping, effort, inertia and stiffness, or rad). Wide:
-they hold back only what the recordings do not show."""
+the parameter (s, 1, rad, or the joint's typical damping, effort, inertia or stiffness). The priors
+are wide, so they only determine parameters that the recordings do not."""
 DELAY = list(PRIORS).index((CommandDelay.id, "delay"))
 _ITERATIONS = 6
-# Dampings of Levenberg and Marquardt that are tried, shares of each parameter's own curvature.
+# Levenberg-Marquardt dampings that are tried, as shares of the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)
-# Gain of the log-posterior, per joint, under which a fit has converged.
+# Smallest gain of the log-posterior for each joint before a fit has converged.
 _GAIN = 1.0
-# Noises at which a fit leaves noise alone, and at which it leaves far more.
+# RMS residuals, in encoder noises, up to which only noise remains, and from which far more does.
 _AT_NOISE, _FAR = 1.1, 3.0
-# Samples of a trajectory's residual that count as one while it is fitted: it is smooth until then.
+# Number of correlated samples that count as one independent sample, while the residual is smooth.
 _SMOOTH_SAMPLES = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class JointFit:
-    """Parameters of all joints at their optimum, and what they leave.
+    """Parameters of all joints at their optimum, with their residuals.
 
     Attributes:
-        residual: (samples, joints) of the fit's segments, rad or m.
-        nominal: the same with the model's own parameters.
-        slopes: (samples, parameters, joints) of the prediction per parameter, each joint by itself.
-        theta: (parameters, joints) in the parameters' scales, in the order of :data:`PRIORS`.
-        log_posterior: of all joints.
+        residual: (samples, joints) measured minus predicted positions, rad or m.
+        nominal: the same for the nominal model.
+        slopes: (samples, parameters, joints) derivatives of each joint's prediction with respect to
+            its own parameters.
+        theta: (parameters, joints) scaled parameters, in the order of :data:`PRIORS`.
+        log_posterior: logarithm of the posterior, without a constant.
         has_converged: whether another step would gain nothing.
     """
 
@@ -76,6 +76,8 @@ class JointFit:
 
 @dataclass(slots=True)
 class _State:
+    """Parameters with their residual and log-posterior ``score``."""
+
     theta: FloatArray
     residual: FloatArray
     score: float
@@ -85,13 +87,13 @@ class _State:
 def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
     """Fit the smooth parameters of all joints to each group of segments.
 
-    The groups are the same recordings under different assumptions. Slopes are taken where the
-    posterior is highest and used for all of them: what is assumed changes them little. Each fit
-    also tries the parameters of the best, with the delay that the assumptions differ by.
+    The groups are the same recordings under different assumptions. The derivatives are computed for
+    the assumption with the highest posterior and used for all, because they hardly differ. Each fit
+    also tries the parameters of the best one, with the difference of the mean delays.
 
     Args:
-        space: of the parameters, with the segments of each assumption.
-        delays: s, by which a command acts late on average under each assumption.
+        space: the parameters, with the segments of each assumption.
+        delays: mean delay of a command under each assumption, s.
 
     Returns:
         One fit for each group.
@@ -128,8 +130,10 @@ def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
 
 
 def _settled(states: Sequence[_State], noise: FloatArray) -> bool:
-    """Whether no fit is worth another step: it has converged, leaves noise alone, or leaves far
-    more than one that does.
+    """Whether all fits are done.
+
+    A fit is done if it has converged, if only noise remains, or if its residual is far larger than
+    that of another fit at the noise level.
     """
     levels = [np.sqrt(np.mean(s.residual**2, axis=0)) / noise for s in states]
     fits = [bool((level <= _AT_NOISE).all()) for level in levels]
@@ -141,9 +145,9 @@ class Parameters:
     """The parameters of all joints: their terms, bounds and priors.
 
     Args:
-        problem: whose segments take part; its efforts are not used.
-        groups: segments of each assumption, in the same order of recordings.
-        noise: (joints,) of the encoders, rad or m.
+        problem: the problem with the segments; its efforts are not used.
+        groups: indices of the segments of each assumption, in the same order of recordings.
+        noise: (joints,) encoder noise, rad or m.
     """
 
     def __init__(
@@ -178,12 +182,12 @@ class Parameters:
                 self.lower[k, j], self.upper[k, j] = p.lower, p.upper
                 self.nudge[k] = p.step
                 if effect in own:
-                    # The model's own value and the parameter together are not negative.
+                    # The sum of the model's value and the parameter must not be negative.
                     least = -float(own[effect][j]) / problem.scales.value(p, j)
                     self.lower[k, j] = max(p.lower, least)
 
     def states(self, tried: Sequence[tuple[int, FloatArray]]) -> list[_State]:
-        """What parameters leave, (group, (parameters, joints)) each; one batch."""
+        """Residuals and scores for pairs of group and (parameters, joints), in one batch."""
         inside = [(i, np.clip(theta, self.lower, self.upper)) for i, theta in tried]
         return [
             self._state(theta, residual)
@@ -200,7 +204,7 @@ class Parameters:
         return _State(theta, residual, score)
 
     def _residuals(self, tried: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
-        """(samples, joints) measured less predicted positions, rad or m."""
+        """(samples, joints) measured minus predicted positions for each pair, rad or m."""
         problem = self.problem
         rows = np.concatenate([self.groups[i] for i, _ in tried])
         each = [
@@ -220,19 +224,19 @@ class Parameters:
         return [np.concatenate(parts[a:b]) for a, b in itertools.pairwise(ends)]
 
     def hypothesis(self, theta: FloatArray) -> Hypothesis:
-        """All terms, with (parameters, joints) in their scales."""
+        """The hypothesis with all terms, from (parameters, joints) scaled parameters."""
         values = self.rest.copy()
         values[self.columns] = theta
         return Hypothesis(self.terms, values)
 
     def value(self, theta: FloatArray, effect: str, joint: int) -> float:
-        """The parameter of an effect at a joint, SI units."""
+        """The first parameter of an effect at a joint, SI units."""
         k = next(i for i, (name, _) in enumerate(PRIORS) if name == effect)
         parameter = next(p for p in Term(effect, joint).parameters if p.name == list(PRIORS)[k][1])
         return float(theta[k, joint] * self.problem.scales.value(parameter, joint))
 
     def slopes(self, group: int, state: _State) -> FloatArray:
-        """(samples, parameters, joints); all joints are perturbed together."""
+        """(samples, parameters, joints) finite differences; all joints are perturbed together."""
         self.iterations += 1
         moved = []
         for k, nudge in enumerate(self.nudge):
@@ -248,8 +252,9 @@ class Parameters:
     def step(
         self, theta: FloatArray, residual: FloatArray, slopes: FloatArray, damping: float = 0.0
     ) -> FloatArray:
-        """(parameters, joints) bounded and damped Gauss-Newton step, each joint by itself; none
-        where the prediction diverged.
+        """(parameters, joints) bounded and damped Gauss-Newton step of each joint.
+
+        It is zero if the prediction diverged.
         """
         step = np.zeros(self.shape)
         if not np.isfinite(residual).all():
@@ -271,11 +276,21 @@ def bounded_step(
     noise: float,
     damping: float = 0.0,
 ) -> FloatArray:
-    """(parameters,) change that leaves least of (samples,) residuals, held back by the prior."""
+    """(parameters,) change with the largest posterior, within bounds, for one joint.
+
+    Args:
+        slopes: (samples, parameters) derivatives of the prediction.
+        residual: (samples,) measured minus predicted.
+        theta: (parameters,) present parameters, scaled.
+        prior: (parameters,) standard deviations of the priors around zero.
+        bounds: lower and upper bounds, (parameters,) each.
+        noise: encoder noise, rad or m.
+        damping: Levenberg-Marquardt damping, as a share of the diagonal.
+    """
     variance = max(noise**2, float(np.mean(residual**2)))
     normal = slopes.T @ slopes / variance + np.diag(prior**-2)
     right = slopes.T @ residual / variance - theta / prior**2
-    # The factor has as many rows as there are parameters, and the same bounded minimum.
+    # The Cholesky factor gives a smaller least-squares problem with the same bounded minimum.
     normal += damping * np.diag(np.diag(normal))
     factor = np.linalg.cholesky(normal)
     lower = np.minimum(bounds[0] - theta, -1e-12)

@@ -1,4 +1,4 @@
-"""Where the efforts of each joint come from, by the controller's law and by a fitted drive."""
+"""Origin of the logged efforts of each joint, by the control law and a fitted drive."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
 
 _MOST = 3
-"""Recordings that are asked, those with the liveliest efforts."""
+"""Number of recordings that are examined, those with the largest variance of the efforts."""
 _EXPLAINED = 4.0
-"""Noises of the encoder that a fit may leave for its drive to say anything of the efforts."""
+"""Largest RMS residual of a fit, in encoder noises, whose drive is used to explain the efforts."""
 
 _COMMAND_ITSELF = Fact(
     "demanded",
@@ -37,16 +37,16 @@ _COMMAND_ITSELF = Fact(
 
 
 def logged_efforts(trials: Sequence[Trial], fitted: BetweenFit) -> dict[str, Fact]:
-    """Joint -> where its logged effort comes from.
+    """Joint -> origin of its logged effort.
 
     Args:
-        trials: recordings of one command period.
-        fitted: the fit of their motion, made without efforts.
+        trials: recordings with one command period.
+        fitted: the fit of their motion, without efforts.
     """
     found = {}
     for column, joint in enumerate(fitted.joints):
         drive = _drive(fitted, column)
-        # What commands may do between stamps -> the laws, recording by recording.
+        # Interpolation of the commands -> the laws of each recording.
         demands: dict[CommandBetween, list[Law]] = {}
         drives: dict[CommandBetween, list[Law]] = {}
         scales, periods = [], []
@@ -80,7 +80,7 @@ def _has_efforts(trial: Trial, joint: str) -> bool:
 
 
 def _repeats_command(trial: Trial, joint: str) -> bool:
-    """Whether an effort drive's logged efforts are its commands."""
+    """Whether the logged efforts of an effort drive are its commands."""
     if trial.mode_of(joint) != "effort":
         return False
     logs = (_log(trial, joint, between) for between in _ways(trial))
@@ -88,6 +88,7 @@ def _repeats_command(trial: Trial, joint: str) -> bool:
 
 
 def _log(trial: Trial, joint: str, between: CommandBetween) -> Signals | None:
+    """Log of a joint with one interpolation of the commands; None if it has gaps or is short."""
     column = trial.joints.index(joint)
     keep = np.concatenate([[True], np.diff(trial.time) > 0.0])
     columns = [trial.position, trial.velocity, trial.effort]
@@ -106,9 +107,7 @@ def _log(trial: Trial, joint: str, between: CommandBetween) -> Signals | None:
 
 
 def _drive(fitted: BetweenFit, column: int) -> tuple[float, float]:
-    """Lag, s, and dead zone, rad or m, of the drive that explains a joint's motion; 0 where the fit
-    leaves much of it, or has none.
-    """
+    """Lag in s and dead zone in rad or m of the fitted drive; both 0 if the fit is poor."""
     fit, space = fitted.fit, fitted.space
     left = float(np.sqrt(np.mean(fit.residual[:, column] ** 2)))
     if left > _EXPLAINED * space.noise[column]:
@@ -118,6 +117,7 @@ def _drive(fitted: BetweenFit, column: int) -> tuple[float, float]:
 
 
 def _ways(trial: Trial) -> tuple[CommandBetween, ...]:
+    """Possible interpolations of the commands: the declared one, or all."""
     return COMMAND_BETWEEN if trial.between_source == "assumed" else (trial.command_between,)
 
 

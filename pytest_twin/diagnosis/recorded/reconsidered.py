@@ -1,8 +1,8 @@
-"""What commands do between stamps, asked again with the effects that were found.
+"""Interpolation of commands between stamps, decided again after the search for effects.
 
-Before the search nothing may tell ``held`` from ``interpolated``: half a period less of delay looks
-like a drive with a feed-forward, or a lag that is shorter. Afterwards the answer that needs fewer
-effects for the same recordings is the likelier one, as fewer parameters are.
+Before the search, ``held`` and ``interpolated`` may be indistinguishable: half a period less delay
+looks like feed-forward or a shorter lag. After it, the interpolation that needs fewer effects for
+the same recordings is more likely.
 """
 
 from __future__ import annotations
@@ -24,20 +24,19 @@ from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
 
 _AS_WELL = 1.1
-"""Ratio of RMS errors up to which fewer effects explain a joint as well."""
+"""Ratio of RMS errors up to which fewer effects explain a joint equally well."""
 
 
 def with_fewer_effects(
     found: SearchResult, given: ModelSetup, possible: Sequence[CommandBetween], run: Run
 ) -> tuple[SearchResult, CommandBetween] | None:
-    """What is found under another possible answer, where it explains as much with fewer effects;
-    None where none does.
+    """The result under another interpolation, if it explains as much with fewer effects; else None.
 
     Args:
-        found: under the answer that the recordings have.
-        given: the model, as it was stepped.
-        possible: answers that the recordings do not rule out.
-        run: the diagnosis.
+        found: the result under the present interpolation.
+        given: the model with its simulation settings.
+        possible: interpolations that the recordings do not rule out.
+        run: the running diagnosis.
     """
     start = found.explained.hypothesis
     if not start.terms:
@@ -48,7 +47,7 @@ def with_fewer_effects(
         if used == {between}:
             continue
         prepared, trials = build_problem(
-            given, _so(found.trials, between), [], window=found.prepared.window
+            given, _with_interpolation(found.trials, between), [], window=found.prepared.window
         )
         run.begin(f"commands {between} between their stamps", prepared.problem)
         selection = StepwiseSelection(prepared.problem, run)
@@ -63,7 +62,7 @@ def with_fewer_effects(
 
 
 def _without_one(found: SearchResult, comparison: ModelComparison) -> ScoredModel | None:
-    """The best fit with one effect fewer, if it leaves no joint worse than all of them did."""
+    """The best fit with one effect fewer whose error is not larger at any joint; else None."""
     start, joints = found.explained.hypothesis, len(comparison.problem.joints)
     fewer = [start.without(t) for t in start.terms]
     rivals = comparison.rivals(fewer, comparison.weights(comparison.nominal), FAIR)
@@ -79,7 +78,9 @@ def _rms(residual: FloatArray, joints: int) -> FloatArray:
     return rms
 
 
-def _so(trials: TrialSet, between: CommandBetween) -> TrialSet:
+def _with_interpolation(trials: TrialSet, between: CommandBetween) -> TrialSet:
+    """The trials with an interpolation of commands, unless it is declared."""
+
     def changed(trial: Trial) -> Trial:
         if trial.between_source != "assumed":
             return trial
@@ -90,7 +91,7 @@ def _so(trials: TrialSet, between: CommandBetween) -> TrialSet:
 
 
 def _fewer(other: SearchResult, found: SearchResult) -> bool:
-    """Whether fewer effects leave no joint worse than more of them do."""
+    """Whether a result has fewer effects and no larger error at any joint."""
     if other.explained.hypothesis.more_terms(found.explained.hypothesis) >= 0:
         return False
     if other.errors.keys() != found.errors.keys():

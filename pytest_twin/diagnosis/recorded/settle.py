@@ -1,4 +1,4 @@
-"""All answers about the recordings of a diagnosis, and the recordings as they are then used."""
+"""All answers about the signals of the recordings, and the recordings as they are then used."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
 
 _SAME_PERIOD = 1.2
-"""Ratio of command periods up to which recordings are taken for one controller's."""
+"""Ratio of command periods up to which recordings are treated as from one controller."""
 _NOT_OF_THE_STATE = ("differenced", "filtered", "late")
 
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """What the recordings are.
+    """Meaning of the recorded signals.
 
     Attributes:
-        between: answers of recordings that do not say it, one for each command period.
-        velocity: joint -> how its velocity is logged.
-        effort: joint -> where its logged effort comes from.
-        problems: that were simulated for it.
+        between: interpolation of the commands where it is not declared, for each command period.
+        velocity: joint -> origin of its logged velocity.
+        effort: joint -> origin of its logged effort.
+        problems: problems that were simulated to determine it.
     """
 
     between: tuple[Between, ...] = ()
@@ -42,10 +42,10 @@ class Settled:
     problems: tuple[Problem, ...] = ()
 
     def applied(self, trials: TrialSet) -> TrialSet:
-        """The recordings as they are used from here on, and what a reader has to know.
+        """The recordings as they are used from here on, with notes for the reader.
 
-        Commands do what was found. A velocity that is not the state's own is no initial velocity,
-        and an effort that is not a sensor's, or of another instant, is no sensor's evidence.
+        They have the interpolation that was found. Velocities that are differenced, filtered or
+        late are left out, and so are efforts that were not measured at the time of their stamps.
         """
         each = [tuple(map(self._used, role)) for role in (trials.fit, trials.held_out)]
         kept = [n for n in trials.notes if not (self.between and "assumed: neither" in n)]
@@ -53,7 +53,7 @@ class Settled:
         return replace(trials, fit=each[0], held_out=each[1], notes=tuple(notes))
 
     def notes(self, trials: Sequence[Trial]) -> list[str]:
-        """One line for each answer that changes how recordings are used."""
+        """A line for each answer that changes how recordings are used."""
         lines = []
         for answer in self.between:
             said = answer.fact
@@ -102,27 +102,24 @@ class Settled:
 
     @property
     def found_between(self) -> CommandBetween | None:
-        """What commands do where the recordings do not say it; None where that cannot be told, or
-        differs between them.
-        """
+        """The interpolation that was found; None if it is undetermined or differs."""
         values = {b.fact.value for b in self.between}
         return next((b for b in COMMAND_BETWEEN if values == {b}), None)
 
     def _answer(self, trial: Trial) -> Between | None:
+        """The answer for the command period of a trial; None without one."""
         period = _period(trial)
         near = [b for b in self.between if _alike(b.period, period)]
         return near[0] if near else None
 
     def doubted(self, trials: Sequence[Trial]) -> Between | None:
-        """The answer that leaves most open, of those that cannot tell."""
+        """The undetermined answer with the longest command period; None without one."""
         asked = (self._answer(t) for t in trials if t.between_source == "assumed")
         open_ = [b for b in asked if b is not None and len(b.possible) > 1]
         return max(open_, key=lambda b: b.period, default=None)
 
     def decided(self, open_: Between, between: CommandBetween) -> Settled:
-        """The same with an answer to what the recordings alone left open: that with which fewer
-        effects explain them.
-        """
+        """The same with the undetermined answer ``open_`` decided by the number of effects."""
         words = f"{open_.fact.evidence}; fewer effects explain them if commands are {between}"
         known = Between(Fact(between, BY_MODEL, "data", words), (between,), open_.period)
         return replace(self, between=tuple(known if b is open_ else b for b in self.between))
@@ -146,11 +143,11 @@ class Settled:
 
 
 def settle(given: ModelSetup, trials: TrialSet) -> Settled:
-    """Ask the recordings what they are.
+    """Determine the meaning of the recorded signals.
 
     Args:
-        given: the model.
-        trials: recordings that may be read: fit and validation.
+        given: the model with its simulation settings.
+        trials: fit and validation recordings.
     """
     everything = [*trials.fit, *trials.held_out]
     velocity = _velocities(everything)
@@ -163,11 +160,11 @@ def settle(given: ModelSetup, trials: TrialSet) -> Settled:
             continue
         ways = (group[0].command_between,) if declared else COMMAND_BETWEEN
         try:
-            # Parameters far off overflow; what is not finite is never the best.
+            # Simulations with extreme parameters may overflow; they are never the best.
             with np.errstate(over="ignore", invalid="ignore"):
                 fits.append((group, fit_between(given, group, ways)))
         except TwinError:
-            # Whatever these recordings lack, the diagnosis itself says.
+            # The diagnosis itself reports the error of these recordings.
             continue
     between = tuple(f.answer for group, f in fits if group[0].between_source == "assumed")
     problems = tuple(f.space.problem for _, f in fits)
@@ -177,13 +174,14 @@ def settle(given: ModelSetup, trials: TrialSet) -> Settled:
 def _efforts(
     trials: Sequence[Trial], fits: Sequence[tuple[Sequence[Trial], BetweenFit]]
 ) -> dict[str, Fact]:
+    """Joint -> origin of its logged effort, by the fit of the most recordings."""
     if not fits or not any(t.effort is not None for t in trials):
         return {}
     return logged_efforts(*max(fits, key=lambda each: len(each[0])))
 
 
 def _velocities(trials: Sequence[Trial]) -> dict[str, Fact]:
-    """Joint -> how its velocity is logged, by the recording in which it moves most."""
+    """Joint -> origin of its velocity, by the recording in which the joint moves most."""
     found: dict[str, Fact] = {}
     for joint in dict.fromkeys(j for t in trials for j in t.joints):
         most: tuple[float, Trial] | None = None
@@ -205,7 +203,7 @@ def _velocities(trials: Sequence[Trial]) -> dict[str, Fact]:
 
 
 def _alike_recordings(trials: Sequence[Trial]) -> list[list[Trial]]:
-    """Recordings of one command period that declare the same, or nothing, of their commands."""
+    """Groups of recordings with the same command period and the same declared interpolation."""
     groups: list[list[Trial]] = []
     for trial in sorted(trials, key=_period):
         for group in groups:

@@ -1,7 +1,7 @@
-"""Whether logged velocities are a sensor's own, or made by the driver from positions, and how late.
+"""Origin of a logged velocity (a sensor, or differences of the positions) and its age.
 
-A driver that differences positions gives a velocity of half a sample ago; with a low-pass filter it
-is older still, and its noise is that of the positions. Such a velocity is no initial state.
+A velocity from differences of positions is half a sample period old, and older after a low-pass
+filter. Its noise is that of the positions. It is not used as an initial state.
 """
 
 from __future__ import annotations
@@ -17,27 +17,28 @@ from pytest_twin.diagnosis.recorded.fact import Fact, unknown
 
 Kind = Literal["sensor", "differenced", "filtered"]
 _FEWEST = 50
-# Share of the noise that differences of the logged positions have, under which a velocity is made
-# from them: one of a sensor of its own is off by all of it.
+# Largest deviation of a velocity from differences of the positions, as a share of the noise of
+# these differences. The velocity of an independent sensor deviates by the whole noise.
 _DERIVED = 0.2
-# Weight of the last velocity from which differences went through a filter.
+# Smallest weight of the previous velocity that shows a low-pass filter.
 _FILTERS = 0.05
-# Share of a period by which samples may be uneven; differences that a sample takes part in.
+# Largest deviation from an even sample period, as a share of it; number of differences in which
+# each sample takes part.
 _EVEN, _SHARED = 0.2, 3.0
-# Standard errors, and share of a sample period, by which a velocity has to be late: a motion whose
-# acceleration jumps with the samples looks late by up to a sixth of a period.
+# Smallest age of a velocity that is reported, in standard errors and in sample periods. A motion
+# whose acceleration jumps at the samples seems up to a sixth of a period old.
 _SURELY, _LEAST_SHARE = 5.0, 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class VelocitySignal:
-    """What a logged velocity is.
+    """Origin and age of a logged velocity.
 
     Attributes:
-        kind: how it was made.
-        lag: s by which it is older than the position of the same message.
-        lag_error: s, standard error.
-        bandwidth: Hz of the driver's first-order filter; infinite without one.
+        kind: origin of the velocity.
+        lag: age relative to the position of the same message, s.
+        lag_error: standard error of ``lag``, s.
+        bandwidth: corner frequency of the driver's first-order filter, Hz; infinite without one.
     """
 
     kind: Kind
@@ -49,22 +50,22 @@ class VelocitySignal:
 def velocity_signal(
     time: FloatArray, position: FloatArray, velocity: FloatArray
 ) -> VelocitySignal | None:
-    """What a velocity is, by the positions beside it.
+    """Origin and age of a velocity, from the positions of the same messages.
 
     Args:
-        time: (n,) s, ascending.
-        position, velocity: (n,) of one joint, finite.
+        time: (n,) ascending times, s.
+        position, velocity: (n,) values of one joint, finite.
 
     Returns:
-        None where the recording is too short or the joint does not move.
+        None if the recording is too short or the joint does not move.
     """
     if len(time) < _FEWEST or not np.ptp(position) or not np.ptp(velocity):
         return None
-    return _derived(time, position, velocity) or _apart(time, position, velocity)
+    return _derived(time, position, velocity) or _independent(time, position, velocity)
 
 
 def _derived(time: FloatArray, position: FloatArray, velocity: FloatArray) -> VelocitySignal | None:
-    """A velocity that the logged positions give to within rounding."""
+    """A velocity that was computed from the logged positions; None if it was not."""
     period = float(np.median(np.diff(time)))
     slope = np.diff(position) / np.diff(time)
     noise = float(sensor_noise(time, position[:, None])[0])
@@ -86,10 +87,10 @@ def _derived(time: FloatArray, position: FloatArray, velocity: FloatArray) -> Ve
     return VelocitySignal("filtered", lag, 0.0, float(-np.log(keep) / (2.0 * np.pi * period)))
 
 
-def _apart(time: FloatArray, position: FloatArray, velocity: FloatArray) -> VelocitySignal:
-    """A velocity with noise of its own: its lag, by regression on the acceleration.
+def _independent(time: FloatArray, position: FloatArray, velocity: FloatArray) -> VelocitySignal:
+    """A velocity of an independent sensor, with its age by regression on the acceleration.
 
-    The mean velocity between two samples, by Simpson's rule, is the difference of their positions.
+    The mean velocity over two periods, by Simpson's rule, is compared with the position difference.
     """
     period = float(np.median(np.diff(time)))
     even = np.abs(np.diff(time) - period) < _EVEN * period
@@ -102,14 +103,14 @@ def _apart(time: FloatArray, position: FloatArray, velocity: FloatArray) -> Velo
     off = (moved - mean)[inside]
     weights, *_ = np.linalg.lstsq(columns, off, rcond=None)
     rest = off - columns @ weights
-    # Each sample is in several differences.
+    # Each sample takes part in several differences, so their errors are correlated.
     variance = _SHARED * float(rest @ rest) / max(len(rest) - 2, 1)
     covariance = variance * np.linalg.pinv(columns.T @ columns)
     return VelocitySignal("sensor", float(weights[0]), float(np.sqrt(covariance[0, 0])), np.inf)
 
 
 def velocity_fact(time: FloatArray, position: FloatArray, velocity: FloatArray) -> Fact:
-    """What a logged velocity is, in words; arguments as :func:`velocity_signal`."""
+    """Origin and age of a logged velocity as a fact; arguments as :func:`velocity_signal`."""
     found = velocity_signal(time, position, velocity)
     if found is None:
         return unknown("too few samples, or no motion")

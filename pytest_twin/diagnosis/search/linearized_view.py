@@ -90,8 +90,8 @@ def _behind_gears(problem: Problem, best: ScoredModel, linear: Linear) -> set[in
     if not gears:
         return gears
     view = residual_view(problem, best, linear.residual(best.fitted.residual))
-    influence = view.above(view.mean_square, VERDICT.stands_out)
-    return {j for j in gears if influence[j]}
+    above_floor = view.above(view.mean_square, VERDICT.stands_out)
+    return {j for j in gears if above_floor[j]}
 
 
 def linearize_around(

@@ -1,9 +1,9 @@
-"""Fits that cost one simulation each: the linearized motion corrected by what simulation shows.
+"""Fits in the linearized motion, corrected by one simulation for each step.
 
-The linearization predicts how the prediction changes with the parameters; one simulation shows by
-how much it is wrong where the fit ended, and the next fit starts from there with that error taken
-out (model management by additive correction: Alexandrov, Lewis, Optimization and Engineering 2,
-2001). Two or three simulations take the place of one for each parameter and step.
+The linearization gives the change of the prediction with the parameters. A simulation at the end of
+a fit gives its error there, which the next fit adds to the linearization (additive correction:
+Alexandrov, Lewis, Optimization and Engineering 2, 2001). Two or three simulations replace one for
+each parameter and step.
 """
 
 from __future__ import annotations
@@ -20,13 +20,20 @@ from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.structure_search.score import Model, Scorer
 
 _ITERATIONS = 3
-"""Of a fit along the motion."""
+"""Iterations of a fit in the linearized motion."""
 
 
 def corrected_fits(
     scorer: Scorer, linearized: LinearizedView, models: Sequence[Model], corrections: int
 ) -> list[Model]:
-    """Models fitted by the linearized motion, each step confirmed by a simulation."""
+    """Models fitted in the linearized motion; a step is kept if its simulation is better.
+
+    Args:
+        scorer: simulates and scores models.
+        linearized: the linearization around the incumbent.
+        models: models with their start parameters, simulated.
+        corrections: largest number of fits and simulations of each model.
+    """
     if linearized.linear is None:
         return list(models)
     best = list(models)
@@ -59,7 +66,7 @@ def corrected_fits(
 
 
 def settled(scorer: Scorer, model: Model, iterations: int) -> tuple[Model, FloatArray]:
-    """A model fitted by simulated gradients, and the (samples, signals, parameters) gradients."""
+    """A model fitted by simulation, and its (samples, signals, parameters) Jacobian."""
     problem = scorer.problem
     problem.refine_at(model.hypothesis)
     (here,) = scorer.simulate([model.hypothesis])
@@ -69,7 +76,7 @@ def settled(scorer: Scorer, model: Model, iterations: int) -> tuple[Model, Float
 
 
 def as_fitted(problem: Problem, model: Model, jacobian: FloatArray) -> Fitted:
-    """A model in the form that intervals and reports take."""
+    """A model with its Jacobian as a :class:`Fitted`, for intervals and reports."""
     weights = problem.weights(np.mean(model.residual**2, axis=0))
     return Fitted(
         model.hypothesis, model.residual, jacobian, float(np.mean((model.residual * weights) ** 2))
@@ -77,7 +84,7 @@ def as_fitted(problem: Problem, model: Model, jacobian: FloatArray) -> Fitted:
 
 
 def _misfit(problem: Problem, model: Model) -> float:
-    """Sum of log mean squares of the fit recordings, not below the noise floor."""
+    """Sum over signals of the log mean square on the fit recordings, at least the noise floor."""
     mean_square = np.nan_to_num(np.mean(model.residual**2, axis=0), nan=np.inf)
     value = np.log(np.maximum(mean_square, problem.signal_floor**2)).sum()
     return float(value) if np.isfinite(value) else np.inf

@@ -10,22 +10,21 @@ class StructureSearchSettings:
     """Thresholds and bounds of one structure search.
 
     Attributes:
-        rounds: models that are accepted one after another, at most.
-        added: effects that one step may add. Two effects may each look useless without the other.
-        beam: structures kept at each size of the linear search.
-        proposals: models of one step that are simulated.
-        of_each_count: of these, the best with each number of effects. A right effect alone can be
-            behind three wrong ones along the linearized motion (clock drift of 0.5 %: place 14).
-        fitted_of_each_count: models with each number of effects that are fitted along the motion
-            beyond one iteration: twice what is simulated.
-        finalists: of these, models that are fitted.
-        corrections: simulations of one fit along the linearized motion.
-        refinements: iterations of the final fit by simulated gradients.
-        earns: log-likelihood ratio, after the prices of parameters and names, that a larger model
-            must gain: the odds of 150 to 1 that are called very strong evidence (Kass, Raftery
-            1995) are 5.
-        share: of the log-likelihood ratio of a model over the nominal one, that each more effect
-            must gain.
+        rounds: largest number of models that are accepted one after another.
+        added: largest number of effects that one step adds. Two effects may only help together.
+        beam: sets that the beam search keeps for each number of effects.
+        proposals: models that one step simulates.
+        of_each_count: number of them with each number of effects. A right effect alone can be
+            behind three wrong ones in the linearized motion (clock drift of 0.5 %: place 14).
+        fitted_of_each_count: models with each number of effects that are fitted in the linearized
+            motion for more than one iteration: twice ``of_each_count``.
+        finalists: simulated models that are fitted.
+        corrections: simulations of one fit in the linearized motion.
+        refinements: iterations of the final fit by simulation.
+        earns: penalized log-likelihood ratio that a larger model must gain. 5 are odds of 150 to 1,
+            which are called very strong evidence (Kass, Raftery 1995).
+        share: share of the log-likelihood ratio between a model and the nominal model that each
+            additional effect must gain.
     """
 
     rounds: int = 12

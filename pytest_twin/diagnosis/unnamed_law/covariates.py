@@ -1,4 +1,4 @@
-"""What a missing force may depend on, along the measured motion of one joint."""
+"""Variables on which the missing force of one joint may depend, along the measured motion."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ from pytest_twin.effects.unnamed_law import (
 
 STILL = 0.02
 """Share of a joint's RMS speed below which its direction does not change."""
-# Share of samples beyond the last knot of a variable that has a long tail (time at rest).
+# Share of samples above the last knot, for the time since a reversal, which has a long tail.
 _TAIL = 0.01
-# Share of the range of the data by which a table goes on, straight, beyond each of its ends. A
-# cable's force in recordings that go 0.09 rad further was so predicted to 0.1 %.
+# Linear extrapolation of a table at each end, as a share of the range of the data. With it, the
+# force of a cable was predicted to 0.1 % in recordings that went 0.09 rad further.
 _BEYOND = 0.1
-# Temperatures that a curve over temperature needs; a line needs two and has a name.
+# Smallest number of temperatures for a table over temperature; two only determine a line, which is
+# an effect of the catalogue.
 _FEWEST_TEMPERATURES = 3
 
 
@@ -43,14 +44,14 @@ class Covariate:
     """One variable along the motion, and the knots of a table over it.
 
     Attributes:
-        effect: id of the effect whose table it is.
-        variable: of the table.
-        at: (segments, samples) the variable.
-        sign: (segments, samples) by which the table acts: 1 for a force, minus the direction of
-            motion for friction.
-        inside: (segments, samples) whether the segment was still recorded.
+        effect: id of the effect with the table.
+        variable: argument of the table.
+        at: (segments, samples) values of the variable, in its unit.
+        sign: (segments, samples) factor on the table: 1 for a force, minus the direction of motion
+            for friction.
+        inside: (segments, samples) whether the sample is in the recorded part of the segment.
         low, high: first and last knot.
-        valid: range of the variable in the recordings, and a little more.
+        valid: range of the variable in the recordings, with the extrapolation at its ends.
     """
 
     effect: str
@@ -64,12 +65,12 @@ class Covariate:
 
     @property
     def is_friction(self) -> bool:
-        """Whether it is a level of dry friction."""
+        """Whether the table is a level of dry friction instead of a force."""
         return TABLES[self.effect].is_friction
 
     @property
     def knots(self) -> FloatArray:
-        """(KNOTS,) of the table."""
+        """(KNOTS,) values of the variable at the knots."""
         return np.linspace(self.low, self.high, KNOTS)
 
     @property
@@ -80,7 +81,7 @@ class Covariate:
         return share
 
     def columns(self, joint: int) -> list[Column]:
-        """The force of every knot at a unit value, at a joint."""
+        """For each knot the force at ``joint`` if only this knot has the value 1, N*m or N."""
         hats = self._hats(self.at) * self.sign[..., None]
         forces = np.ascontiguousarray(np.moveaxis(hats, -1, 0))
         return [Column(force=f, drive=np.zeros_like(f), joint=joint) for f in forces]
@@ -93,14 +94,14 @@ class Covariate:
         return self
 
     def _hats(self, at: FloatArray) -> FloatArray:
-        """(..., KNOTS) linear interpolation weights, zero one interval outside."""
+        """(..., KNOTS) linear interpolation weights; zero from one interval outside the knots."""
         place = (at - self.low) / max(self.high - self.low, 1e-12) * (KNOTS - 1)
         weights: FloatArray = np.maximum(1.0 - np.abs(place[..., None] - np.arange(KNOTS)), 0.0)
         return weights
 
 
 def covariates(linear: Linear, joint: int) -> list[Covariate]:
-    """Every variable that varies in the recordings, over its whole range, the plainest first."""
+    """All variables that vary in the recordings, over their whole ranges, the simplest first."""
     trajectory, simulator = linear.trajectory, linear.simulator
     segments = [simulator.segments[s] for s in trajectory.segments]
     inside = trajectory.time <= np.array([s.time[-1] for s in segments])[:, None]
@@ -118,8 +119,8 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
         (friction, SINCE_REVERSAL, _since(velocity, still, trajectory.interval), against),
     ]  # fmt: skip
     if all(s.mode_of(joint) == "position" for s in segments):
-        # A recorded velocity or effort is mostly an outer loop's, and has its reaction to the
-        # missing force in it: that would explain any force.
+        # A velocity or effort command mostly comes from an outer loop and contains its reaction to
+        # the missing force. It would therefore explain any force.
         command = np.stack([
             s.setpoint.at(t)[:, joint] for s, t in zip(segments, trajectory.time, strict=True)
         ])  # fmt: skip

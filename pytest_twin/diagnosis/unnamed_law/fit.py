@@ -1,9 +1,9 @@
 """Free laws at the joints that a diagnosis leaves unexplained.
 
-Steps: what each variable explains along the measured motion, to first order, cross-validated over
-whole recordings; the best variable, or a force and a friction; a fit by simulation; the same
-cross-validation by simulation. A push in time or a random torque fails it: it does not come back at
-the same values of any variable in another recording.
+For each variable a table is fitted to the residual in the linearized motion and cross-validated
+over whole recordings. The best variable, or a force and a friction, is fitted and cross-validated
+again by simulation. A push at some time or a random torque is rejected: it does not occur at the
+same values of a variable in another recording.
 """
 
 from __future__ import annotations
@@ -31,14 +31,13 @@ from pytest_twin.diagnosis.unnamed_law.simulated import Fitted, fitted
 from pytest_twin.diagnosis.verdict import UNSEEN
 
 WORTH = 0.5
-"""Share of the squared error of left-out recordings that a law must remove, first along the
-measured motion, then simulated. Of the forces that tests and blind cases hide, functions of the
-state reach 0.97 to 0.999; a push at the same time in all recordings reaches 0.2, random torques and
-a shaker 0.1."""
+"""Share of the squared error of left-out recordings that a law must remove, in the linearized
+motion and by simulation. In the tests and blind cases, functions of the state reach 0.97 to 0.999,
+a push at the same time in all recordings 0.2, random torques and a shaker 0.1."""
 _FEWEST = 2
-"""Recordings that cross-validation needs."""
+"""Smallest number of recordings for cross-validation."""
 _MOST_JOINTS = 2
-# Largest confidence in a variable: which others a force may depend on is not known.
+# Largest confidence in a variable, because the force may depend on one that is not recorded.
 _AT_MOST = 0.95
 _LIKELY = 1e-3
 """Confidence of the least likely alternative that is listed."""
@@ -50,8 +49,8 @@ class FreeLaws:
 
     Attributes:
         laws: the largest residual first.
-        hypothesis: the findings with the laws.
-        notes: why there is no law at a joint, one line each.
+        hypothesis: the findings and the laws.
+        notes: reasons why joints have no law, one line each.
     """
 
     laws: tuple[FreeLaw, ...]
@@ -59,7 +58,7 @@ class FreeLaws:
     notes: tuple[str, ...]
 
     def without(self, law: FreeLaw) -> Hypothesis:
-        """The hypothesis without one of them."""
+        """The hypothesis without one of the laws."""
         return self.hypothesis.without(law.term)
 
 
@@ -74,8 +73,8 @@ def free_laws(
     Args:
         prepared: the problem.
         hypothesis: the findings.
-        left: joint -> where its residual is, the largest first.
-        segments: of the recordings that may be used, whole recordings.
+        left: joint -> where its residual occurs, the largest residual first.
+        segments: indices of the segments that may be used; of each recording all or none.
     """
     problem = prepared.problem
     if problem.simulator.models.contact.world.size:
@@ -107,7 +106,7 @@ def free_laws(
 
 
 def _has_table(problem: Problem, joint: int) -> bool:
-    """Whether the model that came has a table at the joint: a second one would not add up."""
+    """Whether the given model has a table at the joint, because two tables cannot be added."""
     return any(
         not Term(effect, joint).law.candidate and any(v[0, joint] != 0.0 for v in values.values())
         for effect, values in problem.simulator.fixed.items()
@@ -121,6 +120,7 @@ def _data(
     segments: NDArray[np.int64],
     recording: NDArray[np.int64],
 ) -> Data:
+    """Residual of the findings at a joint, with the linearization around them."""
     linear = Linear(problem, hypothesis, segments)
     residual = linear.residual(problem.residuals([hypothesis], segments)[0])
     level = float(np.median(linear.base.level[0][..., joint]))
@@ -132,7 +132,9 @@ def _data(
 def _at_joint(
     problem: Problem, hypothesis: Hypothesis, data: Data
 ) -> tuple[Chosen, Fitted, list[Chosen]] | str:
-    """The tables, or why there are none."""
+    """Tables in the linearized motion, the same simulated, and all candidates; or the reason why
+    there is no law.
+    """
     if not np.isfinite(data.residual).all():
         return "the simulation with the findings diverges in places"
     ranking = ranked(data)
@@ -160,7 +162,9 @@ def _at_joint(
 
 
 def _removed(before: FloatArray, errors: FloatArray) -> tuple[float, bool]:
-    """Share of the squared error removed, and whether that is more than one standard error."""
+    """Removed share of the (recordings,) squared errors, and whether it exceeds one standard error
+    of cross-validation.
+    """
     less = before - errors
     if not np.isfinite(errors).all():
         return 0.0, False
@@ -168,6 +172,7 @@ def _removed(before: FloatArray, errors: FloatArray) -> tuple[float, bool]:
 
 
 def _named(tables: Sequence[Covariate]) -> str:
+    """Kind and variable of each table, in words."""
     kinds = [f"{'friction' if t.is_friction else 'a force'} over {t.variable.name}" for t in tables]
     return " with ".join(kinds)
 
@@ -180,6 +185,7 @@ def _laws(
     after: Fitted,
     ranking: Sequence[Chosen],
 ) -> list[FreeLaw]:
+    """The fitted tables of a joint as laws with bands, confidences and alternatives."""
     column = problem.joints.index(joint)
     count = len(chosen.tables)
     half_width = _half_width(after)
@@ -194,7 +200,7 @@ def _laws(
         kind = joint_type(problem, column)
         unit = table.variable.unit(kind)
         if "," in unit:
-            # Of a command: that of its servo, a position.
+            # Only position commands are a variable.
             unit = joint_unit(problem, column)
         curve = Curve(
             table.variable, table.is_friction,
@@ -219,8 +225,8 @@ def _laws(
 
 
 def _half_width(after: Fitted) -> FloatArray:
-    """(p,) of a 95 % band: the wider of the sandwich estimate and of the jackknife over
-    recordings.
+    """(p,) half widths of 95 % bands, from the larger of the sandwich variance and the jackknife
+    variance over recordings.
     """
     count = len(after.left_out)
     spread = after.left_out - after.left_out.mean(axis=0)
@@ -231,8 +237,10 @@ def _half_width(after: Fitted) -> FloatArray:
 
 
 def _shares(ranking: Sequence[Chosen]) -> list[tuple[Chosen, float]]:
-    """Single tables with their share of the evidence: how likely a paired t-test over left-out
-    recordings would find so large a difference to the best by chance.
+    """Single tables with their shares, which sum to 1.
+
+    The weight of a table is the p-value of a paired t-test between its errors on left-out
+    recordings and those of the best.
     """
     best = ranking[0]
     weights = [1.0]

@@ -19,12 +19,12 @@ _NEXT_TEST = (
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """Another variable over which a table explains something.
+    """Another variable over which a table explains a part of the residual.
 
     Attributes:
-        variable: its name.
-        is_friction: whether the table is a level of friction.
-        confidence: share of the evidence.
+        variable: name of the variable.
+        is_friction: whether the table is a level of dry friction.
+        confidence: share against all variables, 0 to 1.
     """
 
     variable: str
@@ -34,16 +34,16 @@ class Rival:
 
 @dataclass(frozen=True, slots=True)
 class FreeLaw:
-    """A force, or a level of friction, that no effect with a name explains.
+    """A force, or a level of dry friction, that no effect of the catalogue explains.
 
     Attributes:
-        joint: name.
-        term: effect and joint in the problem's numbering.
+        joint: name of the joint.
+        term: effect and joint, in the numbering of the problem.
         curve: the table with its band.
-        resembles: id of a known effect of this shape, or None.
-        removed: share of the squared error of recordings that it was not fitted to, by
+        resembles: id of an effect with this shape; None if there is none.
+        removed: share of the squared error of left-out recordings that the law removes, by
             cross-validation over whole recordings.
-        confidence: share of the evidence of this variable against the others.
+        confidence: share of this variable against the others, 0 to 1.
         rivals: other variables, most likely first.
         where: when the residual occurs.
     """
@@ -59,7 +59,7 @@ class FreeLaw:
 
     @property
     def words(self) -> str:
-        """The curve in one phrase, with units."""
+        """Description of the curve in one phrase, with units."""
         return in_words(self.curve)
 
 

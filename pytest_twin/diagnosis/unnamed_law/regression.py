@@ -1,8 +1,8 @@
 """A smooth table by penalized least squares, cross-validated over whole recordings.
 
-P-splines of first degree (Eilers, Marx, Statistical Science 11, 1996): many knots, and a penalty on
-second differences of their values. All sums are taken once for each recording, so that leaving one
-out costs one small solution.
+The tables are P-splines of first degree (Eilers, Marx, Statistical Science 11, 1996): many knots,
+and a penalty on the second differences of their values. The sums are computed once for each
+recording, so that leaving one out only takes the solution of a small system.
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ from scipy.linalg import cho_factor, cho_solve
 from pytest_twin.arrays import FloatArray
 
 STRENGTHS = tuple(10.0**e for e in np.arange(-3.0, 4.5, 1.0))
-"""Penalties that compete, relative to the size of the data."""
-# Penalty on the values themselves, relative to that on second differences: knots without data go
-# to zero.
+"""Penalties that cross-validation chooses from, relative to the diagonal of the normal matrix."""
+# Penalty on the values, relative to that on second differences. It sets knots without data to 0.
 _RIDGE = 1e-5
 
 
 def penalty(knots: int) -> FloatArray:
-    """(knots, knots) of squared second differences, and a little of squared values."""
+    """(knots, knots) matrix of squared second differences, plus a small multiple of the unit."""
     second = np.diff(np.eye(knots), 2, axis=0)
     matrix: FloatArray = second.T @ second + _RIDGE * np.eye(knots)
     return matrix
@@ -34,11 +33,11 @@ class Regression:
     """Sums of a weighted least-squares problem, for each recording.
 
     Attributes:
-        gram: (recordings, p, p) of responses.
-        moment: (recordings, p) of responses and residual.
-        square: (recordings,) of the residual.
-        lower: (p,) least values of the coefficients; -inf without.
-        tables: number of tables, p / tables knots each.
+        gram: (recordings, p, p) Gram matrices of the responses.
+        moment: (recordings, p) inner products of responses and residual.
+        square: (recordings,) squared residuals.
+        lower: (p,) lower bounds of the coefficients; -inf for none.
+        tables: number of tables, with p / tables knots each.
     """
 
     gram: FloatArray
@@ -48,7 +47,7 @@ class Regression:
     tables: int = 1
 
     def fitted(self, strength: float, left_out: int | None = None) -> FloatArray:
-        """(p,) coefficients, from all recordings but one where ``left_out`` is given."""
+        """(p,) coefficients from all recordings except ``left_out``, for a penalty strength."""
         gram, moment = self.gram.sum(axis=0), self.moment.sum(axis=0)
         normal = self.normal(strength)
         if left_out is not None:
@@ -76,13 +75,13 @@ class Regression:
         )
 
     def left_out_errors(self, strength: float) -> FloatArray:
-        """(recordings,) squared error of each, predicted from the others."""
+        """(recordings,) squared error of each recording with coefficients from the others."""
         each = range(len(self.square))
         return np.array([self.errors(self.fitted(strength, r), r) for r in each])
 
 
 def _bounded(normal: FloatArray, moment: FloatArray, lower: FloatArray) -> FloatArray:
-    """Solution of normal equations; what falls below its lower bound is held there."""
+    """Solution of normal equations with lower bounds, by an active-set method."""
     found = np.where(np.isfinite(lower), lower, 0.0)
     free = np.ones(len(lower), dtype=bool)
     while free.any():
@@ -97,16 +96,19 @@ def _bounded(normal: FloatArray, moment: FloatArray, lower: FloatArray) -> Float
 
 
 def standard_error(differences: FloatArray) -> float:
-    """Of the sum of independent differences."""
+    """Standard error of the sum of independent ``differences``; infinite for a single one."""
     n = len(differences)
     return float(np.sqrt(n) * np.std(differences, ddof=1)) if n > 1 else np.inf
 
 
 def simplest(errors: Sequence[FloatArray]) -> int:
-    """The last of models, the most complex first, whose error is within one standard error of the
-    least (Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, sec. 7.10).
+    """Index of the simplest model whose error is within one standard error of the smallest.
 
-    Errors are compared by their logarithms, so that no recording counts more than another.
+    This is the one-standard-error rule (Hastie, Tibshirani, Friedman, The Elements of Statistical
+    Learning, sec. 7.10.1). Logarithms of errors are compared, so that all recordings count equally.
+
+    Args:
+        errors: (recordings,) squared errors of each model, the most complex model first.
     """
     best = int(np.argmin([e.sum() for e in errors]))
     for k in reversed(range(len(errors))):
@@ -117,6 +119,6 @@ def simplest(errors: Sequence[FloatArray]) -> int:
 
 
 def log_ratio(errors: FloatArray, others: FloatArray) -> FloatArray:
-    """(recordings,) logarithm of how many times as large squared errors are as others."""
+    """(recordings,) logarithm of the ratio of ``errors`` to ``others``, both squared errors."""
     ratio: FloatArray = np.log(np.maximum(errors, 1e-12)) - np.log(np.maximum(others, 1e-12))
     return ratio

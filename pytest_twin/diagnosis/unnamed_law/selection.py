@@ -1,4 +1,4 @@
-"""Which variables a missing force depends on: one, or a force and a friction."""
+"""Selection of the variables of a missing force: one table, or a force and a friction."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from pytest_twin.diagnosis.unnamed_law.regression import (
 )
 from pytest_twin.effects.unnamed_law import KNOTS
 
-# A table is moved to where its force acts if that is less than half of its range; the margin is in
-# shares of the new range.
+# A table is restricted to the range with ``_ACTS`` of its squared force if this is less than
+# ``_NARROW`` of the whole range. The margin at each end is a share of the new range.
 _ACTS, _NARROW, _MARGIN = 0.98, 0.5, 0.25
-# Singles that are tried over a narrow range, too.
-_FOREMOST = 3
+# Number of best tables that are tried over a narrow range, and combined in pairs.
+_BEST = 3
 _SECOND, _SECOND_OF_ALL = 0.1, 0.005
-"""Shares of the remaining error, and of all error, that a second table must remove."""
+"""Shares of the remaining and of the whole squared error that a second table must remove."""
 
 
 @dataclass(frozen=True, slots=True)
 class Data:
-    """What is to be explained at one joint, and to what weights.
+    """The residual that a law at one joint has to explain.
 
     Attributes:
-        linear: around the hypothesis.
-        joint: column.
+        linear: the linearization around the findings.
+        joint: column of the joint.
         residual: (bins, signals) measured minus predicted.
-        weights: (signals,) reciprocal deviations.
-        recording: (bins,) number of the recording of each.
-        level: dry friction at the joint already, N*m or N.
+        weights: (signals,) reciprocal standard deviations.
+        recording: (bins,) index of the recording of each bin.
+        level: dry friction that the joint already has, N*m or N.
     """
 
     linear: Linear
@@ -59,12 +59,12 @@ class Data:
     def regression(
         self, tables: Sequence[Covariate], responses: FloatArray, residual: FloatArray
     ) -> Regression:
-        """The sums of these tables.
+        """The least-squares sums of some tables.
 
         Args:
-            tables: in their order.
-            responses: (bins * signals, p) weighted, of all tables.
-            residual: (bins, signals).
+            tables: the tables, in the order of the columns of ``responses``.
+            responses: (bins * signals, p) weighted responses to the values at all knots.
+            residual: (bins, signals) measured minus predicted.
         """
         target = (residual * self.weights).ravel()
         owner = np.repeat(self.recording, len(self.weights))
@@ -84,14 +84,14 @@ class Data:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Tables at one joint, as cross-validation has them.
+    """Tables at one joint with the penalty that cross-validation chooses.
 
     Attributes:
-        tables: one or two.
-        responses: (bins * signals, p) weighted.
-        regression: its sums.
-        strength: of the penalty.
-        errors: (recordings,) squared error of each, predicted from the others.
+        tables: one or two tables.
+        responses: (bins * signals, p) weighted responses to the values at the knots.
+        regression: the least-squares sums.
+        strength: the penalty, one of ``STRENGTHS``.
+        errors: (recordings,) squared error of each recording with coefficients from the others.
     """
 
     tables: tuple[Covariate, ...]
@@ -102,12 +102,12 @@ class Chosen:
 
     @property
     def coefficients(self) -> FloatArray:
-        """(p,) from all recordings."""
+        """(p,) values at the knots from all recordings, N*m or N."""
         return self.regression.fitted(self.strength)
 
 
 def judged(data: Data, tables: Sequence[Covariate], responses: FloatArray) -> Chosen:
-    """Tables with the strongest penalty that predicts within one standard error of the best."""
+    """Tables with the strongest penalty whose error is within one standard error of the best."""
     regression = data.regression(tables, responses, data.residual)
     errors = [regression.left_out_errors(s) for s in STRENGTHS]
     k = simplest(errors)
@@ -115,14 +115,14 @@ def judged(data: Data, tables: Sequence[Covariate], responses: FloatArray) -> Ch
 
 
 def ranked(data: Data) -> list[Chosen]:
-    """One table over each variable, the best first, over a narrow range where it acts in one."""
+    """A table over each variable, the best first; over a narrow range if the force is local."""
     singles = []
     for covariate in covariates(data.linear, data.joint):
         responses = data.responses(covariate)
         if np.isfinite(responses).all() and responses.any():
             singles.append(judged(data, [covariate], responses))
     order = sorted(singles, key=_error)
-    for one in order[:_FOREMOST]:
+    for one in order[:_BEST]:
         narrow = _narrowed(one.tables[0], one.coefficients)
         if narrow is not None:
             other = judged(data, [narrow], data.responses(narrow))
@@ -132,10 +132,10 @@ def ranked(data: Data) -> list[Chosen]:
 
 
 def with_second(data: Data, singles: Sequence[Chosen]) -> Chosen:
-    """The best single table, or a force and a friction where the second is worth it."""
+    """The best single table, or a force and a friction if the second table removes enough."""
     best = singles[0]
     forces, frictions = (
-        [c for c in singles if c.tables[0].is_friction is dry][:_FOREMOST] for dry in (False, True)
+        [c for c in singles if c.tables[0].is_friction is dry][:_BEST] for dry in (False, True)
     )
     pairs = []
     for a, b in itertools.product(forces, frictions):
@@ -154,7 +154,7 @@ def _error(chosen: Chosen) -> float:
 
 
 def _simplest_first(chosen: Sequence[Chosen]) -> list[Chosen]:
-    """The best first; before it the first in the given order that is within one standard error."""
+    """Tables by error, after the first in the given order within one standard error of the best."""
     if not chosen:
         return []
     order = sorted(chosen, key=_error)
@@ -166,7 +166,7 @@ def _simplest_first(chosen: Sequence[Chosen]) -> list[Chosen]:
 
 
 def _narrowed(covariate: Covariate, values: FloatArray) -> Covariate | None:
-    """The same variable with knots where the force acts alone; None where that is everywhere."""
+    """The variable with knots only where the force acts; None if it acts over most of the range."""
     mass = values**2 * covariate.occupancy
     total = float(mass.sum())
     if total <= 0.0:

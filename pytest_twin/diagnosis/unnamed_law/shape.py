@@ -1,4 +1,4 @@
-"""A curve in words, and the law with a name that it resembles."""
+"""Description of a curve in words, and the known effect with the same shape."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from pytest_twin.effects.unnamed_law import (
     Variable,
 )
 
-# Share of the peak from which a stretch of a curve is described, and stretches at most.
+# Smallest height of a described part of a curve, as a share of the peak; largest number of parts.
 _DESCRIBED, _MOST_STRETCHES = 0.3, 3
-# Share of a curve's mean square, where the joint was, that a known law must reproduce.
+# Share of the curve's mean square, weighted by occupancy, that a known law must reproduce.
 _RESEMBLES = 0.97
-# Periods within the range that show a curve to be periodic.
+# Smallest number of periods within the range of a periodic curve.
 _PERIODS = 1.5
 
 
@@ -31,11 +31,11 @@ class Curve:
     """A table over one variable.
 
     Attributes:
-        variable: of the table.
-        is_friction: whether it is a level of friction, not a force.
-        units: of the variable and of the force.
-        knots, values: (n,).
-        half_width: (n,) of the 95 % band.
+        variable: argument of the table.
+        is_friction: whether the table is a level of dry friction instead of a force.
+        units: units of the variable and of the force.
+        knots, values: (n,) in these units.
+        half_width: (n,) half width of the 95 % band.
         occupancy: (n,) share of the samples near each knot.
         valid: range of the variable in the recordings.
     """
@@ -51,13 +51,13 @@ class Curve:
 
     @property
     def peak(self) -> int:
-        """Number of the knot with the largest force among those that the joint passed."""
+        """Index of the knot with the largest force among those that the joint has passed."""
         passed = self.occupancy > 0.0
         return int(np.argmax(np.where(passed, np.abs(self.values), -1.0)))
 
 
 def in_words(curve: Curve) -> str:
-    """What the curve does where its band excludes zero, with units."""
+    """Description of the parts of the curve whose band excludes zero, with units."""
     unit, force = curve.units
     stretches = _stretches(curve)
     if not stretches:
@@ -93,7 +93,7 @@ def _said(curve: Curve, inside: slice, unit: str, force: str) -> str:
 
 
 def _towards_or_away(curve: Curve, first: slice, second: slice) -> str | None:
-    """Two neighbouring stretches of opposite sign: a pull towards a place, or a push away."""
+    """Description of two neighbouring parts of opposite sign as attraction or repulsion."""
     a, b = (float(curve.values[s][np.argmax(np.abs(curve.values[s]))]) for s in (first, second))
     gap = float(curve.knots[second.start] - curve.knots[first.stop - 1])
     width = float(curve.knots[second.stop - 1] - curve.knots[first.start])
@@ -124,11 +124,11 @@ def _stretches(curve: Curve) -> list[slice]:
 
 
 def resembles(curve: Curve, *, turns: bool) -> str | None:
-    """The id of the simplest known effect that has nearly this curve; None without one.
+    """The id of the simplest effect of the catalogue with nearly this curve; None without one.
 
     Args:
         curve: the table.
-        turns: whether the joint is a hinge, so that a wave may be one of its gear or motor.
+        turns: whether the joint is a hinge, so that a periodic curve may come from gear or motor.
     """
     for effect, columns in _templates(curve).items():
         if _share(curve, columns) >= _RESEMBLES:
@@ -136,7 +136,7 @@ def resembles(curve: Curve, *, turns: bool) -> str | None:
     if turns and curve.variable is POSITION:
         span = curve.knots[-1] - curve.knots[0]
         for k in range(max(int(np.ceil(_PERIODS * 2.0 * np.pi / span)), 1), 201):
-            # Two samples a period at least.
+            # At least two knots for each period.
             if k * span > np.pi * (len(curve.knots) - 1):
                 break
             wave = [np.sin(k * curve.knots), np.cos(k * curve.knots)]
@@ -152,7 +152,7 @@ def resembles(curve: Curve, *, turns: bool) -> str | None:
 
 
 def _templates(curve: Curve) -> Mapping[str, FloatArray]:
-    """Effect -> (knots, parameters) curves that it can have."""
+    """Effect -> (knots, parameters) basis of the curves that it can have."""
     x = curve.knots
     one = np.ones_like(x)
     known: Mapping[tuple[Variable, bool], Mapping[str, Callable[[], list[FloatArray]]]] = {
@@ -181,7 +181,7 @@ def _templates(curve: Curve) -> Mapping[str, FloatArray]:
 
 
 def _share(curve: Curve, columns: FloatArray) -> float:
-    """Share of the curve's mean square, weighted by occupancy, that columns reproduce."""
+    """Share of the curve's mean square, weighted by occupancy, that a basis reproduces."""
     root = np.sqrt(curve.occupancy)
     target = root * curve.values
     total = float(target @ target)

@@ -1,4 +1,4 @@
-"""Free laws in a diagnosis: fitted before the test recordings are opened, then tested on them."""
+"""Test of free laws on the test recordings, which were not used for their fit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, law_json
 from pytest_twin.diagnosis.windows import WINDOW
 
 _EARLY = 0.5
-"""Largest confidence where known effects were not all tried."""
+"""Largest confidence if the search over the effects of the catalogue ended early."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,10 @@ class TestedLaws:
     """Free laws that the test recordings confirm.
 
     Attributes:
-        laws: with the share of the squared test error that each removes.
+        laws: laws, each with the share of the squared test error that it removes.
         hypothesis: the findings and the laws, in the numbering of the fitted problem.
-        tested: the diagnosis on the test recordings, with errors after the laws; its verdict and
-            findings are those of effects with a name.
+        tested: the result on the test recordings, with errors after the laws; its verdict and
+            findings are those of the catalogue's effects alone.
         notes: one line each.
     """
 
@@ -46,22 +46,23 @@ class TestedLaws:
 
     @property
     def findings_json(self) -> list[dict[str, Any]]:
-        """Entries of ``diagnosis.json``, below every effect with a name."""
+        """The laws as findings of ``diagnosis.json``; they follow the catalogue's effects."""
         return [law_json(law, gain) for law, gain in self.laws]
 
     def removed(self, joint: str) -> float | None:
-        """Share of the squared test error that the laws at a joint remove; None without one."""
+        """Share of the squared test error that the laws at a joint remove; None without a law."""
         gains = [gain for law, gain in self.laws if law.joint == joint]
         return max(gains, default=None)
 
 
 def laws_left(given: ModelSetup, found: SearchResult, near: float | None) -> FreeLaws:
-    """Free laws for what a search leaves unexplained.
+    """Free laws for the residual that a search leaves unexplained.
 
     Args:
-        given: the model, and how it is stepped.
-        found: the search with its final parameters; all its recordings may be used.
-        near: window length, s, in which the residual is located; None for the problem itself.
+        given: the model with its simulation settings.
+        found: the result with its final parameters; all of its recordings may be used.
+        near: length in s of the windows in which the residual is located; None for the segments of
+            the problem.
     """
     hypothesis = found.explained.hypothesis
     if found.verdict not in ("improved", "unexplained"):
@@ -79,14 +80,14 @@ def laws_left(given: ModelSetup, found: SearchResult, near: float | None) -> Fre
 def on_test(
     found: FreeLaws, fitted: Problem, tested: SearchResult, *, searched_all: bool = True
 ) -> TestedLaws:
-    """Predict the test recordings with the laws; those that they do not confirm are dropped.
+    """Predict the test recordings with the laws, and drop laws that remove too little of the error.
 
     Args:
         found: the laws.
-        fitted: the problem whose numbering they have.
-        tested: the diagnosis on the test recordings.
-        searched_all: whether the search over effects with a name came to its end; confidence is at
-            most 50 % where it did not.
+        fitted: the problem to whose joints they refer.
+        tested: the result on the test recordings.
+        searched_all: whether the search over the catalogue was completed; otherwise confidences are
+            at most 50 %.
     """
     problem, named = tested.prepared.problem, tested.explained.hypothesis
     laws = found.laws if tested.verdict in ("improved", "unexplained") else ()
@@ -133,11 +134,12 @@ def on_test(
 
 
 def _moved(term: Term, column: Mapping[int, int]) -> Term:
+    """A term in the numbering of the tested joints."""
     return Term(term.effect, column[term.joint])
 
 
 def _with(named: Hypothesis, laws: Hypothesis, terms: Mapping[Term, Term]) -> Hypothesis:
-    """Findings with laws, whose terms are renumbered."""
+    """The findings ``named`` with laws in addition; ``terms`` maps laws to renumbered terms."""
     out = named
     for term, here in terms.items():
         out = out.with_term(here, laws.theta[laws.slice_of(term)])
@@ -145,12 +147,12 @@ def _with(named: Hypothesis, laws: Hypothesis, terms: Mapping[Term, Term]) -> Hy
 
 
 def _squared(problem: Problem, residual: FloatArray) -> float:
-    """Squared error of the test recordings, in noise floors."""
+    """Sum of squared errors of the test recordings, in noise floors."""
     return float(np.sum((residual[problem.in_test] / problem.signal_floor) ** 2))
 
 
 def _gain(without: float, with_it: float) -> float:
-    """Share of a squared error that is gone; 1 where the simulation diverges without."""
+    """Removed share of a squared error; 1 if it diverges without the law, -1 with it."""
     if not np.isfinite(with_it):
         return -1.0
     if not np.isfinite(without):
