@@ -21,7 +21,7 @@ from pytest_twin.calibration.clocks.offset import ClockFit, errors_at, fit_clock
 from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.plan import Plan
-from pytest_twin.calibration.problem import INVERTED_RECORDS, records_of
+from pytest_twin.calibration.problem import INVERTED_RECORDS, records_of, words_of
 from pytest_twin.calibration.records import inverse_with_covariance
 from pytest_twin.calibration.residual_errors import accepted
 from pytest_twin.calibration.residual_patterns import pattern_of
@@ -66,6 +66,10 @@ def calibrate_streams(plan: Plan) -> dict[str, Any]:
         TwinError: a stream that cannot be used.
     """
     hand, camera = (read_stream(plan.streams[name]) for name in ("hand", "camera"))
+    if plan.mount == "world":
+        # A camera that stands still is carried by the base, as the flange sees it. Errors are then
+        # at the target, which is measured, and not at the camera, where angles add to them.
+        hand = replace(hand, inverted=True)
     document: dict[str, Any] = {
         "schema": 1,
         "calibration": plan.id,
@@ -133,8 +137,8 @@ def _solve(
     stretches: tuple[np.ndarray, np.ndarray],
 ) -> None:
     fitted, held_out = stretches
-    start = _start(hand, camera.rows(fitted), found.offset, plan)
-    seen = _seen(camera, plan, start.inverted)
+    start = _start(hand, camera.rows(fitted), found.offset)
+    seen = _seen(camera, start.inverted)
     mine, theirs = camera.rows(fitted), camera.rows(held_out)
     at = start.solved[start.solver]
     fit = fit_clocks(hand, mine, seen[fitted], found.offset, at, middle, with_drift=False)
@@ -152,9 +156,9 @@ def _solve(
         )
     if drift.get("value") is None:
         document["notes"].append(drift["why"])
-    document["unobservable"] = _undetermined(fit)
+    document["unobservable"] = _undetermined(plan, fit)
     document["records"] = _records(plan, fit, drift, found)
-    document["covariance"] = _together(fit)
+    document["covariance"] = _together(plan, fit)
     document["fitted"] = _summary(fit.translation, fit.rotation)
     if len(held_out):
         document["held_out"] = _summary(*errors_at(hand, theirs, seen[held_out], fit, middle))
@@ -172,7 +176,7 @@ def _solve(
     document["verdict"] = "rejected" if document["reasons"] else "accepted"
 
 
-def _start(hand: PoseStream, camera: PoseStream, offset: float, plan: Plan) -> Start:
+def _start(hand: PoseStream, camera: PoseStream, offset: float) -> Start:
     """The best algebraic solution, with the camera's stream read in both directions."""
     time = camera.time + offset
     inside = np.flatnonzero((time > hand.time[0]) & (time < hand.time[-1]))
@@ -182,7 +186,7 @@ def _start(hand: PoseStream, camera: PoseStream, offset: float, plan: Plan) -> S
     flange = hand.at(time[chosen])
     best, least = Start("", {}, False), np.inf
     for inverted in (False, True):
-        seen = _seen(camera.rows(chosen), plan, inverted)
+        seen = _seen(camera.rows(chosen), inverted)
         solved = solve_all(flange, inverse(seen), "hand")
         for name, one in solved.items():
             if one.failed:
@@ -199,24 +203,35 @@ def _start(hand: PoseStream, camera: PoseStream, offset: float, plan: Plan) -> S
     return best
 
 
-def _seen(camera: PoseStream, plan: Plan, inverted: bool) -> FloatArray:
+def _seen(camera: PoseStream, inverted: bool) -> FloatArray:
     """(n, 4, 4) ``seen`` with ``hand @ hand_eye = robot_world @ seen``."""
-    return inverse(camera.poses) if (plan.mount == "hand") != inverted else camera.poses
+    return camera.poses if inverted else inverse(camera.poses)
 
 
-def _undetermined(fit: ClockFit) -> list[str]:
+def _around(plan: Plan, fit: ClockFit) -> dict[str, tuple[slice, FloatArray]]:
+    """Place in the covariance, and (4, 4) pose, of what is mounted on the flange and of the world.
+
+    A camera that stands still was fitted with the flange's poses inverted.
+    """
+    eye, world = (slice(2, 8), fit.solved.hand_eye), (slice(8, 14), fit.solved.robot_world)
+    mounted, standing = (eye, world) if plan.mount == "hand" else (world, eye)
+    return {"mounted": mounted, "world": standing}
+
+
+def _undetermined(plan: Plan, fit: ClockFit) -> list[str]:
     found = []
     if not fit.interval(0) < MOST_OFFSET_SPREAD_S:
         found.append(
             f"the time offset: its 95 % interval is {1e3 * fit.interval(0):.0f} ms to either side; "
             "move the hand faster"
         )
-    for name, place in (("hand-eye", 2), ("robot-world", 8)):
-        values, axes = np.linalg.eigh(fit.covariance[place : place + 3, place : place + 3])
+    for role, (place, _) in _around(plan, fit).items():
+        values, axes = np.linalg.eigh(fit.covariance[place, place][:3, :3])
         if not np.sqrt(max(values[-1], 0.0)) < MOST_POSITION_SPREAD_M:
             axis = ", ".join(f"{v:.2f}" for v in axes[:, -1])
             found.append(
-                f"the position of {name} along ({axis}): turn the hand about a second axis"
+                f"the position of {words_of(f'camera.{role}', plan.mount)} along ({axis}): turn "
+                "the hand about a second axis"
             )
     return found
 
@@ -268,23 +283,21 @@ def _records(plan: Plan, fit: ClockFit, drift: dict[str, Any], found: Correlated
     }
     flange = plan.flange or "hand"
     carried, standing = ("camera", "target") if plan.mount == "hand" else ("target", "camera")
-    for role, place, pose, parent, child in (
-        ("mounted", 2, fit.solved.hand_eye, flange, carried),
-        ("world", 8, fit.solved.robot_world, "base", standing),
-    ):
+    frames = {"mounted": (flange, carried), "world": ("base", standing)}
+    for role, (place, pose) in _around(plan, fit).items():
         names = [n for n in records_of(role, "camera", plan.mount) if n in plan.estimate]
-        for name in names or [child]:
-            records[name] = _pose(name, fit, place, pose, (parent, child), asked=bool(names))
+        for name in names or [frames[role][1]]:
+            records[name] = _pose(name, fit, place, pose, frames[role], asked=bool(names))
     return records
 
 
-def _together(fit: ClockFit) -> dict[str, Any]:
-    """Covariance of offset, hand-eye and robot-world together, rotations about the child's axes."""
-    kept = [0, *range(2, 14)]
+def _together(plan: Plan, fit: ClockFit) -> dict[str, Any]:
+    """Covariance of the offset and both poses together, rotations about the child's axes."""
+    around = _around(plan, fit)
+    kept = [0, *(at for place, _ in around.values() for at in range(place.start, place.stop))]
     turn = np.eye(len(kept))
-    turn[1:7, 1:7] = _about_child(fit.solved.hand_eye)
-    turn[7:, 7:] = _about_child(fit.solved.robot_world)
-    names = [f"pose:camera.{role}.{label}" for role in ("mounted", "world") for label in _LABELS]
+    turn[1:7, 1:7], turn[7:, 7:] = (_about_child(pose) for _, pose in around.values())
+    names = [f"pose:camera.{role}.{label}" for role in around for label in _LABELS]
     matrix = turn @ fit.covariance[np.ix_(kept, kept)] @ turn.T
     return {"of": ["time_offset", *names], "matrix": matrix.tolist()}
 
@@ -299,7 +312,7 @@ def _about_child(pose: FloatArray) -> FloatArray:
 def _pose(
     name: str,
     fit: ClockFit,
-    place: int,
+    place: slice,
     pose: FloatArray,
     frames: tuple[str, str],
     *,
@@ -307,13 +320,13 @@ def _pose(
 ) -> dict[str, Any]:
     parent, child = frames
     turn = _about_child(pose)
-    covariance = turn @ fit.covariance[place : place + 6, place : place + 6] @ turn.T
+    covariance = turn @ fit.covariance[place, place] @ turn.T
     if name in INVERTED_RECORDS:
         pose, covariance = inverse_with_covariance(pose, covariance)
         parent, child = "world", parent
     middle = [*pose[:3, 3], 0.0, 0.0, 0.0]
     # The pose's axes are turned: the widest of its quantiles holds for each of them.
-    width = fit.quantile[place : place + 6].max() * np.sqrt(np.diag(covariance))
+    width = fit.quantile[place].max() * np.sqrt(np.diag(covariance))
     return {
         "parent": parent,
         "child": child,

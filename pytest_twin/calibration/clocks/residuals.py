@@ -17,7 +17,7 @@ _APART_S = 1.0
 def residuals_of(
     hand: PoseStream, camera: PoseStream, seen: FloatArray, fit: ClockFit, middle: float
 ) -> Residuals:
-    """Errors of the target's position in the base, one a second.
+    """Errors of the target's position, one a second: in the base, or in the flange that carries it.
 
     Args:
         hand, camera: the streams.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.cameras.increments import inverse
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
@@ -31,11 +32,13 @@ class PoseStream:
 
     Attributes:
         time: (n,) s, ascending.
-        poses: (n, 4, 4) m.
+        poses: (n, 4, 4) m, as the file has them.
+        inverted: whether ``at`` gives the inverse of the interpolated poses.
     """
 
     time: FloatArray
     poses: FloatArray
+    inverted: bool = False
 
     @cached_property
     def _turning(self) -> Slerp:
@@ -48,11 +51,11 @@ class PoseStream:
         found[:, :3, :3] = self._turning(inside).as_matrix()
         for axis in range(3):
             found[:, axis, 3] = np.interp(inside, self.time, self.poses[:, axis, 3])
-        return found
+        return inverse(found) if self.inverted else found
 
     def rows(self, chosen: np.ndarray) -> PoseStream:
         """Some of the poses."""
-        return PoseStream(self.time[chosen], self.poses[chosen])
+        return replace(self, time=self.time[chosen], poses=self.poses[chosen])
 
 
 def read_stream(path: Path) -> PoseStream:
