@@ -657,7 +657,9 @@ class _Reader:
             )
             gone = {name for one in (*found, entry) for name in one.supersedes}
             for other in found:
-                twice = _used(other) & _used(entry)
+                # Joint zeros of an external measurement refine an encoder's home.
+                refined = {_zero_of(j) for j in other.record.homes if j not in record.homes}
+                twice = (_used(other) & _used(entry)) - refined
                 if twice and other.record.id not in gone:
                     raise self.section.error(
                         where,
@@ -665,8 +667,24 @@ class _Reader:
                         value=f"{other.record.id}, {record.id}",
                         expected=f"supersedes: [{other.record.id}], or use: with other records",
                     )
+            self._check_homes(entry, where)
             found.append(entry)
         return tuple(found)
+
+    def _check_homes(self, entry: CalibrationEntry, where: str) -> None:
+        """An encoder's home holds for the sign of the reading with which it was found."""
+        calibration = self._calibration()
+        stated = {} if calibration is None else calibration.joints
+        for joint, sign in entry.record.homes.items():
+            mine = stated.get(joint, JointCalibration()).sign
+            if "joint_zeros" in entry.use and sign != mine:
+                raise self.section.error(
+                    f"{where}.file",
+                    f"the home of {joint} was found with another sign of its encoder",
+                    value=sign,
+                    expected=f"{mine:g}, as calibration.joints.{joint} states it; measure the home "
+                    "with robot: twin.yaml",
+                )
 
     def _fits(self) -> tuple[Fit | None, tuple[FitEntry, ...]]:
         """What holds of ``fit:``, one table or a list of records, and the records themselves."""
@@ -831,10 +849,14 @@ def _used(entry: CalibrationEntry) -> set[str]:
     """What a twin takes from a record: ``zero of JOINT`` and ``base_world``."""
     found = set()
     if "joint_zeros" in entry.use:
-        found |= {f"zero of {joint}" for joint in entry.record.joint_zeros}
+        found |= {_zero_of(joint) for joint in entry.record.joint_zeros}
     if "base_world" in entry.use and entry.record.base_world is not None:
         found.add("base_world")
     return found
+
+
+def _zero_of(joint: str) -> str:
+    return f"zero of {joint}"
 
 
 def _laid_over(

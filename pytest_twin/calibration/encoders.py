@@ -81,9 +81,10 @@ def calibrate_encoders(
     unobservable: list[str] = []
     notes: list[str] = []
     for joint, readings in observations.joints.items():
-        unit = "rad"
+        unit, sign = "rad", 1.0
         if chain is not None and joint in chain.joints:
-            unit = "rad" if chain.revolute[chain.joints.index(joint)] else "m"
+            at = chain.joints.index(joint)
+            unit, sign = "rad" if chain.revolute[at] else "m", float(chain.signs[at])
         groups = _groups(readings, poses, sides)
         pooled = _pooled(groups)
         if isinstance(pooled, str):
@@ -99,10 +100,12 @@ def calibrate_encoders(
         else:
             hysteresis[joint] = apart
         reference = {
-            pose: stated[joint] for pose, stated in plan.references.items() if joint in stated
+            pose: sign * stated[joint]
+            for pose, stated in plan.references.items()
+            if joint in stated
         }
         if reference:
-            home[joint] = _home(groups, pooled, reference, unit)
+            home[joint] = _home(groups, pooled, reference, unit, sign)
             if any(len(_sides_of(groups, pose)) < 2 for pose in reference):
                 notes.append(
                     f"{joint}: its reference position was approached from one side, so that half "
@@ -112,7 +115,7 @@ def calibrate_encoders(
     records = {
         ENCODERS: (repeated, "standard deviation of the readings in one pose, from one side"),
         "encoder_hysteresis": (hysteresis, "reading after approach from + minus that from -"),
-        "encoder_home": (home, "position = reading + value"),
+        "encoder_home": (home, "model position = sign * encoder reading + value"),
     }
     return {
         "schema": 1,
@@ -223,9 +226,21 @@ def _hysteresis(groups: tuple[_Group, ...], pooled: _Pooled, unit: str) -> dict[
 
 
 def _home(
-    groups: tuple[_Group, ...], pooled: _Pooled, reference: Mapping[str, float], unit: str
+    groups: tuple[_Group, ...],
+    pooled: _Pooled,
+    reference: Mapping[str, float],
+    unit: str,
+    sign: float,
 ) -> dict[str, Any]:
-    """What is added to the reading, from the middle of both sides in each reference pose."""
+    """What is added to the reading, from the middle of both sides in each reference pose.
+
+    Args:
+        groups: of the joint.
+        pooled: spread of its readings.
+        reference: pose -> position, counted as the encoder counts it, rad or m.
+        unit: of the positions.
+        sign: of the encoder against the model.
+    """
     offsets, variances = [], []
     for pose, position in reference.items():
         both = _sides_of(groups, pose)
@@ -233,4 +248,5 @@ def _home(
         offsets.append(position - float(np.mean([g.readings.mean() for g in mine])))
         variances.append(sum(1.0 / len(g.readings) for g in mine) / len(mine) ** 2)
     count = len(offsets)
-    return pooled.scalar(float(np.mean(offsets)), float(sum(variances)) / count**2, unit)
+    mean, variance = sign * float(np.mean(offsets)), float(sum(variances)) / count**2
+    return {**pooled.scalar(mean, variance, unit), "sign": sign}

@@ -49,7 +49,9 @@ class CalibrationRecord:
         path: the file.
         sha256: of the file, hex.
         verdict: ``accepted``, ``rejected`` or ``degenerate``.
-        joint_zeros: joint -> what is added to its reading, rad or m.
+        joint_zeros: joint -> what is added to its reading, rad or m: an encoder's home, where no
+            external measurement of the joint is in the record.
+        homes: joint -> sign of the reading with which its encoder's home was found.
         base_world: position (m) and quaternion w x y z of the base in the world, or None.
         held_out: root mean squares on observations that nothing was fitted on, m and rad.
         transforms: record -> position (m) and quaternion w x y z of its child in its parent; the
@@ -86,6 +88,7 @@ class CalibrationRecord:
     deviations: Mapping[str, Deviation] = field(default_factory=dict)
     time_offset: tuple[float, float] | None = None
     scale: float | None = None
+    homes: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_calibration_record(path: Path) -> CalibrationRecord:
@@ -101,9 +104,10 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
         if content["schema"] != 1:
             raise KeyError("schema")
         records = content["records"]
-        zeros = records.get("joint_zeros", {"values": {}})["values"]
+        homes = records.get("encoder_home", {"values": {}})["values"]
+        zeros = {**homes, **records.get("joint_zeros", {"values": {}})["values"]}
         base = records.get("base_world")
-        together = content.get("covariance", {"of": [], "matrix": []})
+        together = content.get("covariance", _of_homes(homes))
         names = tuple(text(name) for name in together["of"])
         offset = records.get("time_offset")
         return CalibrationRecord(
@@ -165,6 +169,7 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
             if offset is None
             else (number(offset["value"]), standard_deviation(offset["ci95"])),
             scale=number(records["scale"]["value"]) if "scale" in records else None,
+            homes={text(name): number(one["sign"]) for name, one in homes.items()},
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise FormatError(
@@ -172,6 +177,14 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
             path=path,
             expected="calibration.json of pytest-twin calibrate, schema 1",
         ) from None
+
+
+def _of_homes(homes: Mapping[str, Any]) -> dict[str, Any]:
+    """Covariance of encoders' homes, which are independent of one another."""
+    sizes = [standard_deviation(one["ci95"]) ** 2 for one in homes.values()]
+    count = range(len(sizes))
+    matrix = [[sizes[row] if row == column else 0.0 for column in count] for row in count]
+    return {"of": [f"joint_zeros.{name}" for name in homes], "matrix": matrix}
 
 
 def _transform(value: Any) -> Transform:

@@ -102,3 +102,50 @@ def test_a_record_that_cannot_be_used_is_refused(
     with pytest.raises(TwinError) as error:
         twin(tmp_path, f"calibrations: [{{file: {file}}}]\n")
     assert words in str(error.value)
+
+
+def homes(sign: float = 1.0) -> dict[str, Any]:
+    value = {"value": 0.031, "unit": "rad", "ci95": [0.029, 0.033], "sign": sign}
+    return {"encoder_home": {"values": {"elbow": value}}}
+
+
+def test_the_home_of_an_encoder_is_taken_over_with_its_uncertainty(tmp_path: Path) -> None:
+    file = saved(tmp_path, "encoders", records=homes())
+    found = twin(tmp_path, f"calibrations: [{{file: {file}}}]\n")
+    assert found.calibration is not None
+    assert found.calibration.joints["elbow"].offset == 0.031
+    record = found.calibrations[0].record
+    assert record.covariance_names == ("joint_zeros.elbow",)
+    assert record.covariance[0][0] == pytest.approx((0.002 / 1.96) ** 2, rel=1e-3)
+
+
+def test_a_measured_zero_refines_the_home_and_no_home_comes_after_it(tmp_path: Path) -> None:
+    first = saved(tmp_path, "encoders", records=homes())
+    second = saved(tmp_path, "october")
+    found = twin(tmp_path, f"calibrations:\n- {{file: {first}}}\n- {{file: {second}}}\n")
+    assert found.calibration is not None
+    assert found.calibration.joints["elbow"].offset == 0.02
+    with pytest.raises(TwinError, match="zero of elbow is in two calibrations"):
+        twin(tmp_path, f"calibrations:\n- {{file: {second}}}\n- {{file: {first}}}\n")
+
+
+def test_a_home_with_the_other_sign_of_its_encoder_is_refused(tmp_path: Path) -> None:
+    file = saved(tmp_path, "encoders", records=homes())
+    text = (
+        "calibration: {id: wiring, joints: {elbow: {sign: -1}}}\n"
+        f"calibrations: [{{file: {file}}}]\n"
+    )
+    with pytest.raises(TwinError) as error:
+        twin(tmp_path, text)
+    assert str(error.value).endswith(
+        "twin.yaml:3: calibrations.0.file: the home of elbow was found with another sign of its "
+        "encoder (got 1.0; expected -1, as calibration.joints.elbow states it; measure the home "
+        "with robot: twin.yaml)"
+    )
+    file = saved(tmp_path, "encoders", records=homes(-1.0))
+    found = twin(tmp_path, text)
+    assert found.calibration is not None
+    assert (found.calibration.joints["elbow"].sign, found.calibration.joints["elbow"].offset) == (
+        -1.0,
+        0.031,
+    )

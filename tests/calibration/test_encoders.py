@@ -15,6 +15,7 @@ from pytest_twin.calibration.encoders import calibrate_encoders
 from pytest_twin.calibration.observations import load_observations
 from pytest_twin.calibration.plan import load_plan
 from pytest_twin.errors import FormatError, SpecError
+from pytest_twin.twin import load_twin
 
 NOISE, GAP, HOME = 2e-4, 1e-3, 0.031
 STOP = -1.5
@@ -117,3 +118,33 @@ def test_another_word_for_a_side_is_an_error_with_its_line(tmp_path):
     with pytest.raises(FormatError, match="no side of approach") as error:
         load_observations(table)
     assert error.value.line == 2
+
+
+def test_a_twin_takes_over_the_home_that_the_command_found(tmp_path):
+    """Written, calibrated, listed in the twin, and the reading of the stop is its position."""
+    rng = np.random.default_rng(3)
+    (tmp_path / "model.xml").write_text(
+        '<mujoco><worldbody><body name="arm"><joint name="elbow"/><geom size="0.1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    own = "model: model.xml\ncalibration: {id: wiring, joints: {elbow: {sign: -1}}}\n"
+    twin = tmp_path / "twin.yaml"
+    twin.write_text(own)
+    rows = [["id", "joint.elbow", "pose", "approach"]]
+    for number in range(20):
+        reading = -(STOP - HOME) + NOISE * rng.normal()
+        rows.append([str(number), repr(float(reading)), "stop", "+-"[number % 2]])
+    with (tmp_path / "observations.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(
+        "calibration: encoders\nrobot: twin.yaml\nflange: arm\nobservations: observations.csv\n"
+        f"estimate: [encoder_repeatability]\nreferences: {{stop: {{elbow: {STOP}}}}}\n"
+    )
+    assert cli.main(["calibrate", str(plan), "--out", str(tmp_path / "out")]) == 0
+    twin.write_text(own + "calibrations: [{file: out/calibration.json}]\n")
+    found = load_twin(twin).calibration
+    assert found is not None
+    joint = found.joints["elbow"]
+    reading = -(STOP - HOME)
+    assert joint.sign * reading + joint.offset == pytest.approx(STOP, abs=3 * NOISE)
