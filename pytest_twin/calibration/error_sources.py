@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.correlated import block_jackknife, is_odometry
 from pytest_twin.calibration.parameters import State, Variables
 from pytest_twin.calibration.records import Estimate
 from pytest_twin.calibration.solve import Fit, at_state, prior_rows, prior_values
@@ -90,6 +91,10 @@ def weighed_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
     except np.linalg.LinAlgError:
         return found, {}
     quantile = float(student.ppf(0.975, max(fit.degrees, 1.0)))
+    if is_odometry(fit.problem):
+        root = np.swapaxes(np.linalg.cholesky(weights), 1, 2)
+        residuals = np.einsum("nab,nb->na", root, linear.residuals)
+        covariance, quantile = block_jackknife(root @ linear.slopes, residuals, prior)
     better = replace(found, fit=at_state(fit, state), covariance=covariance, quantile=quantile)
     return better, dict(zip(SOURCES, np.sqrt(variances).tolist(), strict=True))
 

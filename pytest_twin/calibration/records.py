@@ -11,6 +11,7 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.calibration.correlated import block_jackknife, is_odometry
 from pytest_twin.calibration.jackknife import jackknife
 from pytest_twin.calibration.observability import Direction, affected
 from pytest_twin.calibration.parameters import POSE_LABELS
@@ -22,7 +23,7 @@ from pytest_twin.calibration.problem import (
     marker_of,
     records_of,
 )
-from pytest_twin.calibration.solve import Fit
+from pytest_twin.calibration.solve import Fit, prior_rows
 from pytest_twin.calibration.tangent import skew
 from pytest_twin.metrics.pose import quaternion_of
 
@@ -67,10 +68,16 @@ def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
 
     The noise is estimated from the residuals, so that intervals use Student's distribution. Where
     an observation holds several measurements, which share the error of the robot's pose, the
-    covariance is that of leaving out whole observations.
+    covariance is that of leaving out whole observations; for odometry, of whole stretches.
     """
     layout = fit.problem.layout
     left_out = jackknife(fit)
+    lost = affected(layout, directions)
+    if is_odometry(fit.problem) and not directions:
+        slopes, residuals = _whitened(fit)
+        prior = prior_rows(fit.problem)
+        covariance, quantile = block_jackknife(slopes, residuals, prior.T @ prior)
+        return Estimate(fit, covariance, quantile, lost, directions, left_out.summary(fit))
     measurements = sum(int(kept.sum()) for kept in fit.kept)
     if measurements > left_out.count:
         covariance, degrees = left_out.covariance, left_out.count - 1.0
@@ -80,8 +87,14 @@ def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
         half = right[sure] / singular[sure, None]
         covariance, degrees = half.T @ half, fit.degrees
     quantile = float(student.ppf(0.975, max(degrees, 1.0)))
-    lost = affected(layout, directions)
     return Estimate(fit, covariance, quantile, lost, directions, left_out.summary(fit))
+
+
+def _whitened(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """(n, 6, count) and (n, 6): the poses that were fitted, divided by their noise."""
+    (term,), (kept,), (residuals,) = fit.problem.terms, fit.kept, fit.residuals
+    slopes = fit.jacobian[: residuals.size].reshape(*residuals.shape, -1)
+    return slopes[kept], residuals[kept] / [fit.noise[name] for name in term.noise]
 
 
 def with_directions(found: Estimate, directions: tuple[Direction, ...]) -> Estimate:

@@ -19,6 +19,9 @@ from rendered_boards import CAMERA, charuco, view
 from simulated import draw_robot, flange_poses, rigid
 
 from pytest_twin import cli
+from pytest_twin.calibration.observations import load_observations
+from pytest_twin.calibration.plan import load_plan
+from pytest_twin.calibration.recordings.gathered import gather
 from pytest_twin.formats.sensor_messages import picture_of
 
 STOPS, STEP_S = 16, 2.0
@@ -103,6 +106,23 @@ def test_several_files_are_taken_together(tmp_path):
     assert status == 0
     assert_near(found, truth)
     assert set(found["inputs"]) >= {"one.mcap", "two.mcap", "plan.yaml", "robot.xml"}
+
+
+def test_the_payload_of_a_recording_is_that_of_its_observations(tmp_path):
+    _, messages = cell(tmp_path, observations=["empty.mcap", "loaded.mcap", "unknown.mcap"])
+    named = {"empty": {"payload": "none"}, "loaded": {"payload": "2 kg"}, "unknown": {}}
+    third = STOPS * STEP_S / 3
+    for number, (name, metadata) in enumerate(named.items()):
+        part = [one for one in messages if number * third <= one[2] < (number + 1) * third]
+        bags.write(tmp_path / f"{name}.mcap", part, metadata)
+    found = gather(load_plan(tmp_path / "plan.yaml"), tmp_path / "kept")
+    payloads = found.observations.payloads
+    assert payloads is not None
+    assert list(dict.fromkeys(payloads)) == ["none", "2 kg", ""]
+    assert all(payloads.count(name) >= STOPS // 3 - 1 for name in ("none", "2 kg", ""))
+    # The tables that are kept say it too.
+    kept = [load_observations(table).payloads for table in found.tables]
+    assert [set(one or ("",)) for one in kept] == [{"none"}, {"2 kg"}, {""}]
 
 
 def test_frames_of_tf_are_connected_and_need_no_model(tmp_path):
