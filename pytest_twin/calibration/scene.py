@@ -62,18 +62,24 @@ def _chain(problem: Problem, state: State, row: int) -> list[dict[str, Any]]:
 
 
 def _frames(problem: Problem, state: State, flange: FloatArray) -> list[dict[str, Any]]:
-    found = [_frame("base", np.eye(4)), _frame(problem.plan.flange, flange)]
+    found = [frame("base", np.eye(4)), frame(problem.plan.flange, flange)]
     for name, pose in state.poses.items():
         words = words_of(name, problem.plan.mount).removeprefix("the ").partition(" ")[0]
         if name.endswith(".mounted"):
-            found.append(_frame(words, flange @ pose))
+            found.append(frame(words, flange @ pose, on_flange=True))
         else:
-            found.append(_frame(words, pose))
+            found.append(frame(words, pose))
     return found
 
 
-def _frame(name: str, pose: FloatArray) -> dict[str, Any]:
-    return {"name": name, "xyz": pose[:3, 3].tolist(), "axes": pose[:3, :3].T.tolist()}
+def frame(name: str, pose: FloatArray, *, on_flange: bool = False) -> dict[str, Any]:
+    """Name, place (m) and axes of a (4, 4) pose in the base, and whether the flange carries it."""
+    return {
+        "name": name,
+        "xyz": pose[:3, 3].tolist(),
+        "axes": pose[:3, :3].T.tolist(),
+        "on_flange": on_flange,
+    }
 
 
 def _arrows(kind: str, problem: Problem, state: State, errors: Errors) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from pytest_twin.report.calibration_plots import (
     residuals_figure,
     scene_figure,
     solvers_figure,
+    speeds_figure,
 )
 from pytest_twin.report.page import style_of, svg_uri, template
 from pytest_twin.report.text import printable
@@ -53,6 +54,7 @@ def render(document: Mapping[str, Any], images: Path) -> str:
         proposed=_proposed(document),
         overlays=_overlays(seen, images),
         residuals=svg_uri(residuals_figure(document)) if seen else None,
+        speeds=svg_uri(speeds_figure(document)) if "angular_speeds" in document else None,
         solvers=svg_uri(solvers_figure(document)) if any(document["solvers"].values()) else None,
         ellipses=[
             (name, svg_uri(covariance_figure(record, name)))

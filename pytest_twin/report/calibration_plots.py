@@ -20,6 +20,8 @@ _ARROW_SHARE = 0.03
 """Length of an arrow that 95 % are shorter than, as a share of the image's width."""
 _ARROW_REACH = 0.12
 """The same for errors in space, as a share of the scene's extent."""
+_LONGEST_BAR = 2.5
+"""Length of the longest bar against the median: one solver that failed hides no other."""
 _ELLIPSE = 2.4477
 """Radius of a 95 % ellipse in standard deviations (chi-square with two degrees of freedom)."""
 
@@ -32,19 +34,39 @@ def solvers_figure(document: Mapping[str, Any]) -> bytes:
         if "translation_rms" in one
     }
     names = sorted(errors, key=lambda name: -errors[name])
+    longest = _LONGEST_BAR * float(np.median(list(errors.values()))) if errors else 1.0
 
     def draw(figure: Figure) -> None:
-        axes = figure.add_axes((0.2, 0.2, 0.75, 0.76))
+        axes = figure.add_axes((0.2, 0.2, 0.7, 0.76))
         colours = [NOW if name == "least_squares" else DIM for name in names]
-        axes.barh(range(len(names)), [errors[n] for n in names], color=colours, height=0.65)
+        lengths = [min(errors[name], longest) for name in names]
+        axes.barh(range(len(names)), lengths, color=colours, height=0.65)
         axes.set_yticks(range(len(names)), [printable(name.replace("_", " ")) for name in names])
-        for at, name in enumerate(names):
-            axes.text(errors[name], at, f" {errors[name]:.2f}", va="center", color=INK)
-        axes.margins(x=0.12)
+        for at, (name, length) in enumerate(zip(names, lengths, strict=True)):
+            cut = " (bar cut)" if errors[name] > length else ""
+            axes.text(length, at, f" {errors[name]:.2f}{cut}", va="center", color=INK)
+        axes.margins(x=0.16)
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("held-out translation error, root mean square [mm]")
 
     return svg(draw, 7.0, 0.9 + 0.27 * max(len(names), 1))
+
+
+def speeds_figure(document: Mapping[str, Any]) -> bytes:
+    """Angular speeds of two streams on one clock, as SVG."""
+    speeds = document["angular_speeds"]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_axes((0.09, 0.2, 0.89, 0.7))
+        axes.plot(speeds["time"], speeds["camera"], color=DIM, linewidth=1.0, label="camera")
+        axes.plot(speeds["time"], speeds["hand"], color=NOW, linewidth=1.0, label="hand")
+        axes.set_xlim(speeds["time"][0], speeds["time"][-1])
+        axes.set_ylim(bottom=0.0)
+        axes.set_xlabel("time from the beginning of the hand's stream [s]")
+        axes.set_ylabel("angular speed [rad/s]")
+        axes.legend(loc="upper right")
+
+    return svg(draw, 7.6, 2.8)
 
 
 def residuals_figure(document: Mapping[str, Any]) -> bytes:
@@ -86,11 +108,10 @@ def scene_figure(document: Mapping[str, Any]) -> bytes:
 
     def draw(figure: Figure) -> None:
         axes: Any = figure.add_axes((0.0, 0.02, 1.0, 0.92), projection="3d")
-        if scene["chain"]:
-            chain = np.array([one["xyz"] for one in scene["chain"]])
-            axes.plot(*chain.T, "o-", color=GOLDEN, linewidth=2.2, markersize=4, zorder=1)
-        for one in scene["frames"]:
-            _axes_of_frame(axes, one, 0.07 * reach)
+        _connections(axes, scene)
+        for number, one in enumerate(scene["frames"]):
+            # The flange's name above, and that of what it carries below: they are near each other.
+            _axes_of_frame(axes, one, 0.07 * reach, 0.6 if number == 1 else -0.5)
         for kind, colour in (("fitted", DIM), ("held_out", NOW)):
             chosen = np.array([one["kind"] == kind for one in arrows], dtype=bool)
             if not chosen.any():
@@ -117,12 +138,25 @@ def scene_figure(document: Mapping[str, Any]) -> bytes:
     return svg(draw, 7.6, 6.4)
 
 
-def _axes_of_frame(axes: Any, frame: Mapping[str, Any], length: float) -> None:
+def _connections(axes: Any, scene: Mapping[str, Any]) -> None:
+    """The arm from the base to the flange, and dashed lines to what both carry."""
+    base, flange, *others = (np.array(one["xyz"]) for one in scene["frames"])
+    if scene["chain"]:
+        chain = np.array([one["xyz"] for one in scene["chain"]])
+        axes.plot(*chain.T, "o-", color=GOLDEN, linewidth=2.2, markersize=4, zorder=1)
+    else:
+        axes.plot(*np.stack([base, flange]).T, "--", color=GOLDEN, linewidth=1.6, zorder=1)
+    for frame, place in zip(scene["frames"][2:], others, strict=True):
+        start = flange if frame["on_flange"] else base
+        axes.plot(*np.stack([start, place]).T, "--", color=DIM, linewidth=0.9, zorder=1)
+
+
+def _axes_of_frame(axes: Any, frame: Mapping[str, Any], length: float, place: float) -> None:
     at = np.array(frame["xyz"])
     for axis, colour in zip(frame["axes"], (FAIL, PASS, NOW), strict=True):
         end = at + length * np.array(axis)
         axes.plot(*np.stack([at, end]).T, color=colour, linewidth=1.6)
-    axes.text(*(at + 0.25 * length), printable(frame["name"]), color=INK, fontsize=8.5)
+    axes.text(*(at + place * length), printable(frame["name"]), color=INK, fontsize=8.5, zorder=9)
 
 
 def covariance_figure(record: Mapping[str, Any], name: str) -> bytes:

@@ -18,6 +18,7 @@ from pytest_twin.calibration.clocks.correlation import (
     correlate_speeds,
 )
 from pytest_twin.calibration.clocks.offset import ClockFit, errors_at, fit_clocks
+from pytest_twin.calibration.clocks.pictured import angular_speeds, scene_of_streams
 from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.plan import Plan
@@ -172,6 +173,8 @@ def _solve(
             key: document["held_out"][key] for key in ("translation_rms", "rotation_rms")
         }
     document["held_out"]["pattern"] = pattern_of(residuals_of(hand, camera, seen, fit, middle))
+    document["scene"] = scene_of_streams(plan, hand, camera, seen, fit, middle, held_out)
+    document["angular_speeds"] = angular_speeds(hand, camera, fit, middle, found.correlation)
     document["reasons"] = accepted(document["held_out"], asdict(plan.accept))
     document["verdict"] = "rejected" if document["reasons"] else "accepted"
 

@@ -56,7 +56,11 @@ def correlate_speeds(hand: PoseStream, camera: PoseStream) -> Correlated:
 
 def _speed(stream: PoseStream, step: float) -> FloatArray:
     """Angular speed on a regular grid, rad/s."""
-    time = np.arange(stream.time[0], stream.time[-1], step)
+    return angular_speed(stream, np.arange(stream.time[0], stream.time[-1], step))
+
+
+def angular_speed(stream: PoseStream, time: FloatArray) -> FloatArray:
+    """(n,) angular speed over 0.1 s around some times, rad/s."""
     before = Rotation.from_matrix(stream.at(time - _WINDOW_S / 2)[:, :3, :3])
     after = Rotation.from_matrix(stream.at(time + _WINDOW_S / 2)[:, :3, :3])
     return np.asarray((before.inv() * after).magnitude() / _WINDOW_S, dtype=np.float64)

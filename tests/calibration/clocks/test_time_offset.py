@@ -138,6 +138,26 @@ def test_errors_before_a_camera_that_stands_still_are_those_of_the_target(tmp_pa
         np.testing.assert_allclose(together, record["covariance"], rtol=1e-12)
 
 
+@pytest.mark.parametrize("mount", ["hand", "world"])
+def test_the_page_draws_errors_in_the_base_and_both_streams_on_one_clock(tmp_path, mount):
+    streams(tmp_path, mount=mount, offset=0.5)
+    _, found = calibrated(tmp_path)
+    speeds = found["angular_speeds"]
+    assert np.corrcoef(speeds["hand"], speeds["camera"])[0, 1] > 0.99
+    scene = found["scene"]
+    standing = scene["frames"][3]
+    assert standing["name"] == {"hand": "target", "world": "camera"}[mount]
+    np.testing.assert_allclose(standing["xyz"], TARGET[:3, 3], atol=1e-3)
+    np.testing.assert_allclose(np.transpose(standing["axes"]), TARGET[:3, :3], atol=2e-3)
+    errors = [one["error"] for one in scene["arrows"]]
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(
+        found["fitted"]["translation_rms"], rel=0.2
+    )
+    page = (tmp_path / "out" / "calibration.html").read_text()
+    assert page.index("<h2>Workspace") < page.index("<h2>Clocks") < page.index("<h2>Errors")
+    assert "with an offset of 500." in page or "with an offset of 499." in page
+
+
 def test_recorded_streams_fit_better_than_with_the_offset_of_the_correlation(tmp_path):
     folder = RECORDINGS / "hand_eye" / "vicon"
     if not folder.is_dir():
