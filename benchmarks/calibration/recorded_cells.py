@@ -18,6 +18,7 @@ import os
 import shutil
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -57,18 +58,25 @@ def charuco(source: Path, folder: Path, draws: int) -> None:
             pose = yaml.safe_load((source / "charuco/poses" / f"{image.stem}.yaml").read_text())
             writer.writerow([image.stem, f"images/{image.name}", *(pose[name] for name in POSE)])
     for estimate in (["hand_eye", "base_world"], ["hand_eye", "base_world", "intrinsics"]):
-        errors, seconds = [], []
+        errors, everything, left_out, seconds = [], [], [], []
         for seed in range(draws):
             found = calibrated(folder, {
                 "calibration": "charuco", "observations": "observations.csv",
                 "estimate": estimate, "target": BOARD, "hold_out": {"fraction": 0.33, "seed": seed},
                 "camera": {"mount": "world", "intrinsics": MAKERS_INTRINSICS},
             })  # fmt: skip
-            errors.append(found["held_out"]["translation_rms"])
+            held_out = found["held_out"]
+            errors.append(held_out["translation_rms"])
+            # With the held-out images that were left out as gross errors.
+            everything.append(held_out.get("with_excluded", held_out)["translation_rms"])
+            left_out += [one["id"] for one in found["excluded"]]
             seconds.append(found["seconds"])
         print(
             f"charuco, {', '.join(estimate)}: {1e3 * np.mean(errors):.2f} mm of {draws} draws "
-            f"({1e3 * min(errors):.2f} to {1e3 * max(errors):.2f}), "
+            f"({1e3 * min(errors):.2f} to {1e3 * max(errors):.2f}), median "
+            f"{1e3 * np.median(errors):.2f} mm; with held-out images that were left out "
+            f"{1e3 * np.mean(everything):.2f} mm, median {1e3 * np.median(everything):.2f} mm; "
+            f"left out: {dict(Counter(left_out).most_common())}; "
             f"{np.median(seconds):.1f} s of processor time each",
             flush=True,
         )

@@ -254,7 +254,8 @@ def calibrate(
     else:
         document["verdict"] = "rejected" if reasons or degenerate else "accepted"
     directions = [*(direction.words for direction in solved.estimate.directions), *lost]
-    document["reasons"] = [*directions, *reasons]
+    # A mistake in the input makes directions seem undetermined, and other poses do not mend it.
+    document["reasons"] = reasons if suspected else [*directions, *reasons]
     seen_notes = () if seen is None else seen.notes
     document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
     document["covariance"] = full_covariance(solved.estimate)

@@ -53,7 +53,7 @@ def scale_of(problem: Problem, now: tuple[float, float]) -> Suspect | None:
             return None
         for known, unit in _SCALES.items():
             if abs(factor / known - 1.0) < 0.1:
-                who = column if factor < 1.0 else "the robot's positions"
+                who = f"the positions of {column}" if factor < 1.0 else "the robot's positions"
                 return Suspect(
                     f"{who} seem to be in {unit} (a factor of {factor:.4g} fits)",
                     f"convert {who} to m",

@@ -66,7 +66,7 @@ def suspects(fit: Fit) -> tuple[Suspect, ...]:
     ]
     good = [one for one in tried if _far_better(one, now)]
     scale = None
-    if not good and not problem.layout.scale:
+    if not good and not found and not problem.layout.scale:
         scale = scale_of(problem, now) or scale_of_fit(fit) or scale_beyond_chance(fit)
     if scale is not None:
         good.append(scale)
@@ -103,8 +103,14 @@ def _errors(problem: Problem) -> tuple[float, float]:
 def _alternatives(problem: Problem) -> Iterator[tuple[str, str, Observations]]:
     observations = problem.observations
     poses, flange = observations.camera_from_target, observations.flange
-    if poses is not None:
-        other = "world" if problem.plan.mount == "hand" else "hand"
+    other = "world" if problem.plan.mount == "hand" else "hand"
+    if poses is not None and observations.images is not None:
+        yield (
+            f"the camera is not mounted as stated (camera: {{mount: {problem.plan.mount}}})",
+            f"state camera: {{mount: {other}}}",
+            replace(observations, camera_from_target=closed_form.inverse(poses)),
+        )
+    elif poses is not None:
         yield (
             "camera_from_target seems to be the camera in the target, or the camera is mounted "
             "otherwise than stated",
@@ -128,7 +134,7 @@ def _alternatives(problem: Problem) -> Iterator[tuple[str, str, Observations]]:
             "exchange the headings: qw is the real part",
             replace(observations, flange=_reordered(flange)),
         )
-        if poses is not None:
+        if poses is not None and observations.images is None:
             yield (
                 "both flange.* and camera_from_target seem to be inverted",
                 "invert both",
@@ -185,7 +191,12 @@ def _far_away(problem: Problem) -> Iterator[tuple[str, str]]:
         if poses is None or (name == "camera_from_target" and problem.layout.scale):
             continue
         distance = float(np.nanmedian(np.linalg.norm(poses[:, :3, 3], axis=1)))
-        if distance > FAR_AWAY_M:
+        if distance > FAR_AWAY_M and name != "flange.*" and observations.images is not None:
+            yield (
+                f"the target is {distance:.4g} m away: its dimensions seem to be in mm",
+                "state square and marker of target in m",
+            )
+        elif distance > FAR_AWAY_M:
             yield (
                 f"{name} is {distance:.4g} m away: it seems to be in mm",
                 f"divide {name} x, y and z by 1000",

@@ -192,7 +192,8 @@ def read_images(
             "target",
             "no image shows the target",
             value=rejected[0].rejected,
-            expected=f"a {kind} in the images; the first reason is that of {rejected[0].image}",
+            expected=f"a {kind} in the images, not mirrored, of the kind, squares and dictionary "
+            f"that target states; the first reason is that of {rejected[0].image}",
         )
     other = _measured(observations)
     without = {one.image for one in rejected}

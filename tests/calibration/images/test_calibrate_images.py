@@ -95,6 +95,31 @@ def test_a_target_of_another_size_is_said_from_the_motion_of_the_robot(tmp_path)
     assert "the target is probably not of the stated size" in found["reasons"][0]
 
 
+@pytest.mark.parametrize(
+    ("plan", "words"),
+    [
+        (
+            {"target": TARGET | {"square": 30.0, "marker": 22.0}},
+            "its dimensions seem to be in mm; state square and marker of target in m",
+        ),
+        (
+            {"camera": {"mount": "world"}},
+            "the camera is not mounted as stated (camera: {mount: world}); state camera: "
+            "{mount: hand}",
+        ),
+    ],
+)
+def test_a_plan_that_does_not_fit_the_images_is_said_with_the_correction(tmp_path, plan, words):
+    cell(tmp_path, **plan)
+    status, found = calibrated(tmp_path)
+    assert status == 1
+    assert any(words in reason for reason in found["reasons"])
+    # There is no column to invert or to divide, and no pose that would help.
+    assert not any(
+        "camera_from_target" in one or "turn the flange" in one for one in found["reasons"]
+    )
+
+
 def test_bad_images_are_excluded_with_their_reasons(tmp_path):
     cell(tmp_path)
     images = tmp_path / "images"
@@ -160,6 +185,7 @@ def test_a_target_in_no_image_is_refused_with_the_first_reason(tmp_path, capsys)
     assert cli.main(["calibrate", str(tmp_path / "plan.yaml"), "--out", str(tmp_path / "o")]) == 2
     words = capsys.readouterr().err
     assert "no image shows the target" in words
+    assert "not mirrored, of the kind, squares and dictionary that target states" in words
     assert "no target found" in words
 
 
