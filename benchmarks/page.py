@@ -31,8 +31,9 @@ python benchmarks/record.py NAME [ARGUMENT ...]
 python benchmarks/page.py
 ```
 
-Pages about one subject have further figures, each beside its command: [blind cases](blind_cases.md),
-[real machines](real_machines.md), [robots of suppliers](assets-table.md), [thresholds](sensitivity.md).
+Pages about one subject have further figures, each next to its command:
+[blind cases](blind_cases.md), [real machines](real_machines.md),
+[robots of suppliers](assets-table.md), [thresholds](sensitivity.md).
 """
 
 
@@ -50,17 +51,20 @@ def scripts() -> dict[str, str]:
 
 def section(one: dict[str, Any], what: str) -> str:
     """Section of one record."""
-    machine = one["machine"]
-    packages = ", ".join(f"{name} {number}" for name, number in machine["packages"].items())
+    here = one["machine"]
+    packages = ", ".join(f"{name} {number}" for name, number in here["packages"].items())
     failed = f", **exit status {one['exit_status']}**" if one["exit_status"] else ""
+    machine = f"{here['processor']}, {here['cores']} cores, {here['system']}"
+    times = f"wall time {one['wall_seconds']:g} s, processor time {one['processor_seconds']:g} s"
+    load = f"load {one['load_before']:g} before and {one['load_after']:g} after"
     return f"""## {one["benchmark"]}
 
 {what}
 
 - command: `{one["command"]}`
 - date {one["date"]}, revision `{one["revision"]}`{failed}
-- {machine["processor"]}, {machine["cores"]} cores, {machine["system"]}, Python {machine["python"]}, {packages}
-- wall time {one["wall_seconds"]:g} s, processor time {one["processor_seconds"]:g} s, load {one["load_before"]:g} before and {one["load_after"]:g} after
+- {machine}, Python {here["python"]}, {packages}
+- {times}, {load}
 
 ```text
 {one["output"].rstrip()}

@@ -427,7 +427,7 @@ def _commanded_anew(segment: Segment, step: float, around: int) -> NDArray[np.bo
         step: time step of the model, s.
         around: number of steps.
     """
-    if segment.moving:
+    if segment.is_interpolated:
         return np.zeros((len(segment.time), segment.command.shape[1]), dtype=bool)
     first = segment.start + step * np.floor((segment.time - segment.start) / step)
     change = np.diff(segment.command, axis=0, prepend=segment.command[:1]) != 0.0

@@ -1,4 +1,4 @@
-"""Rows of a batch: their state at the start, their drives, and effects in their model fields."""
+"""Batches of simulations: initial states, drives, and effects written into model fields."""
 
 from __future__ import annotations
 
@@ -29,10 +29,12 @@ OF_ROWS = (
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
     "motor_constant", "link_inertia", "cold_fraction", "least_setpoint", "greatest_setpoint",
 )  # fmt: skip
-"""What of a world has a row for each simulation."""
+"""Attributes of a world with a row for each simulation."""
 
 _WORTH_THREADS = 64
-# Poses of a segment that are asked for the inertia of its links, at most, and s between two.
+"""Smallest number of rows times degrees of freedom for which threads save time."""
+# Largest number of poses of a segment at which the inertia of its links is computed, and the
+# shortest time between two of them in s.
 _POSES, _POSE_SECONDS = 8, 0.2
 _LAW = ("gain", "stiffness", "damping", "offset")
 _UNBOUNDED = 1e9
@@ -44,12 +46,14 @@ class Rows:
     """A batch whose model fields hold the effects of each row.
 
     Attributes:
-        batch: of the engine.
-        world: state and drives that the rows start from.
-        apart: (rows, joints) where a gear lets motor and link move apart.
-        constant: (rows, joints) N*m or N that always acts on the links.
-        friction: (rows, dofs) dry friction of the batch, where laws between steps change it.
-        force_range: (rows, actuators, 2) of the batch, where rows have their own.
+        batch: batch of the engine.
+        world: initial state and drives of the rows.
+        apart: (rows, joints) whether the transmission is not rigid.
+        constant: (rows, joints) constant effort on the links, N*m or N.
+        friction: (rows, dofs) dry friction of the batch, N*m or N; None if no effect changes it
+            between steps.
+        force_range: (rows, actuators, 2) force ranges of the batch, N*m or N; None if all rows have
+            those of the model.
     """
 
     batch: Batch
@@ -62,24 +66,24 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class _Batched:
-    """A batch and the model behind each of its rows."""
+    """A batch and the model of each of its rows."""
 
     batch: Batch
     models: Sequence[mujoco.MjModel]
 
     @property
     def has_several_models(self) -> bool:
-        """Whether not all rows are of one model."""
+        """Whether the rows have different models."""
         return len({id(m) for m in self.models}) > 1
 
     def expand(self, name: str) -> FloatArray:
-        """(rows, ...) of a field, every row's own, as its model has it."""
+        """(rows, ...) writable values of a field, initialized from the model of each row."""
         array: FloatArray = self.batch.expand(name)
         (array[:],) = self.of_each(name)
         return array
 
     def of_each(self, *names: str) -> list[FloatArray]:
-        """(rows, ...) fields of each row's model, read once of every model."""
+        """(rows, ...) values of fields of each row's model."""
         distinct = {id(m): m for m in self.models}
         number = {key: i for i, key in enumerate(distinct)}
         index = [number[id(m)] for m in self.models]
@@ -90,10 +94,10 @@ class BatchModels:
     """Makes batches of segments under effects.
 
     Args:
-        segments: all of one layout of model.
-        layout: of it.
-        timestep: s.
-        sparing: whether engine features that change nothing are disabled.
+        segments: segments whose models have the same joints and drives.
+        layout: indices of these joints and drives.
+        timestep: time step, s.
+        sparing: whether engine features without influence on the result are disabled.
     """
 
     def __init__(
@@ -108,12 +112,16 @@ class BatchModels:
 
     @cached_property
     def contact(self) -> ContactGeoms:
-        """What the robot touches, or nearly, in the segments as measured."""
+        """Surfaces that the robot touches, or nearly touches, at the measured positions."""
         poses = [s.position for s in self.segments]
         return contact_geoms(self.segments[0].model, self.layout.joint_ids, poses)
 
     def bounded(self, segment: int) -> mujoco.MjModel:
-        """The segment's model with every force range in force, so that rows can narrow it."""
+        """A copy of a segment's model in which every actuator has an active force range.
+
+        Rows can then reduce the range. The copy also has the time step and the friction constraint
+        of the segment.
+        """
         of = self.segments[segment]
         if id(of.model) not in self._bounded:
             model = copy.copy(of.model)
@@ -129,11 +137,10 @@ class BatchModels:
         return self._bounded[id(of.model)]
 
     def link_inertia(self, rows: NDArray[np.int64]) -> FloatArray:
-        """(rows, joints) the least inertia that links put against their gears along a segment,
-        kg*m^2 or kg.
-        """
+        """(rows, joints) smallest articulated inertia along each segment, kg*m^2 or kg."""
         segments = [self.segments[r] for r in rows]
-        # Segments that start elsewhere share what was measured, which is kept: so it stays its own.
+        # Segments with another start share the array of positions, so its id is the key. The array
+        # is kept, so that its id is not used again.
         new = {id(s.position): s for s in segments if id(s.position) not in self._link_inertia}
         models = {id(s.model): s.model for s in new.values()}
         data = {key: mujoco.MjData(model) for key, model in models.items()}
@@ -147,15 +154,15 @@ class BatchModels:
             self._link_inertia[key] = (s.position, least)
         return np.array([self._link_inertia[id(s.position)][1] for s in segments])
 
-    def warm(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> None:
-        """Work out and keep what batches of ``rows`` share, before forks each do."""
+    def precompute(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> None:
+        """Compute and keep what batches of ``rows`` share, before processes are forked."""
         for r in np.unique(rows):
             self.bounded(int(r))
         if any(effect.is_elastic_transmission for effect, _ in effects):
             self.link_inertia(np.unique(rows))
 
     def world(self, rows: NDArray[np.int64]) -> World:
-        """The rows' segments at their start, the drives as the model has them."""
+        """Initial states of segments ``rows``, with the nominal drives."""
         segments, of = np.unique(rows, return_inverse=True)
         # Segments are many and their models few.
         of_segment = [self.bounded(int(s)) for s in segments]
@@ -210,9 +217,10 @@ class BatchModels:
             setattr(world, name, getattr(world, name)[of])
         return world
 
-    def heeded(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-        """(rows, joints) least and greatest effort commands that the model's drives heed; any
-        command of other drives.
+    def command_range(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+        """Range of effort commands that the nominal drives can follow, (rows, joints) each.
+
+        It is infinite for drives with other commands.
         """
         world, layout = self.world(rows), self.layout
         effort = (layout.servo == "effort") & (world.gain > 0.0)
@@ -233,15 +241,15 @@ class BatchModels:
     def written(
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], threads: int
     ) -> Rows:
-        """A batch of segments ``rows`` with the effects in its model fields.
+        """A batch of segments with the effects in its model fields.
 
         Args:
-            rows: segments.
-            effects: values (rows, joints).
-            threads: of the batch.
+            rows: index of the segment of each row.
+            effects: effects with their (rows, joints) parameters.
+            threads: threads of the batch.
         """
         models = [self.bounded(int(r)) for r in rows]
-        # Threads meet at every step that laws act between: few rows are sooner done alone.
+        # Effects between steps synchronize the threads at every step, so few rows use one thread.
         few = any_hook(effects, *BETWEEN_STEPS) and len(rows) * models[0].nv < _WORTH_THREADS
         batched = _Batched(Batch(models[0], len(rows), nthread=1 if few else threads), models)
         self._place_unrecorded(batched.batch, rows)
@@ -278,20 +286,20 @@ class BatchModels:
             force_range = batched.expand("actuator_forcerange")
             self.write_bounds(force_range, world)
         if any_hook(effects, "servo"):
-            # The range holds for commands, not for what a servo makes of them.
+            # The command range applies to commands, not to a setpoint that a servo has changed.
             batched.expand("actuator_ctrlrange")[:] = (-_UNBOUNDED, _UNBOUNDED)
         constant, world.motor_constant = fields.split_force(apart)
         if any(effect.family == "contact" for effect, _ in effects):
             least_time = least_time_constant(models[0], self.timestep)
             self.contact.write(batched.expand, fields, least_time)
-        # A geom that moves takes its frame and its body's bounding volume along.
+        # A moved geom or mass changes frames and bounding volumes, which the engine precomputes.
         moved = any(batched.batch.expanded(n) is not None for n in ("body_mass", "geom_pos"))
         if own or fields.armature.any() or moved:
             batched.batch.set_const()
         return Rows(batched.batch, world, apart, constant, friction, force_range)
 
     def _place_unrecorded(self, batch: Batch, rows: NDArray[np.int64]) -> None:
-        """Start what no recording says anything of."""
+        """Set the initial state of joints, drives and actuators that are not recorded."""
         rest = [self.segments[r].unrecorded for r in rows]
         known = [each.state for each in rest if each is not None]
         if len(known) == len(rest):
@@ -308,7 +316,11 @@ class BatchModels:
         world: World,
         apart: NDArray[np.bool_],
     ) -> FloatArray | None:
-        """Write what resists joints; the dry friction of the batch where laws change it later."""
+        """Write damping, armature, dry friction and stiffness of the joints.
+
+        Returns:
+            (rows, dofs) dry friction of the batch, N*m or N; None if no effect changes it later.
+        """
         batch, dof = batched.batch, self.layout.dof_index
         between_steps = any_hook(effects, "friction")
         resisting = {
@@ -325,7 +337,7 @@ class BatchModels:
             np.maximum(levels, 0.0, out=levels)
             world.friction_level = levels[:, dof].copy()
         if apart.any():
-            # What sits on the motor side leaves the link; laws between steps carry it.
+            # Properties of the motor side are simulated between steps instead of on the link.
             world.motor_armature = batch.expand("dof_armature")[:, dof]
             world.motor_damping = batch.expand("dof_damping")[:, dof]
             world.link_inertia = self.link_inertia(rows)
@@ -337,7 +349,7 @@ class BatchModels:
         return batch.expand("dof_frictionloss") if between_steps else None
 
     def _write_gains(self, batched: _Batched, world: World, apart: NDArray[np.bool_]) -> None:
-        """Write the drives' laws; where a gear gives, the engine's drive gives nothing."""
+        """Write the control laws of the drives; zero where the transmission is not rigid."""
         driven = self.layout.driven
         if not len(driven):
             return
@@ -350,7 +362,7 @@ class BatchModels:
         bias[:, act, 2] = rigid * -world.damping[:, driven] / gear**2
 
     def write_bounds(self, force_range: FloatArray, world: World) -> None:
-        """Write the drives' bounds into (rows, actuators, 2) force ranges."""
+        """Write the effort limits of the drives into (rows, actuators, 2) force ranges."""
         driven = self.layout.driven
         act, gear = self.layout.actuator[driven], self.layout.gear[driven]
         low, high = world.lower[:, driven] / gear, world.upper[:, driven] / gear
@@ -361,11 +373,11 @@ class BatchModels:
 
     @cached_property
     def _has_reversed_drive(self) -> bool:
-        """Whether some drive turns against its joint."""
+        """Whether a drive has a negative gear ratio."""
         return bool((self.layout.gear[self.layout.driven] < 0.0).any())
 
     def _write_inertia(self, batched: _Batched, fields: ModelFields) -> None:
-        """Write links of other mass, inertia or centre, and masses that they carry."""
+        """Write changed masses, inertias and centres of mass of links, and added point masses."""
         mass, ipos, inertia, iquat = (batched.expand(name) for name in _INERTIAL)
         bodies = self.layout.body_index
         mass[:, bodies] *= fields.mass_scale

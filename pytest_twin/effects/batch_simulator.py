@@ -93,8 +93,8 @@ class BatchSimulator:
         """Steps of :attr:`stepped` that came from the cache."""
         self._known = SimulationCache()
         idle = np.array([self._holding(s) for s in self.segments])
-        heeded = self.models.heeded(np.arange(len(self.segments)))
-        self._held = CommandsOverSteps(self.segments, self.timestep, idle, *heeded)
+        followable = self.models.command_range(np.arange(len(self.segments)))
+        self._held = CommandsOverSteps(self.segments, self.timestep, idle, *followable)
 
     def _holding(self, segment: Segment) -> FloatArray:
         """(joints,) commands that hold position servos without recorded commands; 0 elsewhere."""
@@ -167,7 +167,7 @@ class BatchSimulator:
         if not worth_forks(divided):
             cores = 1
         if cores > 1:
-            self.models.warm(rows, active_effects(values))
+            self.models.precompute(rows, active_effects(values))
         each = Forks(cores).map(work, divided)
         found: dict[int, Result] = {}
         for part, results in zip(divided, each, strict=True):

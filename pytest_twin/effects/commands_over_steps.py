@@ -1,4 +1,4 @@
-"""What was commanded, held from stamp to stamp or moving between them, as steps see it."""
+"""Mean commands over simulation steps, for held and interpolated commands."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from pytest_twin.trial.setpoint import Setpoint
 
 
 class CommandsOverSteps:
-    """Means of commands over steps; what was asked for without a delay is kept.
+    """Mean commands over steps; means without a delay are cached.
 
     Args:
-        segments: whose commands; all of the same joints.
-        timestep: s, of the steps that are asked for most.
-        idle: (segments, joints) what holds where a joint is not commanded.
-        least, greatest: (segments, joints) commands that drives heed. In a step in which a command
-            changes they give the mean of what they heed, not what they heed of the mean.
+        segments: segments with the same joints.
+        timestep: usual time step, s; the cache is for this one.
+        idle: (segments, joints) command of joints without recorded commands.
+        least, greatest: (segments, joints) range of commands that the drives can follow. In a step
+            with a change of command, commands are limited to it before the mean is taken.
     """
 
     def __init__(
@@ -38,12 +38,12 @@ class CommandsOverSteps:
         self.least, self.greatest = least, greatest
         self._prompt: dict[int, FloatArray] = {}
         self._held: dict[int, _Held] = {}
-        # Segments that differ in the state they start from alone were commanded the same.
+        # Segments that differ in their initial state only have the same commands.
         first: dict[tuple[object, ...], int] = {}
         bounds = np.concatenate([idle, least, greatest], axis=1)
         self._alike = np.array([
             first.setdefault(
-                (id(s.command_time), id(s.command), s.moving, s.start, of.tobytes()), i
+                (id(s.command_time), id(s.command), s.is_interpolated, s.start, of.tobytes()), i
             )
             for i, (s, of) in enumerate(zip(segments, bounds, strict=True))
         ])  # fmt: skip
@@ -56,16 +56,17 @@ class CommandsOverSteps:
         joints: NDArray[np.int64],
         timestep: float,
     ) -> FloatArray:
-        """Mean over each step of the held command, (rows, steps, columns).
+        """(rows, steps, columns) mean command over each step.
 
         Args:
-            rows: segments; joints: (rows, columns) of them.
-            delay: (rows, columns) s.
-            steps: how many.
-            timestep: s.
+            rows: index of the segment of each row.
+            delay: (rows, columns) delay of the command, s.
+            steps: number of steps.
+            joints: (rows, columns) indices of joints.
+            timestep: time step, s.
         """
-        # Most rows ask for the same: each is worked out once, and what one segment's joints ask for
-        # at the same time, together.
+        # Most rows need the same means. Each is computed once, for all joints of a segment with the
+        # same delay together.
         alike = np.broadcast_to(self._alike[rows][:, None], joints.shape)
         asked = np.stack([alike, delay, joints], axis=-1)
         unlike, of = np.unique(asked.reshape(-1, 3), axis=0, return_inverse=True)
@@ -80,12 +81,16 @@ class CommandsOverSteps:
     def before(
         self, rows: NDArray[np.int64], joints: NDArray[np.int64], until: FloatArray
     ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """One command after the other from the first, and for how long each was held, s, 0 where it
-        came too late; (rows, columns) both.
+        """Iterate over all commands before some times, from the first one.
 
         Args:
-            rows: segments; joints: (rows, columns) of them.
-            until: (rows, columns) s on the clocks of their trials.
+            rows: index of the segment of each row.
+            joints: (rows, columns) indices of joints.
+            until: (rows, columns) times on the clocks of the trials, s.
+
+        Yields:
+            (rows, columns) commands, and the times in s for which they held before ``until``; 0 for
+            later commands.
         """
         which, of = np.unique(self._alike[rows], return_inverse=True)
         held = [self._held_of(int(r)) for r in which]
@@ -104,7 +109,7 @@ class CommandsOverSteps:
             yield command[row, joints], np.maximum(seconds, 0.0)
 
     def _means(self, segment: int, delay: float, steps: int, timestep: float) -> FloatArray:
-        """(joints, steps)."""
+        """(joints, steps) mean commands of a segment with a delay in s."""
         prompt = delay == 0.0 and timestep == self.timestep
         if prompt and segment in self._prompt and self._prompt[segment].shape[1] >= steps:
             return self._prompt[segment][:, :steps]
@@ -112,28 +117,28 @@ class CommandsOverSteps:
         at = np.asarray(s.start - delay + timestep * np.arange(steps + 1), dtype=np.float64)
         held = self._held_of(segment)
         mean = np.diff(held.sent.integral(at), axis=0).T / timestep
-        if held.heeded is not None:
+        if held.in_range is not None:
             change = np.diff(held.last(at)) > 0
-            heeded = np.diff(held.heeded.integral(at), axis=0).T / timestep
-            mean = np.where(change, heeded, mean)
+            in_range = np.diff(held.in_range.integral(at), axis=0).T / timestep
+            mean = np.where(change, in_range, mean)
         if prompt:
             self._prompt[segment] = mean
         return mean
 
     def _held_of(self, segment: int) -> _Held:
+        """Commands of a segment, computed once."""
         if segment not in self._held:
             s = self.segments[segment]
             far = np.append(s.command_time, s.command_time[-1] + 1e6)
             command = np.where(np.isnan(s.command), self.idle[segment], s.command)
-            heeded = None
-            # Of a moving command drives heed what they can of the mean: a step is too short for
-            # more.
-            if not s.moving:
+            in_range = None
+            # Interpolated commands hardly change within a step, so their mean is limited instead.
+            if not s.is_interpolated:
                 within = np.clip(command, self.least[segment], self.greatest[segment])
                 if not np.array_equal(within, command):
-                    heeded = Setpoint(s.command_time, within, linear=False)
-            sent = Setpoint(s.command_time, command, linear=s.moving)
-            self._held[segment] = _Held(far, sent, heeded)
+                    in_range = Setpoint(s.command_time, within, linear=False)
+            sent = Setpoint(s.command_time, command, linear=s.is_interpolated)
+            self._held[segment] = _Held(far, sent, in_range)
         return self._held[segment]
 
 
@@ -142,29 +147,29 @@ class _Held:
     """Commands of one segment.
 
     Attributes:
-        far: (stamps + 1,) s.
-        sent: what was commanded.
-        heeded: what drives heed of it; None where that is all.
+        far: (stamps + 1,) stamps and a time far behind the last one, s.
+        sent: the commands.
+        in_range: commands within the range that drives can follow; None if they all are.
     """
 
     far: FloatArray
     sent: Setpoint
-    heeded: Setpoint | None
+    in_range: Setpoint | None
 
     @property
     def command(self) -> FloatArray:
-        """(stamps, joints) at each stamp."""
+        """(stamps, joints) command at each stamp."""
         return self.sent.value
 
     @property
     def usual(self) -> FloatArray:
-        """(stamps, joints) mean from each stamp to the next."""
+        """(stamps, joints) mean command from each stamp to the next."""
         value = self.sent.value
         if not self.sent.linear:
             return value
         return value + 0.5 * np.diff(value, axis=0, append=value[-1:])
 
     def last(self, at: FloatArray) -> NDArray[np.int64]:
-        """The latest stamp at each time; before the first the first command holds."""
+        """Index of the latest stamp at each time; 0 before the first one."""
         last = np.searchsorted(self.far, at, side="right") - 1
         return np.clip(last, 0, len(self.command) - 1)

@@ -26,24 +26,23 @@ class Layout:
     """Indices of hinges, slides and commanded drives, and reference scales of joints and links.
 
     Attributes:
-        joints: names, in the order of the segments' columns.
-        joint_ids, qpos_index, dof_index, body_index: (joints,).
-        slides: (joints,) whether it slides.
-        servo: (joints,) what is commanded: ``position``, ``velocity``, ``effort`` or ``none``.
-        control, actuator: (joints,) of its command and its drive, -1 without one.
-        scale: (joints,) control over command.
-        gear: (joints,) effort at the joint over force of the actuator.
-        driven: (driven,) joints that an actuator drives.
-        bare: (joints,) whether effort is commanded and no actuator gives it.
-        directions: (joints, 3) unit vectors from each joint to its link's centre of mass, frame of
-            the link.
-        link_length: (joints,) m, from each joint to its link's centre of mass.
-        radial, tangential: (joints, 3) unit vectors away from each joint's axis to that centre, and
-            the way that the joint turns it, frame of the link.
-        gyration: (joints,) m, the link's radius of gyration about the joint.
-        tool_length, tool_mass: m and kg, of what the last link carries: as long and as heavy as
-            that link, at least a twentieth of the way from the first joint through all others; a
-            flange carries more.
+        joints: names of the joints, in the order of the segments' columns.
+        joint_ids, qpos_index, dof_index, body_index: (joints,) indices in the model.
+        slides: (joints,) whether the joint is a slide.
+        servo: (joints,) command mode: ``position``, ``velocity``, ``effort`` or ``none``.
+        control, actuator: (joints,) indices of the control and of the actuator; -1 without one.
+        scale: (joints,) ratio of control to command.
+        gear: (joints,) ratio of the effort at the joint to the force of the actuator.
+        driven: (driven,) indices of the joints with an actuator.
+        bare: (joints,) whether effort is commanded and the joint has no actuator.
+        directions: (joints, 3) unit vectors from the joint to its link's centre of mass, in the
+            frame of the link.
+        link_length: (joints,) distance from the joint to its link's centre of mass, m.
+        radial, tangential: (joints, 3) unit vectors from the joint's axis to that centre, and in
+            its direction of motion, in the frame of the link.
+        gyration: (joints,) radius of gyration of the link about the joint, m.
+        tool_length, tool_mass: reference length in m and mass in kg of a payload: those of the last
+            link, with a smallest share of the arm's length; for a flange shares of the arm's.
     """
 
     def __init__(
@@ -90,6 +89,7 @@ class Layout:
             self._load_directions[-1] = axis if axis @ outwards >= 0.0 else -axis
 
     def _find_drives(self, model: mujoco.MjModel, segments: Sequence[Segment]) -> None:
+        """Set command mode, control, actuator, scale and gear of each joint."""
         count = len(self.joints)
         self.control = np.full(count, -1)
         self.actuator = np.full(count, -1)
@@ -109,35 +109,38 @@ class Layout:
                 self.gear[j] = model.actuator_gear[model.actuator_outadr[target.actuator], 0]
 
     def _link_directions(self, model: mujoco.MjModel) -> FloatArray:
+        """(joints, 3) directions to the centres of mass; sets :attr:`link_length`."""
         offset = model.body_ipos[self.body_index] - model.jnt_pos[self.joint_ids]
         length = np.linalg.norm(offset, axis=1, keepdims=True)
         self.link_length = np.maximum(length[:, 0], 1e-3)
         return np.where(length > 1e-6, offset / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
 
     def in_link(self, place: FloatArray, joint: NDArray[np.int64]) -> FloatArray:
-        """(n, 3) m in link frames, of positions along the link (flange: the joint's axis), in the
-        joint's direction of motion, and perpendicular to both.
+        """Positions (n, 3) in link frames from positions in own axes, both in m.
+
+        The own axes point along the link (for a flange: along the joint's axis), in the joint's
+        direction of motion, and perpendicular to both.
         """
         found: FloatArray = np.einsum("nk,nki->ni", place, self.own_axes(joint))
         return found
 
     def own_axes(self, joint: NDArray[np.int64]) -> FloatArray:
-        """(n, 3, 3) unit vectors of :meth:`in_link`, frames of the links."""
+        """(n, 3, 3) own axes of :meth:`in_link` as rows, in the frames of the links."""
         along, turning = self._load_directions[joint], self.tangential[joint]
         return np.stack([along, turning, np.cross(along, turning)], axis=1)
 
     def shift(
         self, radial: FloatArray, tangential: FloatArray, joint: NDArray[np.int64]
     ) -> FloatArray:
-        """(..., 3) m in link frames, of shifts (...,) m away from the joint's axis and in its
-        direction of motion.
-        """
+        """(..., 3) shift in link frames from (...,) radial and tangential shifts, all in m."""
         moved: FloatArray = radial[..., None] * self.radial[joint]
         return moved + tangential[..., None] * self.tangential[joint]
 
     def _around_axes(self, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
-        """Radial and tangential unit vectors; for a centre of mass on the joint's axis the radial
-        one is the frame axis most perpendicular to it.
+        """Radial and tangential unit vectors, (joints, 3) each, in the frames of the links.
+
+        If the centre of mass is on the joint's axis, the radial vector is the frame axis with the
+        largest angle to it.
         """
         axis = model.jnt_axis[self.joint_ids]
         aside = np.eye(3)[np.argmin(np.abs(axis), axis=1)]

@@ -1,4 +1,4 @@
-"""When readings were taken, and what sensors read of a motion at their stamps."""
+"""True times of sensor readings, and predicted readings of a motion at their stamps."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from pytest_twin.effects.segment import Predicted, Segment
 def behind(
     segments: Sequence[Segment], effects: Sequence[tuple[Effect, Values]], columns: int
 ) -> FloatArray:
-    """How long before its stamp the state was that a window starts from, (rows, columns) s.
+    """(rows, columns) age of the initial state relative to its stamp, s.
 
-    A window begins with what was read amid a motion: where readings are late, so is its start, and
-    commands reach it that much later. A whole trial begins at rest, and when it says.
+    A window starts from a measured state, which is as old as the readings. A whole trial starts at
+    rest, so the age is 0.
 
     Args:
-        segments: of each row.
-        effects: values (rows, columns).
-        columns: how many.
+        segments: segment of each row.
+        effects: effects with their (rows, columns) parameters.
+        columns: number of columns.
     """
     start = np.array([s.start for s in segments])[:, None, None]
     stamp = np.repeat(start, columns, axis=2)
@@ -39,7 +39,7 @@ def taken(
     stamps: FloatArray,
     effects: Sequence[tuple[Effect, Values]],
 ) -> FloatArray:
-    """When readings with (rows, n, columns) stamps were taken, s on the clock of their motion."""
+    """(rows, n, columns) true times of readings with the given stamps, on the motion's clock, s."""
     for effect, v in effects:
         stamps = effect.sample_time(stamps, v)
     return stamps + behind(segments, effects, stamps.shape[2])[:, None]
@@ -51,15 +51,15 @@ def sampled(
     motion: tuple[FloatArray, FloatArray, FloatArray],
     timestep: float,
 ) -> list[Predicted]:
-    """What sensors would have read of each row.
+    """Predicted sensor readings of each row.
 
-    Positions between steps follow the cubic through both ends with their velocities.
+    Positions between steps are cubic Hermite interpolants.
 
     Args:
-        segments: of each row.
-        effects: that act on them.
-        motion: (rows, steps + 1, joints) positions, velocities and efforts.
-        timestep: s, of the motion.
+        segments: segment of each row.
+        effects: effects with their (rows, joints) parameters.
+        motion: (rows, steps + 1, joints) positions, velocities and efforts, SI units.
+        timestep: time step of the motion, s.
     """
     q, v, effort = motion
     longest = max(len(s.time) for s in segments)

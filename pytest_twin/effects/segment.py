@@ -1,4 +1,4 @@
-"""What is simulated, and what a simulation's sensors would have read."""
+"""Segments of trials that are simulated, and their predicted sensor readings."""
 
 from __future__ import annotations
 
@@ -17,48 +17,52 @@ from pytest_twin.trial.setpoint import Setpoint
 
 @dataclass(frozen=True, slots=True)
 class Unrecorded:
-    """What no recording says of a model where a segment starts.
+    """Initial state of the parts of a model that are not recorded.
 
     Attributes:
-        state: field of the simulator's data -> value: positions and velocities of the whole model,
-            controls of drives that nobody commands, what actuators remember.
+        state: field of ``MjData`` -> value: positions and velocities of the whole model, controls
+            of drives without commands, and states of actuators.
     """
 
     state: Mapping[str, FloatArray]
 
     @property
     def control(self) -> FloatArray:
-        """(nu,) of drives that nobody commands, 0 for the others."""
+        """(nu,) controls of drives without commands; 0 for the others."""
         return self.state["ctrl"]
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A stretch of a trial, simulated from its own initial state. Arrays in the model's frame.
+    """A part of a trial that is simulated from its own initial state.
+
+    Joint values have the sign and zero of the model, in rad, m and s. Times are on the trial's
+    clock.
 
     Attributes:
         trial: index of the trial.
-        model: what to step, the trial's controller and payload applied.
-        mode: ``position``, ``velocity`` or ``effort``: what is commanded; of joints with different
-            modes, effort before velocity before position.
-        start: s on the trial's clock, where the simulation begins.
-        time: (n,) s on the trial's clock, stamps of the samples.
-        position: (n, joints) rad or m, measured.
-        velocity, effort: (n, joints) or None.
-        command_time: (m,) s on the trial's clock.
-        modes: (joints,) what each joint's command is; empty where it is ``mode`` for all.
-        moving: whether a command moves in a straight line from stamp to stamp, or steps at each.
-        command: (m, joints); NaN columns for joints that are not commanded: position servos then
-            stay where ``unrecorded`` has them.
-        initial_position, initial_velocity: (joints,).
-        history: where the start lies amid a motion, (m,) s on the trial's clock and (m, joints)
-            positions and velocities of the whole trial, smoothed.
-        motor_shift: (joints,) rad or m by which motors behind gears that give start elsewhere than
-            where they would carry their links at rest, or where their windows' lead brought them.
-        cold_fraction: 1 in the coldest trial, 0 in the warmest; 1 where nobody says.
-        has_friction_creep: whether dry friction gives way under load as MuJoCo's default constraint
-            has it.
-        unrecorded: the rest of the model, by default at its reference without commands.
+        model: the model with the trial's controller and payload.
+        mode: command mode: ``position``, ``velocity`` or ``effort``; if joints have different ones,
+            the first present of effort, velocity, position.
+        start: time at which the simulation starts, s.
+        time: (n,) stamps of the samples, s.
+        position: (n, joints) measured positions, rad or m.
+        velocity, effort: (n, joints) measured values, or None.
+        command_time: (m,) stamps of the commands, s.
+        command: (m, joints) commands; NaN columns for joints without commands, whose position
+            servos hold the position in ``unrecorded``.
+        modes: (joints,) command mode of each joint; empty if all have ``mode``.
+        is_interpolated: whether commands are interpolated linearly between stamps instead of held.
+        initial_position, initial_velocity: (joints,) initial state.
+        history: for a start in motion: (m,) times and (m, joints) smoothed positions and velocities
+            of the whole trial; else None.
+        motor_shift: (joints,) shift of the initial position of motors behind elastic transmissions,
+            relative to the equilibrium or to the result of the warm-up, rad or m.
+        cold_fraction: 1 in the coldest trial, 0 in the warmest; 1 if temperatures are unknown.
+        has_friction_creep: whether dry friction creeps under load, as with MuJoCo's default
+            constraint.
+        unrecorded: initial state of the other parts of the model; by default its reference pose
+            without commands.
     """
 
     trial: int
@@ -79,24 +83,24 @@ class Segment:
     has_friction_creep: bool = False
     unrecorded: Unrecorded | None = None
     modes: tuple[CommandMode, ...] = ()
-    moving: bool = False
+    is_interpolated: bool = False
 
     def mode_of(self, joint: int) -> CommandMode:
-        """What the command of a joint is."""
+        """Command mode of a joint."""
         return self.modes[joint] if self.modes else self.mode
 
     @property
     def setpoint(self) -> Setpoint:
-        """What was commanded at every moment, without a delay."""
-        return Setpoint(self.command_time, self.command, self.moving)
+        """The commands as a function of time, without a delay."""
+        return Setpoint(self.command_time, self.command, self.is_interpolated)
 
     @property
     def starts_in_motion(self) -> bool:
-        """Whether it starts amid a motion."""
+        """Whether the segment starts during a motion instead of at rest."""
         return self.history is not None
 
     def part(self, inside: NDArray[np.bool_], **changes: Any) -> Segment:
-        """The samples ``inside``, and what ``changes`` beside them."""
+        """The segment with the samples ``inside``, an (n,) mask, and other attributes changed."""
         return replace(
             self,
             time=self.time[inside],
@@ -107,8 +111,9 @@ class Segment:
         )
 
     def before(self, time: FloatArray) -> FloatArray:
-        """Positions and velocities at (n,) s on the trial's clock, (2, n, joints); only
-        :attr:`starts_in_motion` a motion.
+        """(2, n, joints) smoothed positions and velocities at (n,) times, s.
+
+        Only for a segment that :attr:`starts_in_motion`.
         """
         assert self.history is not None
         stamps, *known = self.history
@@ -118,7 +123,7 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """What a row's sensors would have read at its segment's stamps; NaN where it diverged.
+    """Predicted sensor readings at the stamps of a segment; NaN if the simulation diverged.
 
     Attributes:
         position, velocity, effort: (n, joints), SI units.

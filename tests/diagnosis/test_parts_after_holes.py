@@ -136,7 +136,7 @@ def test_a_declared_setpoint_is_the_one_that_is_simulated(bench: Bench) -> None:
         (segment,) = segments_of(bench.realization, trial, 0, ("j1",))
         at = np.array([0.504, 1.237])
         assert segment.setpoint.at(at) == pytest.approx(trial.setpoint.at(at))
-        assert segment.moving == (between != "held")
+        assert segment.is_interpolated == (between != "held")
         assert not any("assumed" in note for note in bench.read(path, options=options).notes)
     assert any("held between their stamps (assumed" in note for note in bench.read(path).notes)
 

@@ -76,7 +76,7 @@ def test_segments_that_are_commanded_alike_are_told_from_those_that_are_not() ->
 def test_what_a_drive_heeds(drive: str, least: float, greatest: float) -> None:
     """Commands are of the joint, N*m; limits in MJCF before the gear."""
     simulator = BatchSimulator([segment(drive, [1.0], [0.0])], ("j",), threads=1)
-    found = simulator.models.heeded(np.array([0]))
+    found = simulator.models.command_range(np.array([0]))
     np.testing.assert_allclose(np.ravel(found), [least, greatest])
 
 

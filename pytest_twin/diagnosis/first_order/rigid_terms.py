@@ -122,7 +122,7 @@ def rigid_terms(
         return [Rigid(at, *each) for each in zip(mass, effort, still, strict=True)]
 
     if cores > 1:
-        simulator.models.warm(rows, effects)
+        simulator.models.precompute(rows, effects)
     return list(chain(*Forks(cores).map(terms, range(0, copies, per))))
 
 
