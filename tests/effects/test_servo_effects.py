@@ -45,7 +45,7 @@ def moved(
         trial=0, model=model(servo, attributes), mode=servo, start=0.0, time=stamps,
         position=np.zeros((len(stamps), 1)), velocity=None, effort=None,
         command_time=stamps, command=command[:, None] * (1.0 if servo == "position" else 4.0),
-        initial_position=np.full(1, start), initial_velocity=np.zeros(1), moving=moving,
+        initial_position=np.full(1, start), initial_velocity=np.zeros(1), is_interpolated=moving,
     )  # fmt: skip
     simulator = BatchSimulator([segment], ("j",), threads=1, refine=refine)
     rows = {effect: {n: np.full((1, 1), v) for n, v in values.items()}} if values else {}
