@@ -854,7 +854,7 @@ def main() -> int:
     for words in tally.missed:
         print(f"missed: {words}")
     for words in tally.alarms:
-        print(f"said of a robot as it stands: {words}")
+        print(f"alarm on a robot without a fault: {words}")
     for words in tally.skipped:
         print(f"left out: {words}")
     print(f"{time.perf_counter() - begin:.0f} s")

@@ -1,6 +1,6 @@
 """How far the answers of a diagnosis depend on its thresholds.
 
-    python benchmarks/sensitivity.py --out DIR [--minutes 60] [FIELD ...]
+    python benchmarks/sensitivity.py --out DIR [--minutes 60] [--page FILE] [FIELD ...]
 
 Each number in a settings object of ``pytest_twin.diagnosis`` is halved and doubled, one at a time,
 and small cases are diagnosed again. In each, a pendulum or an arm of one joint is integrated at 4
@@ -25,6 +25,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "diagnosis"))
 import recorded_pendulum
 import touching_arm
 import two_pendulums
+from record import revision
 
 import pytest_twin.diagnosis
 from pytest_twin.commands.replay import load_model
@@ -87,7 +89,7 @@ def first_diagnosis(folder: Path) -> Answer:
     if found is None:
         return {"verdict": "no first answer", "findings": {}, "simulations": 0}
     return {
-        "verdict": f"{found.joint} fails, unexplained: {', '.join(found.unexplained) or 'none'}",
+        "verdict": f"error at {found.joint}: {found.where.summary}",
         "findings": {
             f"{s.place[0]} at {', '.join(s.place[1])}, else {[e for e, _ in s.rivals]}": {
                 name: value for name, (value, _) in s.values.items()
@@ -128,6 +130,17 @@ CASES = (
 )
 QUICK_CASES = CASES[:2]
 """They take a second each, so every field that they read is tried in them."""
+HEAD = """# How sensitive a diagnosis is to its thresholds
+
+<!-- Written by benchmarks/sensitivity.py. -->
+
+Each number in a settings object is halved and doubled, one at a time, and small cases are diagnosed
+again. `python benchmarks/sensitivity.py --out DIR --page docs/sensitivity.md` continues the answers
+in DIR and writes this page. The cases: {cases}. A field is tried in the cases that read it; `same`
+means the same verdict, the same findings, and parameters within 1 %. A field that no case reads is
+not shown to be without influence. Revision `{revision}`, {date}.
+
+"""
 FACTORS = (0.5, 2.0)
 SAME_SHARE = 0.01
 """Of a parameter's value, by which answers may differ and count as the same."""
@@ -312,6 +325,7 @@ def main() -> int:
     parser.add_argument("fields", metavar="FIELD", nargs="*", help="all by default")
     parser.add_argument("--out", type=Path, required=True, help="folder of answers and the table")
     parser.add_argument("--minutes", type=float, default=60.0, help="stop after so many")
+    parser.add_argument("--page", type=Path, help="page of the documentation to write")
     args = parser.parse_args()
     until = time.monotonic() + 60.0 * args.minutes
     args.out.mkdir(parents=True, exist_ok=True)
@@ -341,7 +355,14 @@ def main() -> int:
             for case, value in product(tried, map(field.changed, FACTORS)):
                 if time.monotonic() < until:
                     attempt(case, field, value, answers, args.out)
-    (args.out / "sensitivity.md").write_text(table(fields, answers, base, read))
+    head = HEAD.format(
+        cases=", ".join(case.name for case in CASES),
+        revision=revision(),
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+    )
+    text = table(fields, answers, base, read)
+    for path in filter(None, (args.out / "sensitivity.md", args.page)):
+        path.write_text(head + text)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""What was said of blind cases, in one file: to publish, and to go on from elsewhere.
+"""Pack diagnoses of blind cases into one file, to publish them or to continue elsewhere.
 
     python benchmarks/concealed/answers.py pack --results DIR --file FILE
     python benchmarks/concealed/answers.py unpack --results DIR --file FILE

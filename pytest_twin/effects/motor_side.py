@@ -96,7 +96,7 @@ def _resolved(
 
 @dataclass(frozen=True, slots=True)
 class Motor:
-    """What turns on the motor's side, on the joint's side of the gear, (rows, joints).
+    """Properties of the motor side, converted to the joint side, (rows, joints) each.
 
     Attributes:
         armature: motor inertia, kg*m^2 or kg.

@@ -236,14 +236,13 @@ class _Past:
     """Integrals of positions and setpoints over time, for the last steps.
 
     Attributes:
-        acts: (rows, joints) whether a servo is sampled.
-        period: (rows, joints) s, of its samples.
-        timestep: s.
-        count: steps so far.
-        positions, setpoints: (steps, rows * joints), step ``k`` at ``k % steps``.
-        areas, sums: their integrals up to the beginning of each step.
-        of_position, of_setpoint: until when they are asked for: three and two samples, the latest
-            first.
+        acts: (rows, joints) whether the servo is sampled.
+        period: (rows, joints) sample period, s.
+        timestep: time step, s.
+        count: number of steps so far.
+        positions, setpoints: (steps, rows * joints) ring buffers; step ``k`` is at ``k % steps``.
+        areas, sums: integrals of positions and setpoints up to the start of each step.
+        of_position, of_setpoint: times of the last three and the last two samples, latest first.
     """
 
     acts: NDArray[np.bool_]
@@ -261,14 +260,14 @@ class _Past:
     def at(
         cls, world: World, acts: NDArray[np.bool_], period: FloatArray, delay: FloatArray
     ) -> _Past:
-        """A past in which the joints moved evenly under the same setpoint."""
+        """The past before a simulation: constant velocity and constant setpoint."""
         step = world.timestep
         samples = np.array([delay, delay + period, delay + 2.0 * period])
         longest = float(np.where(acts, samples[2], 0.0).max())
         steps = int(np.ceil(longest / step)) + 3
         ago = step * (steps - np.arange(steps, dtype=np.float64))[:, None]
         position, velocity = world.motor_position.ravel(), world.motor_velocity.ravel()
-        # Where nothing is sampled the present is read.
+        # A servo that is not sampled reads the present state.
         samples = np.where(acts, samples, 0.0)
         # The engine holds the setpoint of a step from half a step before to half a step after.
         back = np.maximum(samples[:2] - 0.5 * step, -0.5 * step)
@@ -310,14 +309,14 @@ class _Past:
 
 @dataclass(frozen=True, slots=True)
 class _Back:
-    """How long before the present step samples are, in whole steps and the time since then.
+    """Age of samples relative to the present step.
 
     Attributes:
         shape: (samples, rows, joints).
-        whole: (samples, rows * joints) steps.
-        since: s, from the beginning of that step to the sample.
-        half_share: half of ``since``, of a step.
-        column: (rows * joints,).
+        whole: (samples, rows * joints) number of steps back to the step that contains the sample.
+        since: (samples, rows * joints) time from the start of that step to the sample, s.
+        half_share: half of ``since``, in steps.
+        column: (rows * joints,) indices of the columns.
     """
 
     shape: tuple[int, ...]
@@ -328,7 +327,7 @@ class _Back:
 
     @classmethod
     def of(cls, ago: FloatArray, step: float) -> _Back:
-        """Of (samples, rows, joints) times ago, s; negative ones are after the present step."""
+        """From (samples, rows, joints) ages in s; negative ones are after the present step."""
         flat = ago.reshape(len(ago), -1)
         whole = np.maximum(np.ceil(flat / step), 0.0).astype(np.int64)
         since = whole * step - flat

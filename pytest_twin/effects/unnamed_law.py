@@ -65,8 +65,8 @@ class _Table(Effect):
     """A table over one variable: linear between knots, zero beyond one interval from its ends.
 
     Class attributes:
-        variables: what the table may be a function of, by the parameter ``variable``.
-        is_friction: whether it is a level of dry friction, not a force.
+        variables: possible arguments of the table; the parameter ``variable`` is an index.
+        is_friction: whether the table is a level of dry friction instead of a force.
     """
 
     source = _SOURCE
@@ -75,7 +75,7 @@ class _Table(Effect):
     is_friction: ClassVar[bool]
 
     def variable(self, values: Mapping[str, float]) -> Variable:
-        """What the table is a function of."""
+        """Argument of the table."""
         return self.variables[int(values["variable"])]
 
     def parameters_of(
@@ -89,11 +89,11 @@ class _Table(Effect):
         """SI parameters of a (KNOTS,) table.
 
         Args:
-            variable: of the table.
-            ends: first and last knot.
-            valid: range in which the table is known; zero beyond its ends.
-            table: N*m or N.
-            others: what else the law has.
+            variable: argument of the table.
+            ends: first and last knot, in the unit of the variable.
+            valid: range in which the table is known, in the same unit.
+            table: (KNOTS,) values at the knots, N*m or N.
+            others: further parameters of the law.
         """
         return {
             "variable": float(self.variables.index(variable)),
@@ -137,7 +137,7 @@ class _Table(Effect):
         )
 
     def _of(self, at: FloatArray, world: World, values: Values) -> FloatArray:
-        """(rows, joints) of the table at (rows, joints) values of its variable."""
+        """(rows, joints) values of the table in N*m or N, for values ``at`` of its variable."""
         memory = world.state.setdefault(self.id, {})
         if "table" not in memory:
             # Values are the same at every step of a simulation.

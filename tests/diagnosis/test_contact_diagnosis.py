@@ -55,7 +55,7 @@ def test_a_contact_that_differs_is_named_with_its_size(
     joints: tuple[str, ...],
     hidden: dict[str, Any],
 ) -> None:
-    words = case(tmp_path, joints, **hidden)
+    words = case(tmp_path, joints, seconds=1.4, **hidden)
     assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert said["verdict"] == "explained"
@@ -75,7 +75,7 @@ def test_a_contact_that_differs_is_named_with_its_size(
 def test_what_is_wrong_in_the_air_is_named_beside_what_is_wrong_at_the_table(
     tmp_path: Path,
 ) -> None:
-    words = case(tmp_path, ONE, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
+    words = case(tmp_path, ONE, seconds=1.4, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
     assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert said["verdict"] == "explained"

@@ -68,7 +68,7 @@ def test_a_drive_is_named_with_what_it_has_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Searches named dry friction alone, on a pendulum that has two more."""
-    monkeypatch.setattr(cma_es_fit, "_ASKED", 16)
+    monkeypatch.setattr(cma_es_fit, "_EVALUATIONS", 16)
     realization, trials = hunting(tmp_path, seconds=2.0, dry=DRY, viscous=VISCOUS, delay=DELAY)
     whole, cut, longer = (
         prepare(realization, trials.fit, trials.held_out, threads=1, window=window)
@@ -112,7 +112,7 @@ def test_what_is_not_missed_is_less_likely_than_even(tmp_path: Path) -> None:
 
 
 def test_a_joint_slips_that_rubs_and_keeps_a_lot(tmp_path: Path) -> None:
-    realization, trials = hunting(tmp_path, dry=DRY)
+    realization, trials = hunting(tmp_path, seconds=2.0, dry=DRY)
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
     found = search(prepared, trials, StepwiseSelection(prepared.problem))
     assert prepared.problem.joints == ONE

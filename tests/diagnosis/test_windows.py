@@ -18,13 +18,14 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
-from pytest_twin.diagnosis.search_result import confirm, refit_whole_motions, search
+from pytest_twin.diagnosis.search_result import SearchResult, confirm, refit_whole_motions, search
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.realization import Realization
 
-LAG = 0.05
+LAG, SHORT_LAG = 0.05, 0.01
+"""s, of a servo that is unstable and of one that is stable."""
 LAGS = Term("actuator_lag", 0)
 ONE = ("left",)
 
@@ -64,24 +65,34 @@ def test_a_lag_that_makes_a_servo_hunt_is_named_with_its_time(tmp_path: Path) ->
 
 
 def test_a_motion_that_is_followed_whole_stays_whole(tmp_path: Path) -> None:
-    realization, trials = hunting(tmp_path, delay=0.02)
+    realization, trials = hunting(tmp_path, seconds=2.2, delay=0.02)
     found = diagnose(realization, trials, threads=1)
     assert [f.effect for f in found.explained.findings] == ["command_delay"]
     assert not any("windows" in note for note in found.notes)
 
 
-def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
-    lag = 0.01
-    realization, trials = hunting(tmp_path, lag=lag)
-    cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
-    other = search(cut, trials, StepwiseSelection(cut.problem))
+@pytest.fixture(scope="module")
+def lagging(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Realization, TrialSet, SearchResult]:
+    """A servo that lags and is stable, its recordings, and a search over whole motions."""
+    realization, trials = hunting(tmp_path_factory.mktemp("lagging"), lag=SHORT_LAG)
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
     found = search(prepared, trials, StepwiseSelection(prepared.problem))
+    return realization, trials, found
+
+
+def test_what_windows_name_is_fitted_over_whole_motions(
+    lagging: tuple[Realization, TrialSet, SearchResult],
+) -> None:
+    realization, trials, found = lagging
+    cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
+    other = search(cut, trials, StepwiseSelection(cut.problem))
     whole = refit_whole_motions(found, other)
     (finding,) = whole.explained.findings
     assert (finding.effect, finding.confidence) == ("actuator_lag", other.selected.confidence[LAGS])
-    assert finding.parameters["time_constant"].value == pytest.approx(lag, rel=0.02)
-    assert whole.prepared is prepared
+    assert finding.parameters["time_constant"].value == pytest.approx(SHORT_LAG, rel=0.02)
+    assert whole.prepared is found.prepared
     assert whole.verdict == "explained"
     # Both name what explains most; what leaves next to nothing has nothing to gain.
     assert whole.may_improve(replace(other, errors=off(other.errors, times=5.0)))
@@ -99,10 +110,10 @@ def test_what_windows_name_is_fitted_over_whole_motions(tmp_path: Path) -> None:
     assert (again.errors, again.verdict) == (whole.errors, whole.verdict)
 
 
-def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(tmp_path: Path) -> None:
-    realization, trials = hunting(tmp_path, lag=0.01)
-    prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
-    whole = search(prepared, trials, StepwiseSelection(prepared.problem))
+def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(
+    lagging: tuple[Realization, TrialSet, SearchResult],
+) -> None:
+    realization, trials, whole = lagging
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
     found = confirm(cut, trials, whole, Run())
     assert found is not None
