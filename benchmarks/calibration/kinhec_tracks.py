@@ -197,6 +197,25 @@ def table(found: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
+def compared(found: pd.DataFrame) -> str:
+    """In how many sequences of each track ours is nearer than the best reference."""
+    lines = []
+    for group, mine in found.groupby("group"):
+        errors = mine[mine["ok"]].pivot_table(
+            index="sequence_id", columns="solver", values="X_trans_err_mm"
+        )
+        if OURS not in errors:
+            continue
+        best = errors.drop(columns=OURS).median().idxmin()
+        both = errors[[OURS, best]].dropna()
+        ratio = float(np.exp(np.log(both[OURS] / both[best]).mean()))
+        lines.append(
+            f"{group}: nearer than {best} in {int((both[OURS] < both[best]).sum())} of {len(both)} "
+            f"sequences, with {ratio:.2f} times its error (geometric mean)"
+        )
+    return "\n".join(lines)
+
+
 def scales(found: pd.DataFrame) -> str:
     """How many sequences a missing metric scale was recognised in, and the error of the scale."""
     lines = []
@@ -230,6 +249,7 @@ def main() -> None:
     if arguments.csv:
         found.to_csv(arguments.csv, index=False)
     print(table(found))
+    print(compared(found))
     print(scales(found))
 
 

@@ -17,6 +17,7 @@ from pytest_twin.calibration.clocks.correlation import (
     Correlated,
     correlate_speeds,
 )
+from pytest_twin.calibration.clocks.mistakes import mistakes
 from pytest_twin.calibration.clocks.offset import ClockFit, errors_at, fit_clocks
 from pytest_twin.calibration.clocks.pictured import angular_speeds, scene_of_streams
 from pytest_twin.calibration.clocks.residuals import residuals_of
@@ -81,6 +82,7 @@ def calibrate_streams(plan: Plan) -> dict[str, Any]:
         "solvers": {},
         "excluded": [],
         "unobservable": [],
+        "suspected": [],
         "reasons": [],
         "notes": [],
         "software": {"pytest-twin": __version__},
@@ -96,10 +98,12 @@ def calibrate_streams(plan: Plan) -> dict[str, Any]:
             problem = "the time offset: the motion does not determine it together with hand-eye"
     if problem:
         document["unobservable"] = [problem]
-    document["reasons"] = [*document["unobservable"], *document["reasons"]]
     if document["unobservable"]:
         document["records"] = {}
-        document["verdict"] = "degenerate"
+        # A mistake in a stream makes directions seem undetermined; another motion is no help.
+        if not document["suspected"]:
+            document["reasons"] = [*document["unobservable"], *document["reasons"]]
+            document["verdict"] = "degenerate"
     return document
 
 
@@ -175,7 +179,12 @@ def _solve(
     document["held_out"]["pattern"] = pattern_of(residuals_of(hand, camera, seen, fit, middle))
     document["scene"] = scene_of_streams(plan, hand, camera, seen, fit, middle, held_out)
     document["angular_speeds"] = angular_speeds(hand, camera, fit, middle, found.correlation)
-    document["reasons"] = accepted(document["held_out"], asdict(plan.accept))
+    suspected = mistakes(plan, hand, camera, seen, fit, middle)
+    document["suspected"] = [one.to_json() for one in suspected]
+    document["reasons"] = [
+        *(f"{one.what}; {one.mend}" for one in suspected),
+        *accepted(document["held_out"], asdict(plan.accept)),
+    ]
     document["verdict"] = "rejected" if document["reasons"] else "accepted"
 
 

@@ -253,3 +253,29 @@ def test_a_line_that_is_no_stamped_pose_is_an_error_with_its_number(tmp_path, li
     with pytest.raises(FormatError, match=words) as error:
         read_stream(tmp_path / "s.csv")
     assert error.value.line == 2
+
+
+@pytest.mark.parametrize(
+    ("stream", "factor", "words"),
+    [
+        ("camera", 1000.0, "the camera's stream is "),
+        ("hand", 1000.0, "the hand's stream is "),
+        ("camera", 1.2, "positions of the camera's stream are too large or too small by a factor"),
+    ],
+)
+def test_a_stream_in_another_unit_is_said_with_the_correction(tmp_path, stream, factor, words):
+    streams(tmp_path)
+    path = tmp_path / {"camera": "camera.csv.gz", "hand": "hand.csv"}[stream]
+    found = read_stream(path)
+    poses = found.poses.copy()
+    poses[:, :3, 3] *= factor
+    write(path, found.time, poses)
+    status, found = calibrated(tmp_path)
+    assert (status, found["verdict"]) == (1, "rejected")
+    assert found["reasons"][0].startswith(words)
+    assert not any("turn the hand" in reason for reason in found["reasons"])
+
+
+def test_nothing_is_suspected_of_streams_without_a_mistake(tmp_path):
+    streams(tmp_path, noise=5e-3)
+    assert calibrated(tmp_path)[1]["suspected"] == []

@@ -1,0 +1,77 @@
+"""Mistakes in two streams that would explain their errors: units, sizes, directions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.cameras.increments import inverse
+from pytest_twin.calibration.clocks.offset import ClockFit, hand_times
+from pytest_twin.calibration.clocks.streams import PoseStream
+from pytest_twin.calibration.observations import Observations
+from pytest_twin.calibration.plan import Plan
+from pytest_twin.calibration.problem import make_problem
+from pytest_twin.calibration.residual_errors import errors_of
+from pytest_twin.calibration.solve import robust_cost, solve
+from pytest_twin.calibration.starts import starts
+from pytest_twin.calibration.suspect import Suspect
+from pytest_twin.calibration.suspected_scale import scale_beyond_chance
+from pytest_twin.calibration.suspects import doubtful, suspects
+
+_POSES = 60
+"""Of the streams: neighbouring ones have the same errors."""
+_WORDS = {
+    "flange.*": "the hand's stream",
+    "camera_from_target": "the camera's stream",
+    "declare camera": "give poses at stamps of one clock (observations:) and declare camera",
+}
+"""Words for a table of observations, and those for streams."""
+
+
+def mistakes(
+    plan: Plan,
+    hand: PoseStream,
+    camera: PoseStream,
+    seen: FloatArray,
+    fit: ClockFit,
+    middle: float,
+) -> tuple[Suspect, ...]:
+    """Mistakes that explain the streams far better, found as among poses on one clock.
+
+    Args:
+        plan: with what is accepted.
+        hand, camera: the streams.
+        seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
+        fit: with the offset.
+        middle: time of the camera's clock at which the offset holds, s.
+    """
+    time = hand_times(camera, fit.offset, fit.drift, middle)
+    inside = np.flatnonzero((time >= hand.time[0]) & (time <= hand.time[-1]))
+    rows = inside[np.linspace(0, len(inside) - 1, min(_POSES, len(inside))).astype(int)]
+    carried = hand.at(time[rows])
+    observations = Observations(
+        ids=tuple(str(row) for row in rows),
+        flange=inverse(carried) if hand.inverted else carried,
+        camera_from_target=inverse(seen[rows]),
+    )
+    estimate = tuple(name for name in plan.estimate if name != "time_offset")
+    problem = make_problem(replace(plan, estimate=estimate), observations, None)
+    candidates = starts(problem)
+    if not candidates:
+        return ()
+    best = min(candidates.values(), key=lambda state: robust_cost(problem, state))
+    found = solve(problem, best)
+    if doubtful(errors_of(found.problem, found.state, found.kept).summary(), problem):
+        suspected = suspects(found)
+    else:
+        scale = scale_beyond_chance(found)
+        suspected = () if scale is None else (scale,)
+    return tuple(replace(one, what=_named(one.what), mend=_named(one.mend)) for one in suspected)
+
+
+def _named(words: str) -> str:
+    for of_table, of_streams in _WORDS.items():
+        words = words.replace(of_table, of_streams)
+    return words
