@@ -11,6 +11,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import State
+from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import (
     INVERTED_RECORDS,
     TIP,
@@ -35,7 +36,7 @@ def recorded_state(problem: Problem, record: CalibrationRecord) -> State:
     """
     poses = dict(problem.fixed.poses)
     for name in problem.layout.poses:
-        poses[name] = _pose(problem, name, record)
+        poses[name] = recorded_pose(problem.plan, name, record)
     points = dict(problem.fixed.points)
     for name in problem.layout.points:
         points[name] = _point(name, record)
@@ -78,15 +79,20 @@ def held_out_observations(observations: Observations, record: CalibrationRecord)
     return replace(held, camera_from_target=poses)
 
 
-def _pose(problem: Problem, name: str, record: CalibrationRecord) -> FloatArray:
+def recorded_pose(plan: Plan, name: str, record: CalibrationRecord) -> FloatArray:
+    """(4, 4) of a pose of the chain, as ``camera.mounted``, from a record.
+
+    Raises:
+        SpecError: the record lacks it.
+    """
     family, _, role = name.partition(".")
-    mount = problem.plan.mount if family == "camera" else "hand"
+    mount = plan.mount if family == "camera" else "hand"
     names = (*records_of(role, family, mount), NOT_ASKED[family, mount, role])
     for one in names:
         pose = _full(record.transforms, one)
         if pose is not None:
             return inverse(pose) if one in INVERTED_RECORDS else pose
-    raise _missing(record, f"no transform of {words_of(name, problem.plan.mount)}", names)
+    raise _missing(record, f"no transform of {words_of(name, plan.mount)}", names)
 
 
 def _full(transforms: Mapping[str, Transform], name: str) -> FloatArray | None:

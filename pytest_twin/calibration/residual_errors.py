@@ -89,27 +89,40 @@ class Errors:
 
     def regions(self) -> list[dict[str, Any]]:
         """The same root mean squares for thirds of the workspace by reach."""
-        if len(self.ids) < _LEAST_IN_REGION * len(_REGIONS):
-            return []
-        bounds = np.quantile(self.reach, [0.0, 1 / 3, 2 / 3, 1.0])
-        if bounds[-1] - bounds[0] < 1e-6:
-            return []
-        which = np.clip(np.searchsorted(bounds[1:-1], self.reach, side="right"), 0, 2)
-        found = []
-        for number, name in enumerate(_REGIONS):
-            inside = which == number
-            if inside.sum() < _LEAST_IN_REGION:
-                continue
-            one = {
-                "region": name,
-                "reach": [float(bounds[number]), float(bounds[number + 1])],
-                "count": int(inside.sum()),
-                "translation_rms": _rms(self.translation[inside]),
-            }
-            if np.isfinite(self.rotation[inside]).any():
-                one["rotation_rms"] = _rms(self.rotation[inside])
-            found.append(one)
-        return found
+        return regions_of(self.reach, self.translation, self.rotation)
+
+
+def regions_of(
+    reach: FloatArray, translation: FloatArray, rotation: FloatArray
+) -> list[dict[str, Any]]:
+    """Root mean squares of coordinates for thirds of the workspace; none where it is one place.
+
+    Args:
+        reach: (m,) distance of the flange from the base, m.
+        translation: (m, k) coordinates of the errors, m.
+        rotation: (m, k) rad; NaN where points are measured.
+    """
+    if len(reach) < _LEAST_IN_REGION * len(_REGIONS):
+        return []
+    bounds = np.quantile(reach, [0.0, 1 / 3, 2 / 3, 1.0])
+    if bounds[-1] - bounds[0] < 1e-6:
+        return []
+    which = np.clip(np.searchsorted(bounds[1:-1], reach, side="right"), 0, 2)
+    found = []
+    for number, name in enumerate(_REGIONS):
+        inside = which == number
+        if inside.sum() < _LEAST_IN_REGION:
+            continue
+        one = {
+            "region": name,
+            "reach": [float(bounds[number]), float(bounds[number + 1])],
+            "count": int(inside.sum()),
+            "translation_rms": _rms(translation[inside]),
+        }
+        if np.isfinite(rotation[inside]).any():
+            one["rotation_rms"] = _rms(rotation[inside])
+        found.append(one)
+    return found
 
 
 def errors_of(problem: Problem, state: State, kept: Sequence[np.ndarray] | None = None) -> Errors:

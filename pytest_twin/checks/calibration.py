@@ -28,6 +28,7 @@ from pytest_twin.twin import CalibrationEntry, Twin
 if TYPE_CHECKING:
     from pytest_twin.calibration.plan import Plan
     from pytest_twin.calibration.residual_errors import Errors
+    from pytest_twin.formats.calibration_record import CalibrationRecord
     from pytest_twin.realization import Realization
     from pytest_twin.realization.serial_chain import SerialChain
 
@@ -59,12 +60,20 @@ class CalibrationCheck(Check):
                     **TEXT,
                     "description": "Observations that the record was made from, found as the plan.",
                 },
+                "streams": {
+                    "type": "object",
+                    "properties": {"hand": TEXT, "camera": TEXT},
+                    "required": ["hand", "camera"],
+                    "additionalProperties": False,
+                    "description": "Streams that the record was made from, in place of "
+                    "observations; found as the plan.",
+                },
                 "flange": {
                     **TEXT,
                     "description": "The plan's flange, where the plan has a robot.",
                 },
             },
-            "required": ["record", "plan", "observations"],
+            "required": ["record", "plan"],
             "additionalProperties": False,
         },
         "stimulus": {"type": "object", "additionalProperties": False},
@@ -74,7 +83,8 @@ class CalibrationCheck(Check):
         """The record, its files, kinematics and joint zeros of the chain to the flange."""
         target = golden.target
         parts = {f"record:{target['record']}"}
-        parts |= {f"file:{target[name]}" for name in ("plan", "observations")}
+        files = [target["plan"], target.get("observations"), *target.get("streams", {}).values()]
+        parts |= {f"file:{name}" for name in files if name is not None}
         if "flange" in target:
             chain = structure.chain([target["flange"]])
             parts |= chain | encoder_parts(structure, chain)
@@ -92,17 +102,18 @@ class CalibrationCheck(Check):
 
         twin = twin_of(golden, realization, "a calibration", "calibrations")
         record = _entry(golden, twin).record
-        plan = load_plan(_file(golden, "plan", record.inputs, twin))
-        data = _file(golden, "observations", record.inputs, twin)
-        observations = load_observations(data)
+        plan = load_plan(_file(golden, "plan", golden.target["plan"], record.inputs, twin))
         if plan.streams:
+            found = _of_streams(golden, plan, record, twin)
+            progress(1.0)
+            return Observation({"held_out": found, "recorded": dict(record.held_out)})
+        if "observations" not in golden.target:
             raise spec_error(
-                golden,
-                "target.plan",
-                "streams cannot be re-checked",
-                value=golden.target["plan"],
-                expected="a calibration from observations.csv",
-            )
+                golden, "target", "no observations",
+                expected="observations: the file that the plan names",
+            )  # fmt: skip
+        data = _file(golden, "observations", golden.target["observations"], record.inputs, twin)
+        observations = load_observations(data)
         observations, _ = without_coincident(observations)
         held = held_out_observations(observations, record)
         chain = None
@@ -180,9 +191,38 @@ def _entry(golden: Golden, twin: Twin) -> CalibrationEntry:
     return entries[known_name(golden, "target.record", name, entries, "calibration")]
 
 
-def _file(golden: Golden, field: str, inputs: Mapping[str, str], twin: Twin) -> Path:
+def _of_streams(
+    golden: Golden, plan: Plan, record: CalibrationRecord, twin: Twin
+) -> dict[str, Any]:
+    """Errors of the streams' held-out stretches with the offset and transforms of the record."""
+    from pytest_twin.calibration.clocks.recorded import held_out_errors
+
+    stated = golden.target.get("streams")
+    if stated is None:
+        raise spec_error(
+            golden, "target", "no streams", expected="streams: {hand: FILE, camera: FILE}"
+        )
+    files = {
+        name: _file(golden, f"streams.{name}", stated[name], record.inputs, twin)
+        for name in ("hand", "camera")
+    }
+    errors = held_out_errors(replace(plan, streams=files), record)
+    sizes = dict(zip(_ERRORS.values(), errors, strict=True))
+    return {
+        **{f"{name}_rms": float(np.sqrt(np.mean(one**2) / 3.0)) for name, one in sizes.items()},
+        "count": len(errors[0]),
+        "worst": {
+            name: {"id": f"number {int(np.argmax(one)) + 1}", "error": float(one.max())}
+            for name, one in sizes.items()
+        },
+    }
+
+
+def _file(
+    golden: Golden, field: str, reference: str, inputs: Mapping[str, str], twin: Twin
+) -> Path:
     """A file of the calibration, once it is the one that the record was made from."""
-    where, reference = f"target.{field}", golden.target[field]
+    where = f"target.{field}"
     path = find_file(golden, where, reference, twin)
     made_from = ", ".join(inputs) or "no files"
     expected = f"one of {made_from}, unchanged; calibrate again after a change"

@@ -66,6 +66,7 @@ class CalibrationRecord:
         covariance_names, covariance: of all unknowns together, as the fit had them.
         deviations: label -> deviation of a link.
         time_offset: of one clock against the other and its standard deviation, s, or None.
+        clock_drift: by which the offset grows, s/s; 0 where none was used.
         scale: of the camera's positions against m, or None where they are in m.
     """
 
@@ -87,6 +88,7 @@ class CalibrationRecord:
     covariance: Matrix = ()
     deviations: Mapping[str, Deviation] = field(default_factory=dict)
     time_offset: tuple[float, float] | None = None
+    clock_drift: float = 0.0
     scale: float | None = None
     homes: Mapping[str, float] = field(default_factory=dict)
 
@@ -168,6 +170,7 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
             time_offset=None
             if offset is None
             else (number(offset["value"]), standard_deviation(offset["ci95"])),
+            clock_drift=_drift(offset),
             scale=number(records["scale"]["value"]) if "scale" in records else None,
             homes={text(name): number(one["sign"]) for name, one in homes.items()},
         )
@@ -177,6 +180,11 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
             path=path,
             expected="calibration.json of pytest-twin calibrate, schema 1",
         ) from None
+
+
+def _drift(offset: Mapping[str, Any] | None) -> float:
+    drift = {} if offset is None else offset.get("drift", {})
+    return number(drift["value"]) if drift.get("used") else 0.0
 
 
 def _of_homes(homes: Mapping[str, Any]) -> dict[str, Any]:

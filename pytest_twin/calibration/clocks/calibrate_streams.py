@@ -18,14 +18,19 @@ from pytest_twin.calibration.clocks.correlation import (
     correlate_speeds,
 )
 from pytest_twin.calibration.clocks.mistakes import mistakes
-from pytest_twin.calibration.clocks.offset import ClockFit, errors_at, fit_clocks
+from pytest_twin.calibration.clocks.offset import (
+    ClockFit,
+    errors_at,
+    fit_clocks,
+    hand_times,
+)
 from pytest_twin.calibration.clocks.pictured import angular_speeds, scene_of_streams
 from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import INVERTED_RECORDS, records_of, words_of
 from pytest_twin.calibration.records import inverse_with_covariance
-from pytest_twin.calibration.residual_errors import accepted
+from pytest_twin.calibration.residual_errors import accepted, regions_of
 from pytest_twin.calibration.residual_patterns import pattern_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
 from pytest_twin.metrics.pose import quaternion_of
@@ -67,11 +72,7 @@ def calibrate_streams(plan: Plan) -> dict[str, Any]:
     Raises:
         TwinError: a stream that cannot be used.
     """
-    hand, camera = (read_stream(plan.streams[name]) for name in ("hand", "camera"))
-    if plan.mount == "world":
-        # A camera that stands still is carried by the base, as the flange sees it. Errors are then
-        # at the target, which is measured, and not at the camera, where angles add to them.
-        hand = replace(hand, inverted=True)
+    hand, camera = streams_of(plan)
     document: dict[str, Any] = {
         "schema": 1,
         "calibration": plan.id,
@@ -90,10 +91,10 @@ def calibrate_streams(plan: Plan) -> dict[str, Any]:
     found = correlate_speeds(hand, camera)
     problem = _unclear(found)
     middle = float(camera.time.mean())
-    stretches = _stretches(camera, plan)
+    parts = stretches(camera, plan)
     if not problem:
         try:
-            _solve(document, plan, hand, camera, found, middle, stretches)
+            _solve(document, plan, hand, camera, found, middle, parts)
         except np.linalg.LinAlgError:
             problem = "the time offset: the motion does not determine it together with hand-eye"
     if problem:
@@ -105,6 +106,18 @@ def calibrate_streams(plan: Plan) -> dict[str, Any]:
             document["reasons"] = [*document["unobservable"], *document["reasons"]]
             document["verdict"] = "degenerate"
     return document
+
+
+def streams_of(plan: Plan) -> tuple[PoseStream, PoseStream]:
+    """The hand's and the camera's stream of a plan.
+
+    Raises:
+        TwinError: a stream that cannot be used.
+    """
+    hand, camera = (read_stream(plan.streams[name]) for name in ("hand", "camera"))
+    # A camera that stands still is carried by the base, as the flange sees it. Errors are then at
+    # the target, which is measured, and not at the camera, where angles add to them.
+    return replace(hand, inverted=plan.mount == "world"), camera
 
 
 def _unclear(found: Correlated) -> str:
@@ -123,7 +136,7 @@ def _unclear(found: Correlated) -> str:
     return ""
 
 
-def _stretches(camera: PoseStream, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+def stretches(camera: PoseStream, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Poses to fit and to hold out: whole stretches of time, as neighbours have the same errors."""
     blocks = np.array_split(np.arange(len(camera.time)), _STRETCHES)
     number = min(round(plan.hold_out.fraction * _STRETCHES), _STRETCHES - 2)
@@ -139,11 +152,11 @@ def _solve(
     camera: PoseStream,
     found: Correlated,
     middle: float,
-    stretches: tuple[np.ndarray, np.ndarray],
+    parts: tuple[np.ndarray, np.ndarray],
 ) -> None:
-    fitted, held_out = stretches
+    fitted, held_out = parts
     start = _start(hand, camera.rows(fitted), found.offset)
-    seen = _seen(camera, start.inverted)
+    seen = seen_in(camera, inverted=start.inverted)
     mine, theirs = camera.rows(fitted), camera.rows(held_out)
     at = start.solved[start.solver]
     fit = fit_clocks(hand, mine, seen[fitted], found.offset, at, middle, with_drift=False)
@@ -153,26 +166,30 @@ def _solve(
             "the camera's stream holds poses of the camera in the target's frame; it was inverted"
         )
     drift = _drift(drifting, fit, camera)
-    if drift.get("value") is not None and abs(drifting.drift) > SURE_DRIFT * drifting.interval(1):
+    sure = bool(abs(drifting.drift) > SURE_DRIFT * drifting.interval(1))
+    drift["used"] = drift["value"] is not None and sure
+    if drift["used"]:
         fit = drifting
         document["notes"].append(
             f"the clocks drift apart by {1e6 * drifting.drift:.0f} us each second; the offset is "
             "that in the middle of the camera's stream"
         )
-    if drift.get("value") is None:
+    if drift["value"] is None:
         document["notes"].append(drift["why"])
     document["unobservable"] = _undetermined(plan, fit)
     document["records"] = _records(plan, fit, drift, found)
     document["covariance"] = _together(plan, fit)
     document["fitted"] = _summary(fit.translation, fit.rotation)
     if len(held_out):
-        document["held_out"] = _summary(*errors_at(hand, theirs, seen[held_out], fit, middle))
+        errors = errors_at(hand, theirs, seen[held_out], fit, middle)
+        document["held_out"] = _summary(*errors)
+        document["held_out"]["regions"] = _regions(hand, theirs, fit, middle, errors)
         for name, one in start.solved.items():
             if not one.failed:
                 alone = replace(fit, offset=found.offset, drift=0.0, solved=one)
-                errors = _summary(*errors_at(hand, theirs, seen[held_out], alone, middle))
+                of_solver = _summary(*errors_at(hand, theirs, seen[held_out], alone, middle))
                 kept = ("translation_rms", "rotation_rms")
-                document["solvers"][name] = {key: errors[key] for key in kept if key in errors}
+                document["solvers"][name] = {k: of_solver[k] for k in kept if k in of_solver}
         document["solvers"]["least_squares"] = {
             key: document["held_out"][key] for key in ("translation_rms", "rotation_rms")
         }
@@ -198,7 +215,7 @@ def _start(hand: PoseStream, camera: PoseStream, offset: float) -> Start:
     flange = hand.at(time[chosen])
     best, least = Start("", {}, False), np.inf
     for inverted in (False, True):
-        seen = _seen(camera.rows(chosen), inverted)
+        seen = seen_in(camera.rows(chosen), inverted=inverted)
         solved = solve_all(flange, inverse(seen), "hand")
         for name, one in solved.items():
             if one.failed:
@@ -215,7 +232,7 @@ def _start(hand: PoseStream, camera: PoseStream, offset: float) -> Start:
     return best
 
 
-def _seen(camera: PoseStream, inverted: bool) -> FloatArray:
+def seen_in(camera: PoseStream, *, inverted: bool) -> FloatArray:
     """(n, 4, 4) ``seen`` with ``hand @ hand_eye = robot_world @ seen``."""
     return camera.poses if inverted else inverse(camera.poses)
 
@@ -354,6 +371,22 @@ def _pose(
             for label, m, w in zip(_LABELS, middle, width, strict=True)
         },
     }
+
+
+def _regions(
+    hand: PoseStream,
+    camera: PoseStream,
+    fit: ClockFit,
+    middle: float,
+    errors: tuple[FloatArray, FloatArray],
+) -> list[dict[str, Any]]:
+    """Errors of thirds of the workspace; ``errors`` are those that ``errors_at`` gives."""
+    time = hand_times(camera, fit.offset, fit.drift, middle)
+    inside = (time >= hand.time[0]) & (time <= hand.time[-1])
+    reach = np.linalg.norm(hand.at(time[inside])[:, :3, 3], axis=1)
+    # Of three coordinates, one has the root mean square of the distance by the root of three.
+    translation, rotation = (one[:, None] / np.sqrt(3.0) for one in errors)
+    return regions_of(reach, translation, rotation)
 
 
 def _summary(translation: FloatArray, rotation: FloatArray) -> dict[str, Any]:

@@ -153,6 +153,12 @@ def test_the_page_draws_errors_in_the_base_and_both_streams_on_one_clock(tmp_pat
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(
         found["fitted"]["translation_rms"], rel=0.2
     )
+    regions = found["held_out"]["regions"]
+    assert [one["region"] for one in regions] == ["near", "middle", "far"]
+    squares = [one["count"] * one["translation_rms"] ** 2 for one in regions]
+    total = sum(one["count"] for one in regions)
+    assert total == found["held_out"]["count"]
+    assert np.sqrt(sum(squares) / total) == pytest.approx(found["held_out"]["translation_rms"])
     page = (tmp_path / "out" / "calibration.html").read_text()
     assert page.index("<h2>Workspace") < page.index("<h2>Clocks") < page.index("<h2>Errors")
     assert "with an offset of 500." in page or "with an offset of 499." in page

@@ -1,0 +1,59 @@
+"""Errors of two streams with the offset and the transforms of a finished calibration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.clocks.calibrate_streams import seen_in, streams_of, stretches
+from pytest_twin.calibration.clocks.offset import ClockFit, errors_at
+from pytest_twin.calibration.plan import Plan
+from pytest_twin.calibration.recorded import recorded_pose
+from pytest_twin.calibration.solvers.algebraic import HandEye
+from pytest_twin.errors import SpecError
+from pytest_twin.formats.calibration_record import CalibrationRecord
+
+
+def held_out_errors(plan: Plan, record: CalibrationRecord) -> tuple[FloatArray, FloatArray]:
+    """(n,) translation (m) and rotation (rad) errors of the poses that a record held out.
+
+    Args:
+        plan: that the record was made from, with the streams to predict.
+        record: of a calibration from streams.
+
+    Raises:
+        SpecError: the record lacks a transform or the offset, or held nothing out.
+        TwinError: a stream that cannot be used.
+    """
+    if record.time_offset is None:
+        raise SpecError(
+            "no offset of the clocks", path=record.path, where="records.time_offset",
+            expected="a record of the streams in the plan",
+        )  # fmt: skip
+    hand, camera = streams_of(plan)
+    _, held = stretches(camera, plan)
+    if not len(held):
+        raise SpecError(
+            "the calibration held no observation out",
+            path=record.path,
+            where="held_out",
+            expected="hold_out: in its plan, with a fraction above 0",
+        )
+    mounted, world = (
+        recorded_pose(plan, f"camera.{role}", record) for role in ("mounted", "world")
+    )
+    if hand.inverted:
+        mounted, world = world, mounted
+    nothing = np.zeros(0)
+    fit = ClockFit(
+        record.time_offset[0], record.clock_drift, HandEye(mounted, world), np.zeros((14, 14)),
+        np.zeros(14), nothing, nothing,
+    )  # fmt: skip
+    middle = float(camera.time.mean())
+    part = camera.rows(held)
+    # The record does not say in which direction the camera's stream was read: the nearer one.
+    both = (
+        errors_at(hand, part, seen_in(part, inverted=inverted), fit, middle)
+        for inverted in (False, True)
+    )
+    return min(both, key=lambda errors: float(np.median(errors[0])))
