@@ -19,6 +19,7 @@ from pytest_twin.calibration.clocks.correlation import (
 )
 from pytest_twin.calibration.clocks.mistakes import mistakes
 from pytest_twin.calibration.clocks.offset import (
+    MOST_OFFSET_SPREAD_S,
     ClockFit,
     errors_at,
     fit_clocks,
@@ -34,10 +35,6 @@ from pytest_twin.calibration.residual_errors import accepted, regions_of
 from pytest_twin.calibration.residual_patterns import pattern_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
 from pytest_twin.metrics.pose import quaternion_of
-
-MOST_OFFSET_SPREAD_S = 0.05
-"""Half width of the offset's interval above which the motion does not show it: at a hand's 0.5 m/s
-it is 25 mm."""
 
 MOST_POSITION_SPREAD_M = 0.05
 """Standard deviation of a transform's position above which it is not determined."""

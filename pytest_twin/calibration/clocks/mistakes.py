@@ -8,7 +8,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.increments import inverse
-from pytest_twin.calibration.clocks.offset import ClockFit, hand_times
+from pytest_twin.calibration.clocks.offset import MOST_OFFSET_SPREAD_S, ClockFit, hand_times
 from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
@@ -40,6 +40,8 @@ def mistakes(
 ) -> tuple[Suspect, ...]:
     """Mistakes that explain the streams far better, found as among poses on one clock.
 
+    None where the offset is not determined: poses that are not of one time cannot be compared.
+
     Args:
         plan: with what is accepted.
         hand, camera: the streams.
@@ -47,6 +49,8 @@ def mistakes(
         fit: with the offset.
         middle: time of the camera's clock at which the offset holds, s.
     """
+    if not fit.interval(0) < MOST_OFFSET_SPREAD_S:
+        return ()
     time = hand_times(camera, fit.offset, fit.drift, middle)
     inside = np.flatnonzero((time >= hand.time[0]) & (time <= hand.time[-1]))
     rows = inside[np.linspace(0, len(inside) - 1, min(_POSES, len(inside))).astype(int)]

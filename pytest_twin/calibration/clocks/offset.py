@@ -29,6 +29,10 @@ BLOCKS = 20
 """Stretches that the data are cut into for the covariance. Errors of neighbouring poses are
 correlated, those of stretches of a second or more hardly are."""
 
+MOST_OFFSET_SPREAD_S = 0.05
+"""Half width of the offset's interval above which the motion does not show it: at a hand's 0.5 m/s
+it is 25 mm."""
+
 
 @dataclass(frozen=True)
 class ClockFit:
