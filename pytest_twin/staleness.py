@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from typing import Any, Protocol
 
@@ -204,6 +204,11 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
             **_identified(fit.record),
             "superseded": fit.record.id in gone,
         }
+    for record in twin.holding_fits:
+        for sensor in record.sensors:
+            contents[f"sensor:{sensor.name}"] = asdict(sensor)
+        for joint, step in record.encoder_steps.items():
+            contents[f"encoder:{joint}"] = {"step [rad or m]": step}
     for name, part in twin.parts.items():
         content: dict[str, Any] = {"id": part.id, "value": part.value}
         if part.file is not None:

@@ -20,6 +20,12 @@ from pytest_twin.checks.base import (
 from pytest_twin.checks.episode import EPISODE_SCHEMA, recording_of
 from pytest_twin.checks.fields import known_name, quantity, spec_error
 from pytest_twin.checks.measured_pose import measured_and_predicted
+from pytest_twin.checks.replay_sensors import (
+    SENSORS_SCHEMA,
+    as_read,
+    sensor_measures,
+    sensor_values,
+)
 from pytest_twin.checks.replay_signals import MISSING, effort_rms, frequency
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SpecError
@@ -81,8 +87,9 @@ class Replay(Check):
 
     ``values``: ``joints`` (joint -> ``type``, ``rms``, ``maximum``, ``mean``, ``at`` in s,
     ``predicted`` and ``recorded`` there, ``velocity_rms`` or None; where a tolerance bounds them
-    ``effort_rms`` and ``frequency``), ``tcp`` (likewise, in m and rad) or None, ``marks`` (what is
-    doubtful in the recording: kind -> count),
+    ``effort_rms`` and ``frequency``), ``tcp`` (likewise, in m and rad) or None, ``sensors``
+    (sensor -> ``rms`` and ``unit`` by channel), ``marks`` (what is doubtful in the recording:
+    kind -> count),
     ``command_between`` (held, interpolated or ramped), ``notes``.
     """
 
@@ -126,6 +133,7 @@ class Replay(Check):
                     "description": "Topic of the recording with the tool's measured poses "
                     "(geometry_msgs/PoseStamped): the prediction is held against these instead.",
                 },
+                "sensors": SENSORS_SCHEMA,
                 "controller": {
                     **_NAME,
                     "description": "The controller of twin.yaml that the recording names.",
@@ -155,6 +163,7 @@ class Replay(Check):
             parts |= structure.additions()
         # Every recorded joint starts where its encoder says, whichever are compared.
         parts |= {f"calibration:{joint}" for joint in structure.joint_body}
+        parts |= {"encoder:*"} | {f"sensor:{name}" for name in target.get("sensors", ())}
         if "tcp" in target:
             parts |= structure.chain([target["tcp"]])
         return parts
@@ -205,6 +214,8 @@ class Replay(Check):
         for result in results:
             if result.error is not None:
                 raise result.error
+        sensors = sensor_values(golden, realization, results) if "sensors" in golden.target else {}
+        results = as_read(results, realization)
         joints = {joint: _of_joint(results, joint, realization.structure) for joint in names}
         for joint, numbers in joints.items():
             asked = _asked(golden, joint)
@@ -217,6 +228,7 @@ class Replay(Check):
         values: dict[str, Any] = {
             "joints": joints,
             "tcp": None,
+            "sensors": sensors,
             "marks": dict(Counter(mark.kind for t in trials for mark in t.marks)),
             "command_between": first.command_between,
             "notes": notes,
@@ -285,6 +297,7 @@ class Replay(Check):
                 )
         if observation.values["tcp"] is not None:
             measures += _tcp_measures(golden, observation.values["tcp"])
+        measures += sensor_measures(golden, observation.values["sensors"])
         if not measures:
             wanted = ", ".join(_TOLERANCES)
             raise spec_error(golden, "tolerance", "no tolerance bounds the replay", expected=wanted)

@@ -17,10 +17,16 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation, Slerp
 
 from pytest_twin import cli
-from pytest_twin.errors import RecordingError
+from pytest_twin.checks import check_of
+from pytest_twin.checks.base import Measure
+from pytest_twin.errors import RecordingError, SpecError
 from pytest_twin.formats.identification_record import read_identification_record
 from pytest_twin.formats.schema import load_schema
+from pytest_twin.gate.specs import load_golden
+from pytest_twin.golden import Golden
 from pytest_twin.identification.sensing.camera_frames import CameraTrial, delay_of
+from pytest_twin.realization import Realization, load
+from pytest_twin.twin import load_twin
 
 sys.path += [str(Path(__file__).parents[1] / "formats"), str(Path(__file__).parent)]
 import sensor_bags
@@ -187,6 +193,64 @@ def test_a_replay_passes_its_motion_through_the_sensors_of_the_twin(arm: Path) -
     assert elbow["unit"] == {"torque": "N*m"}
     assert elbow["rms"]["torque"] < 0.3 * elbow["rms_ideal"]["torque"]
     assert eye["rms"]["turn"] < 0.3 * eye["rms_ideal"]["turn"]
+
+
+def golden_of(arm: Path, sensors: str, step: float = 0.0) -> tuple[Golden, Realization]:
+    """A replay golden that bounds sensors, in a twin whose encoders have this step."""
+    document = identified(arm)
+    if step:
+        document["encoder_steps"] = dict.fromkeys(JOINTS, step)
+    (arm / "record.json").write_text(json.dumps(document))
+    (arm / "twin.yaml").write_text("model: arm.xml\nfit:\n  - {file: record.json}\n")
+    (arm / "golden").mkdir(exist_ok=True)
+    path = arm / "golden" / "replay.yaml"
+    path.write_text(
+        "schema: 1\nkind: replay\n"
+        f"target: {{recording: 3.mcap, sensors: {sensors}}}\n"
+        "tolerance: {angle_rms: 0.2 rad}\n"
+    )
+    twin = load_twin(arm / "twin.yaml")
+    return load_golden(path, twin), load(arm / "arm.xml", twin=twin)
+
+
+def measured(golden: Golden, robot: Realization) -> list[Measure]:
+    check = check_of("replay")
+    return check.compare(golden, check.observe(golden, robot, lambda fraction: None), None)
+
+
+def test_a_replay_golden_holds_sensors_to_their_tolerances(arm: Path) -> None:
+    bounds = "{elbow: {torque_rms: 0.1 N*m}, eye: {angle_rms: 10 mrad}}"
+    golden, robot = golden_of(arm, bounds)
+    found = {m.subject: m for m in measured(golden, robot) if ", " in m.subject}
+    assert set(found) == {"elbow, torque", "eye, turn"}
+    assert all(m.passed for m in found.values())
+    assert "sensor:elbow" in check_of("replay").depends(golden, robot.structure)
+    tight = "{elbow: {torque_rms: 0.0001 N*m}}"
+    assert not all(m.passed for m in measured(*golden_of(arm, tight)) if ", " in m.subject)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "words"),
+    [
+        ("{wrist: {force_rms: 1 N}}", "target.sensors.wrist"),
+        ("{elbow: {force_rms: 1 N}}", "no channel of elbow has this unit"),
+    ],
+)
+def test_a_sensor_golden_that_bounds_nothing_is_refused(
+    arm: Path, sensors: str, words: str
+) -> None:
+    with pytest.raises(SpecError) as error:
+        measured(*golden_of(arm, sensors))
+    assert words in str(error.value)
+
+
+def test_a_replay_golden_rounds_positions_as_encoders_do(arm: Path) -> None:
+    bounds = "{elbow: {torque_rms: 0.1 N*m}}"
+    smooth = {m.subject: m.error for m in measured(*golden_of(arm, bounds))}
+    coarse = {m.subject: m.error for m in measured(*golden_of(arm, bounds, step=0.2))}
+    for joint in JOINTS:
+        assert coarse[joint] > smooth[joint] + 0.01
+    assert coarse["elbow, torque"] == smooth["elbow, torque"]
 
 
 def test_intervals_of_a_delay_hold_and_both_mounts_are_told() -> None:

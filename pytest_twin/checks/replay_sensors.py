@@ -1,0 +1,137 @@
+"""Sensors of a twin in a replay golden: what they would have read along the predicted motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pytest_twin.checks.base import Measure
+from pytest_twin.checks.fields import known_name, quantity, spec_error
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.golden import Golden
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
+    from pytest_twin.replay import Replayed
+
+_BY_UNIT: Mapping[str, str] = {
+    "N": "force_rms",
+    "N*m": "torque_rms",
+    "rad/s": "angular_velocity_rms",
+    "m/s^2": "acceleration_rms",
+    "rad": "angle_rms",
+}
+"""Unit of a channel -> the tolerance that bounds it."""
+_NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
+SENSORS_SCHEMA: Mapping[str, Any] = {
+    "type": "object",
+    "minProperties": 1,
+    "description": "Sensors of a record under fit: -> tolerances of their channels.",
+    "additionalProperties": {
+        "type": "object",
+        "minProperties": 1,
+        "properties": dict.fromkeys(_BY_UNIT.values(), _NAME),
+        "additionalProperties": False,
+    },
+}
+
+
+def as_read(results: Sequence[Replayed], realization: Realization) -> list[Replayed]:
+    """The replays with positions as the encoders of the twin's records would have read them."""
+    from pytest_twin.identification.sensing.predicted import encoders_of
+
+    encoders = encoders_of(realization.twin)
+    if not encoders:
+        return list(results)
+    found = []
+    for one in results:
+        position = one.position.copy()
+        for column, joint in enumerate(one.trial.joints):
+            if joint in encoders:
+                position[:, column] = encoders[joint].measured(position[:, column])
+        found.append(replace(one, position=position))
+    return found
+
+
+def sensor_values(
+    golden: Golden, realization: Realization, results: Sequence[Replayed]
+) -> dict[str, Any]:
+    """Sensor -> ``rms`` of each channel, predicted less recorded, and its ``unit``.
+
+    Args:
+        golden: names the sensors.
+        realization: with its twin.
+        results: before encoders round them.
+
+    Raises:
+        SpecError: a sensor that no record has, or that the recording has no readings of.
+    """
+    from pytest_twin.identification.sensing.predicted import compared, sensors_of
+
+    twin = realization.twin
+    known = sensors_of(twin)
+    for name in golden.target["sensors"]:
+        known_name(golden, f"target.sensors.{name}", name, known, "sensor of a record under fit")
+    assert twin is not None
+    asked = {name: known[name] for name in golden.target["sensors"]}
+    path = results[0].trial.path
+    found, notes = compared(asked, path, realization, _motion(results), twin.topics["state"])
+    for name in asked:
+        if name not in found:
+            raise spec_error(
+                golden,
+                f"target.sensors.{name}",
+                next(
+                    (note for note in notes if note.startswith(f"sensor {name} ")), "not compared"
+                ),
+                expected=f"a recording with readings on {asked[name].topic}",
+            )
+    return found
+
+
+def sensor_measures(golden: Golden, values: Mapping[str, Any]) -> Iterator[Measure]:
+    """Each channel of each sensor against its tolerance.
+
+    Raises:
+        SpecError: a tolerance that bounds no channel of the sensor.
+    """
+    for name, one in values.items():
+        own = golden.target["sensors"][name]
+        units = {_BY_UNIT[unit]: unit for unit in one["unit"].values()}
+        for tolerance, stated in own.items():
+            where = f"target.sensors.{name}.{tolerance}"
+            if tolerance not in units:
+                raise spec_error(
+                    golden, where, f"no channel of {name} has this unit",
+                    expected=" or ".join(units),
+                )  # fmt: skip
+            bound = quantity(golden, where, stated, units[tolerance])
+            for axis, unit in one["unit"].items():
+                if unit == units[tolerance]:
+                    yield Measure(
+                        name=tolerance,
+                        subject=f"{name}, {axis}",
+                        measured=one["rms"][axis],
+                        golden=0.0,
+                        error=one["rms"][axis],
+                        tolerance=bound,
+                        unit=unit,
+                        against="recording",
+                    )
+
+
+def _motion(results: Sequence[Replayed]) -> JointSeries:
+    """The predicted motion as one topic, in ns of the recording."""
+    stamp = np.concatenate([r.trial.stamps for r in results])
+    return JointSeries(
+        topic="",
+        names=results[0].trial.joints,
+        stamp=stamp,
+        log_time=stamp,
+        position=np.concatenate([r.position for r in results]),
+        velocity=np.concatenate([r.velocity for r in results]),
+        effort=np.concatenate([r.effort for r in results]),
+    )
