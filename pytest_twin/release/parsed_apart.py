@@ -1,7 +1,8 @@
 """Data sets and policies whose format a library in C or C++ reads: parsed in a child process.
 
 A file from elsewhere may exploit a fault of such a library. The child is bounded in time and
-memory, and what it answers is text.
+memory, and what it answers is text. Where stamps are only read and the kernel has Landlock, it can
+open no file outside the data's folder and write none.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pytest_twin.formats.stamps import Carrier, carriers_of
+from pytest_twin.realization.confinement import obstacle
 from pytest_twin.realization.sandbox import Sandbox
 
 _BY_LIBRARIES = frozenset({".h5", ".hdf5", ".onnx"})
@@ -47,15 +49,22 @@ class ParsedApart:
         return self.sandbox.call(f"{__name__}:{function}", arguments)
 
 
-def carriers_apart(dataset: Path) -> list[Carrier]:
+def carriers_apart(dataset: Path, *, writable: bool) -> list[Carrier]:
     """The carriers of a data set or policy, as ``carriers_of`` finds them.
 
     The child ends with the last of them.
 
+    Args:
+        dataset: the file or folder.
+        writable: whether stamps are written into it; else the child is confined, if it can be.
+
     Raises:
         TwinError: nothing that holds a stamp.
     """
-    sandbox = Sandbox(seconds=_SECONDS)
+    place = dataset.resolve()
+    folder = place if place.is_dir() else place.parent
+    confined = not writable and obstacle() is None
+    sandbox = Sandbox(seconds=_SECONDS, confined_to=[folder] if confined else None)
     return [
         ParsedApart(one.path, sandbox) if one.path.suffix.lower() in _BY_LIBRARIES else one
         for one in carriers_of(dataset)

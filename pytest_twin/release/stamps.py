@@ -57,7 +57,7 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
     assert envelope is not None
     found = [
         Stamped(carrier, stamp.make(released, envelope, carrier.digest(), now))
-        for carrier in carriers_apart(dataset)
+        for carrier in carriers_apart(dataset, writable=True)
     ]
     for one in found:
         assert one.stamp is not None
@@ -73,7 +73,7 @@ def read(dataset: Path) -> list[Stamped]:
         TwinError: nothing there that holds a stamp, or a damaged file.
         ReleaseError: none of its files is stamped.
     """
-    found = [_read(carrier) for carrier in carriers_apart(dataset)]
+    found = [_read(carrier) for carrier in carriers_apart(dataset, writable=False)]
     if not any(one.stamp or one.problem for one in found):
         raise ReleaseError(
             "is not stamped",

@@ -15,10 +15,11 @@ import pytest
 from release_twins import MakeRelease
 
 from pytest_twin import cli
-from pytest_twin.errors import TwinError
+from pytest_twin.errors import SimulationError, TwinError
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.formats.stamps import carriers_of
-from pytest_twin.release.parsed_apart import carriers_apart
+from pytest_twin.realization import confinement
+from pytest_twin.release.parsed_apart import ParsedApart, carriers_apart
 
 sys.path.append(str(Path(__file__).parents[1] / "formats"))
 
@@ -298,7 +299,7 @@ def test_what_a_library_in_c_parses_is_parsed_in_a_child_process(
 ) -> None:
     """The parent cannot even import the library, and reads the stamp all the same."""
     path = write(kind, tmp_path)
-    (carrier,) = carriers_apart(path)
+    (carrier,) = carriers_apart(path, writable=True)
     carrier.write('{"a": 1}')
     for library in ("h5py", "onnx"):
         monkeypatch.setitem(sys.modules, library, None)
@@ -311,6 +312,27 @@ def test_what_a_library_in_c_parses_is_parsed_in_a_child_process(
 def test_a_damaged_file_is_told_by_the_child_in_the_same_words(tmp_path: Path) -> None:
     path = tmp_path / "demo.hdf5"
     path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
-    (carrier,) = carriers_apart(path)
+    (carrier,) = carriers_apart(path, writable=True)
     with pytest.raises(TwinError, match=r"demo\.hdf5: cannot be read as HDF5"):
         carrier.read()
+
+
+@pytest.mark.skipif(confinement.obstacle() is not None, reason=str(confinement.obstacle()))
+def test_reading_a_stamp_opens_no_file_outside_the_data(tmp_path: Path) -> None:
+    pytest.importorskip("h5py")
+    import h5py
+
+    data, elsewhere = tmp_path / "data", tmp_path / "elsewhere"
+    data.mkdir()
+    elsewhere.mkdir()
+    with h5py.File(data / "demo.hdf5", "w") as file:
+        file["action"] = [1.0, 2.0]
+    (read,) = carriers_apart(data / "demo.hdf5", writable=False)
+    (written,) = carriers_apart(data / "demo.hdf5", writable=True)
+    assert isinstance(read, ParsedApart)
+    assert read.digest() == written.digest()
+    assert read.sandbox.call("os:listdir", {"path": str(data)}) == ["demo.hdf5"]
+    with pytest.raises(SimulationError, match="PermissionError"):
+        read.sandbox.call("os:listdir", {"path": str(elsewhere)})
+    with pytest.raises(SimulationError, match="PermissionError"):
+        read.sandbox.call("os:mkdir", {"path": str(data / "new")})

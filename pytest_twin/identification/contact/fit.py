@@ -29,6 +29,7 @@ from pytest_twin.identification.contact.parameters import (
 from pytest_twin.identification.contact.search import Loss, minimized, starts
 from pytest_twin.identification.contact.tosses import Toss
 from pytest_twin.identification.contact.uncertainty import (
+    UNTOLD,
     Told,
     as_good,
     by_toss,
@@ -48,6 +49,11 @@ _WHOLE = 60
 _GENERATIONS = {"stretches": 15, "whole": 8, "variant": 6}
 _SPINNING = (0.0003, 0.002, 0.01)
 """Torsional and rolling friction that are tried, as shares of the object's half size times 10."""
+_FAR = 2.0 * UNTOLD
+"""Distance on the scale of a parameter, all others held, at which another value has to be worse."""
+_AS_WELL = 0.01
+"""Share of the error that a worse value adds at least. The simulation is deterministic; measured
+first velocities have noise, against which friction acts."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +149,11 @@ def fit_contact(
         rivals = []
     around = surface(loss, found, groups)
     free, untold = list(range(len(found))), list[Untold]()
+    for gone in _without_influence(loss, found, groups)[: len(found) - 1]:
+        name = contact.names[gone]
+        value = contact.parameters[gone].value(float(found[gone]))
+        untold.append(Untold({name: 1.0}, name, value))
+        free.remove(gone)
     known = told(around, free, rivals)
     while known.untold and len(free) > 1:
         gone, untold_one = _fixed(contact, around.centre, free, known)
@@ -241,6 +252,23 @@ def _with_spinning(
             chosen.setdefault(name, value)
     added = tuple(Parameter(name, 1e-5 * size, size, value) for name, value in chosen.items())
     return replace(contact, parameters=(*contact.parameters, *added)), tuple(chosen)
+
+
+def _without_influence(loss: Loss, found: FloatArray, groups: Sequence[int]) -> list[int]:
+    """Parameters that predict as well far away, such as the friction of a press.
+
+    In the quadratic such a direction has the noise of the others, and would take them with it.
+    """
+    here = float(_mean(loss, found, groups).mean())
+    inert = []
+    for k in range(len(found)):
+        moved = np.array([at for at in (found[k] - _FAR, found[k] + _FAR) if 0.0 <= at <= 1.0])
+        places = np.tile(found, (len(moved), 1))
+        places[:, k] = moved
+        there = by_toss(loss(list(places)), groups).mean(axis=1)
+        if there.min() <= (1.0 + _AS_WELL) * here:
+            inert.append(k)
+    return inert
 
 
 def _fixed(
