@@ -14,6 +14,9 @@ from pytest_twin.release.restore import authentic, copy_files
 from pytest_twin.release.statement import Release
 from pytest_twin.twin import FILE_NAME
 
+_OF_RECORDINGS = ("budget", "ranges")
+"""Sections of ``twin.yaml`` that no comparison of two twins needs."""
+
 
 def release_folder(root: Path, number: int) -> Path:
     """The folder of a twin's release.
@@ -43,8 +46,9 @@ def authentic_now(folder: Path) -> Release:
 def lay_out(release: Release, folder: Path, root: Path, into: Path) -> Path:
     """Copy the files of a release to where its ``twin.yaml`` expects them.
 
-    Every copy is compared with the signed digest. Folders under ``roots:`` that lie outside the
-    twin are those of today.
+    Sections that name recordings are left out: a release holds no recordings. Every copy is
+    compared with the signed digest. Folders under ``roots:`` that lie outside the twin are those of
+    today.
 
     Args:
         release: authenticated.
@@ -62,8 +66,13 @@ def lay_out(release: Release, folder: Path, root: Path, into: Path) -> Path:
     copy_files(release, folder, into)
     file = into / FILE_NAME
     data = yaml.load(file).data
-    if isinstance(data, dict) and data.get("roots"):
-        atomic.write_text(file, json.dumps({**data, "roots": _absolute(data["roots"], root)}))
+    if not isinstance(data, dict):
+        return file
+    kept = {key: value for key, value in data.items() if key not in _OF_RECORDINGS}
+    if data.get("roots"):
+        kept["roots"] = _absolute(data["roots"], root)
+    if kept != data:
+        atomic.write_text(file, json.dumps(kept))
     return file
 
 

@@ -10,6 +10,7 @@ from release_twins import MakeRelease
 
 from pytest_twin.errors import ReleaseError
 from pytest_twin.provenance.past import lay_out, release_folder
+from pytest_twin.twin import load_twin
 
 
 def test_roots_outside_are_those_of_today_and_roots_inside_those_of_the_release(
@@ -38,3 +39,19 @@ def test_a_file_that_was_changed_is_refused(root: Path, make: MakeRelease, tmp_p
         lay_out(released, folder, root, tmp_path)
     with pytest.raises(ReleaseError, match="release 2 is not in this twin"):
         release_folder(root, 2)
+
+
+def test_recordings_that_no_release_holds_are_not_asked_for(
+    root: Path, make: MakeRelease, tmp_path: Path
+) -> None:
+    (root / "twin.yaml").write_text(
+        "name: arm\nmodel: arm.xml\nbudget: {recordings: [moves.mcap]}\n"
+        "ranges: {final: [final.mcap]}\n"
+    )
+    (root / "moves.mcap").write_bytes(b"")
+    (root / "final.mcap").write_bytes(b"")
+    released = make()
+    into = tmp_path / "past"
+    into.mkdir()
+    file = lay_out(released, release_folder(root, 1), root, into)
+    assert load_twin(file).budget.recordings == ()
