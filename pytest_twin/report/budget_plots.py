@@ -10,6 +10,7 @@ from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW
 from pytest_twin.report.text import printable
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _SIZES = {"position": (1e3, "mm"), "rotation": (1e3, "mrad")}
@@ -39,10 +40,10 @@ def categories_figure(document: Mapping[str, Any], quantity: str) -> bytes:
             bound = one["beyond"] is not None
             colour = BAND if bound else NOW
             axes.barh(row, scale * value, height=0.62, color=colour)
-            label = f" {scale * value:.3g} {unit}{' at most' if bound else ''}"
+            label = f"{scale * value:.3g} {unit}{' at most' if bound else ''}"
             if allowed:
                 label += f" ({100 * value / allowed:.3g} %)"
-            axes.text(scale * value, row, label, va="center", color=INK, fontsize=7)
+            _beside(axes, scale * value, row, label)
         if allowed:
             axes.axvline(scale * allowed, color=FAIL, linewidth=1.0, linestyle=(0, (4, 3)))
         axes.set_xlim(0, 1.35 * widest or 1.0)
@@ -90,7 +91,7 @@ def waterfall_figure(document: Mapping[str, Any], quantity: str) -> bytes | None
             else:
                 axes.barh(row, value, height=0.62, color=GOLDEN)
                 end = value
-            axes.text(end, row, f" {value:.3g} {unit}", va="center", color=INK, fontsize=7)
+            _beside(axes, end, row, f"{value:.3g} {unit}")
         allowed = document["tolerance"][quantity]
         if allowed:
             axes.axvline(scale * allowed, color=FAIL, linewidth=1.0, linestyle=(0, (4, 3)))
@@ -122,3 +123,10 @@ def _names(names: Sequence[str]) -> list[str]:
     return [
         text if len(text) <= _SHOWN else text[: _SHOWN - 2] + " …" for text in map(printable, names)
     ]
+
+
+def _beside(axes: Axes, end: float, row: int, label: str) -> None:
+    """A label a little to the right of a bar's end: SVG drops a space that it starts with."""
+    axes.annotate(
+        label, (end, row), (4, 0), textcoords="offset points", va="center", color=INK, fontsize=7
+    )
