@@ -86,7 +86,7 @@ class SpecError(TwinError):
 
 
 class UnwrittenToleranceError(SpecError):
-    """A golden whose tolerance is still a blank: nobody has said what its task allows."""
+    """A golden whose tolerance is still blank, because nothing states what the task allows."""
 
 
 class ModelError(TwinError):

@@ -23,7 +23,7 @@ _IDENTITY = JointCalibration()
 
 
 class Kind(Protocol):
-    """What is asked of a check here."""
+    """Methods of a check that the dependency map needs."""
 
     @property
     def kind(self) -> str:
@@ -93,7 +93,7 @@ class Baseline:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What is asked of the world around the files.
+    """Facts from outside the files.
 
     Attributes:
         kind_of: name of a kind -> its check.

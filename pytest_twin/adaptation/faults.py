@@ -25,16 +25,16 @@ class Fault:
     Attributes:
         name: as reported.
         distort: of (start, end, spec) what the sensors do.
-        lasts: whether the residual has to stay out until the end; else for one hold-off.
+        is_permanent: whether the residual has to stay out until the end; else for one hold-off.
         grace: of the spec, s after the start in which it may still act.
-        kick: whether the joints are hit at the start.
+        is_impulse: whether the joints are hit at the start.
     """
 
     name: str
     distort: Callable[[float, float, ResidualSpec], Distort] | None
-    lasts: bool = True
+    is_permanent: bool = True
     grace: Callable[[ResidualSpec], float] = lambda spec: 0.0
-    kick: bool = False
+    is_impulse: bool = False
 
 
 def _within(start: float, end: float, change: Callable[[Sample], Sample | None]) -> Distort:
@@ -82,8 +82,8 @@ FAULTS = (
     Fault("sensor_dropout", _dropout),
     Fault("stale_time", _stale, grace=lambda spec: spec.max_age + spec.period),
     Fault("saturation", None, grace=lambda spec: spec.hold_off + spec.period),
-    Fault("contact_transition", None, lasts=False, kick=True),
-    Fault("restart", _restart, lasts=False),
+    Fault("contact_transition", None, is_permanent=False, is_impulse=True),
+    Fault("restart", _restart, is_permanent=False),
 )
 
 
@@ -128,11 +128,11 @@ def _injected(
     if fault.name == "saturation":
         distort = _louder(start, end, law, guard)
     jump = np.array([region.jump for region in spec.joints.values()])
-    kick = (start, 2.0 * jump) if fault.kick else None
+    kick = (start, 2.0 * jump) if fault.is_impulse else None
     replayed, log = simulate(row, guard, distort=distort, kick=kick)
     time, force = log.table
     from_, until = start + fault.grace(spec), end + spec.hold_off
-    if not fault.lasts:
+    if not fault.is_permanent:
         until = start + spec.hold_off
     # The sample at the start of a fault is the first that shows it, the one after it for a kick.
     out = (time >= from_ + spec.period - 1e-9) & (time < until - 1e-9)
@@ -150,7 +150,7 @@ def _injected(
     return {
         "fault": fault.name,
         "start": start,
-        "end": end if fault.lasts else start,
+        "end": end if fault.is_permanent else start,
         "holds": not problems,
         "why": "; ".join(problems) or "the base alone acts while it has to",
         "largest_force": [float(value) for value in np.abs(force).max(axis=0)],

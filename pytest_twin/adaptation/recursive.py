@@ -70,14 +70,14 @@ class Recursion:
         spec: its declaration.
         base: (p,) the base model's parameters.
         value, covariance: (p,) and (p, p) the estimate.
-        falls_back: whether the base's parameters are in use.
+        has_fallback: whether the base's parameters are in use.
     """
 
     spec: UpdateSpec
     base: FloatArray
     value: FloatArray = field(init=False)
     covariance: FloatArray = field(init=False)
-    falls_back: bool = False
+    has_fallback: bool = False
     usual: float | None = None
     errors: FloatArray | None = None
 
@@ -99,12 +99,12 @@ class Recursion:
     @property
     def in_use(self) -> FloatArray:
         """(p,) what predicts the next window."""
-        return self.base if self.falls_back else self.value
+        return self.base if self.has_fallback else self.value
 
     def restart(self) -> None:
         """Forget everything but the declaration and the base."""
         self.value, self.covariance = self.base.copy(), self.prior
-        self.falls_back, self.usual, self.errors = False, None, None
+        self.has_fallback, self.usual, self.errors = False, None, None
 
     def update(self, jacobian: FloatArray, innovation: FloatArray, share: float) -> str:
         """Take one window in.
@@ -143,7 +143,7 @@ class Recursion:
         if self.errors is not None:
             now = _MEMORY * self.errors + (1.0 - _MEMORY) * now
         self.errors = now
-        self.falls_back = bool(now[1] > _WORSE * now[0])
+        self.has_fallback = bool(now[1] > _WORSE * now[0])
 
 
 def base_parameters(spec: UpdateSpec, model: mujoco.MjModel) -> FloatArray:
@@ -228,7 +228,7 @@ def _window(recursion: Recursion, row: Row, true: Trial, start: float) -> Window
         seen_errors = [float(np.sqrt(np.mean(np.square(p - measured)))) for p in predicted[:3:2]]
         if state == "updated":
             recursion.compare(*seen_errors)
-    if state == "updated" and recursion.falls_back:
+    if state == "updated" and recursion.has_fallback:
         state = "base"
     return Window(start, base_rms, used_rms, recursion.in_use.copy(), state)
 

@@ -109,7 +109,7 @@ class Entry:
         sample: a value that it may have, other than its default.
         goes: where.
         neutral: a value that changes nothing, None where every value counts.
-        physics: whether a robot moves differently without it.
+        is_physical: whether a robot moves differently without it.
     """
 
     path: str
@@ -117,7 +117,7 @@ class Entry:
     sample: str
     goes: Destination
     neutral: str | None = None
-    physics: bool = False
+    is_physical: bool = False
 
     @property
     def label(self) -> str:

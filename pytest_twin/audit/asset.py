@@ -71,14 +71,14 @@ class Joint:
         anchor: (3,) in the body's frame, m.
         axis_stated: (3,) as the file states it, None where it does not.
         lower, upper: rad or m, None where not stated.
-        limited: whether ``lower`` and ``upper`` bind.
+        is_limited: whether ``lower`` and ``upper`` bind.
         velocity: rad/s or m/s; effort: N*m or N; None where not stated.
         damping: N*m*s/rad or N*s/m; friction: N*m or N; None where not stated.
         reference: position in the pose as drawn, rad or m.
-        limit_stated: whether there is a ``limit`` element.
+        has_stated_limit: whether there is a ``limit`` element.
         idle_range: (lower, upper) that stand at a continuous joint, where they bind nothing, rad.
         soft: (lower, upper) of a safety controller, rad or m; 0 where it states none.
-        soft_stated: whether the safety controller states soft limits.
+        has_stated_soft_limit: whether the safety controller states soft limits.
         soft_gain: k_velocity of the safety controller, N*m*s/rad or N*s/m.
     """
 
@@ -91,17 +91,17 @@ class Joint:
     axis_stated: Vector | None = None
     lower: float | None = None
     upper: float | None = None
-    limited: bool = False
-    continuous: bool = False
+    is_limited: bool = False
+    is_continuous: bool = False
     velocity: float | None = None
     effort: float | None = None
     damping: float | None = None
     friction: float | None = None
     reference: float = 0.0
-    limit_stated: bool = True
+    has_stated_limit: bool = True
     idle_range: tuple[float, float] | None = None
     soft: tuple[float, float] | None = None
-    soft_stated: bool = False
+    has_stated_soft_limit: bool = False
     soft_gain: float | None = None
     soft_place: Place | None = None
 
@@ -135,7 +135,7 @@ class Mimic:
     leader: str
     multiplier: float
     offset: float
-    active: bool = True
+    is_active: bool = True
 
 
 @dataclass(slots=True)

@@ -36,8 +36,10 @@ def _safety(asset: Asset) -> Iterator[Finding]:
                 "the safety controller allows no position",
                 "take both limits from the controller's configuration",
             )
-        elif low == high and (joint.soft_stated or not joint.continuous):
-            said = "are equal" if joint.soft_stated else "are not stated, and 0 by default"
+        elif low == high and (joint.has_stated_soft_limit or not joint.is_continuous):
+            said = (
+                "are equal" if joint.has_stated_soft_limit else "are not stated, and 0 by default"
+            )
             yield Finding(
                 "controllers.soft_limits_empty",
                 "warning",
@@ -51,7 +53,7 @@ def _safety(asset: Asset) -> Iterator[Finding]:
                 "take both limits from the controller's configuration, or remove the element",
             )
         elif (
-            joint.limited
+            joint.is_limited
             and joint.lower is not None
             and joint.upper is not None
             and (low < joint.lower - 1e-9 or high > joint.upper + 1e-9)

@@ -185,7 +185,7 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
 def _ranges(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
     follower, leader = asset.joint[mimic.follower], asset.joint[mimic.leader]
     ends = (follower.lower, follower.upper, leader.lower, leader.upper)
-    if not (follower.limited and leader.limited) or any(end is None for end in ends):
+    if not (follower.is_limited and leader.is_limited) or any(end is None for end in ends):
         return
     lower, upper, low, high = (float(end) for end in ends if end is not None)
     reached = sorted(mimic.multiplier * end + mimic.offset for end in (low, high))

@@ -36,7 +36,7 @@ def _left_out(label: str, found: list[Stated]) -> Finding:
     count = "once" if len(found) == 1 else f"{len(found)} times"
     return Finding(
         goes.code,
-        "warning" if first.entry.physics else "info",
+        "warning" if first.entry.is_physical else "info",
         Place(first.node.path, first.node.line),
         label,
         f"stated {count}, and no realization carries it",

@@ -167,7 +167,7 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
             "simulated, the joint turns past its stops; planned, it stops where it could turn",
             f"look up in {_DATASHEET} whether it has hard stops",
         )
-    if not joint.limit_stated and not joint.continuous:
+    if not joint.has_stated_limit and not joint.is_continuous:
         yield Finding(
             "joints.no_limit",
             "warning",
@@ -181,8 +181,8 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
             f"add the element with the values of {_DATASHEET}",
         )
         return
-    if joint.lower is None or joint.upper is None or not joint.limited:
-        if not joint.continuous and asset.kind != "mjcf":
+    if joint.lower is None or joint.upper is None or not joint.is_limited:
+        if not joint.is_continuous and asset.kind != "mjcf":
             yield Finding(
                 "joints.no_range",
                 "warning",
@@ -267,7 +267,7 @@ def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
         ("effort", joint.effort, joint.effort_unit),
     ):
         if value is None or value == 0.0:
-            if passive or not (joint.limit_stated or joint.continuous):
+            if passive or not (joint.has_stated_limit or joint.is_continuous):
                 continue
             said = "0" if value == 0.0 else "not stated"
             yield Finding(

@@ -301,7 +301,7 @@ class _Compiled:
                     model.jnt_pos[index].copy(),
                     lower=low if limited else None,
                     upper=high if limited else None,
-                    limited=limited,
+                    is_limited=limited,
                     effort=force,
                     damping=float(np.abs(model.dof_damping[dof]).max()),
                     friction=float(model.dof_frictionloss[dof]),
@@ -490,7 +490,7 @@ class _Compiled:
 
     def _angles(self) -> None:
         """Radians in a file whose angles are read as degrees."""
-        limited = [j for j in self.out.joints if j.kind == "hinge" and j.limited]
+        limited = [j for j in self.out.joints if j.kind == "hinge" and j.is_limited]
         largest = max((max(abs(j.lower or 0), abs(j.upper or 0)) for j in limited), default=0.0)
         if len(limited) > 1 and self.spec.compiler.degree and largest <= _RADIANS_READ_AS_DEGREES:
             self.out.faults.append(

@@ -258,13 +258,13 @@ class _Reader:
             axis_stated=stated,
             lower=lower,
             upper=upper,
-            limited=joint.limits is not None,
-            continuous=joint.type == "continuous",
+            is_limited=joint.limits is not None,
+            is_continuous=joint.type == "continuous",
             velocity=joint.velocity,
             effort=joint.effort,
             damping=joint.damping if "damping" in stated_dynamics else None,
             friction=joint.friction if "friction" in stated_dynamics else None,
-            limit_stated=node.find("limit") is not None,
+            has_stated_limit=node.find("limit") is not None,
             idle_range=self._idle_range(node, joint),
         )
         if safety is not None:
@@ -319,7 +319,7 @@ class _Reader:
             self.fault(error, "controllers.unreadable", f"joint '{joint.name}'", node)
             return
         joint.soft = (low, high)
-        joint.soft_stated = set(keys) <= set(node.attributes)
+        joint.has_stated_soft_limit = set(keys) <= set(node.attributes)
 
     # -- what drives and senses
 

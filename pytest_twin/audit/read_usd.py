@@ -288,8 +288,8 @@ class _Reader:
             anchor * self.metre,
             lower=lower,
             upper=upper,
-            limited=lower is not None,
-            continuous=lower is None,
+            is_limited=lower is not None,
+            is_continuous=lower is None,
         )
         self.out.joints.append(joint)
         if kind in ("hinge", "slide"):

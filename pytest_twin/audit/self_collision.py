@@ -99,7 +99,7 @@ def base_pose(asset: Asset) -> dict[str, float]:
     for joint in asset.joints:
         if joint.is_scalar:
             value = joint.reference
-            if joint.limited and joint.lower is not None and joint.upper is not None:
+            if joint.is_limited and joint.lower is not None and joint.upper is not None:
                 value = min(max(value, joint.lower), joint.upper)
             base[joint.name] = value
     return with_followers(asset, base)
@@ -255,7 +255,7 @@ class Hulls:
         )
 
     def _counts(self, first: int, second: int, joined: bool) -> bool:
-        """Whether the distance of two shapes is asked for."""
+        """Whether the distance of two shapes is computed."""
         bodies = self._bodies[first], self._bodies[second]
         if joined:
             return bodies[0] != bodies[1]

@@ -22,20 +22,20 @@ class LinkParameter:
 
     Attributes:
         joint: index of the joint whose placement on the link before it deviates.
-        rotation: True for an angle about ``direction`` (rad), False for an offset along it (m).
+        is_rotation: True for an angle about ``direction`` (rad), False for an offset along it (m).
         direction: (3,) in the joint's frame.
         label: in words, ``offset along x of fr3_joint3``.
     """
 
     joint: int
-    rotation: bool
+    is_rotation: bool
     direction: FloatArray
     label: str
 
     @property
     def unit(self) -> str:
         """``rad`` or ``m``."""
-        return "rad" if self.rotation else "m"
+        return "rad" if self.is_rotation else "m"
 
 
 def link_parameters(
@@ -180,11 +180,11 @@ def _deviate(
         if link.joint == at
     ]
     for link, value, column in own:
-        if not link.rotation:
+        if not link.is_rotation:
             direction = rotation @ link.direction
             shift[:, :, column] = direction
             position = position + value * direction
-    tilts = [(link, value, column) for link, value, column in own if link.rotation]
+    tilts = [(link, value, column) for link, value, column in own if link.is_rotation]
     if tilts:
         vector = np.sum([value * link.direction for link, value, _ in tilts], axis=0)
         jacobian = left_jacobian(vector)

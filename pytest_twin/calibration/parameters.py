@@ -108,7 +108,7 @@ class Layout:
                 "geometry",
                 link.label,
                 link.unit,
-                self.tilt_prior if link.rotation else self.offset_prior,
+                self.tilt_prior if link.is_rotation else self.offset_prior,
             )
             for link in self.links
         ]

@@ -114,7 +114,7 @@ class Plan:
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
 
     @property
-    def scale_is_free(self) -> bool:
+    def has_free_scale(self) -> bool:
         """Whether positions of the target are in a unit that the camera does not know."""
         return self.camera.get("scale") == "estimate"
 

@@ -176,7 +176,7 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
         plan.priors.joint_zeros,
         plan.priors.geometry_translation,
         plan.priors.geometry_rotation,
-        plan.scale_is_free,
+        plan.has_free_scale,
     )
     fixed = State(poses, points, np.zeros(len(joints)), np.zeros(len(links)))
     return Problem(plan, observations, chain, terms, layout, fixed, tuple(dict.fromkeys(notes)))
@@ -190,7 +190,7 @@ def _check_terms(plan: Plan, terms: tuple[Term, ...]) -> None:
             expected="camera_from_target.x y z qw qx qy qz, point.NAME.x y z, or estimate: [tcp] "
             "for a pivoting tool",
         )
-    if plan.scale_is_free and not any(isinstance(term, PoseTerm) for term in terms):
+    if plan.has_free_scale and not any(isinstance(term, PoseTerm) for term in terms):
         raise plan.error(
             "camera.scale",
             "a scale to be estimated, and no pose of a camera",

@@ -83,7 +83,7 @@ def calibrate_file(
     told = progress or (lambda fraction: None)
     found = load_plan(Path(plan))
     if found.streams:
-        if found.scale_is_free:
+        if found.has_free_scale:
             raise found.error(
                 "camera.scale",
                 "a scale to be estimated from streams on two clocks",
@@ -175,7 +175,7 @@ def calibrate(
     Raises:
         TwinError: observations that cannot be used.
     """
-    if images is not None and plan.scale_is_free:
+    if images is not None and plan.has_free_scale:
         raise plan.error(
             "camera.scale",
             "a scale to be estimated, and images of a target whose size is stated",
@@ -193,7 +193,7 @@ def calibrate(
     if seen is not None:
         observations = seen.posed(observations)
     problem = make_problem(plan, observations, chain)
-    if plan.scale_is_free:
+    if plan.has_free_scale:
         unit = camera_unit(problem.on_rows(fit_rows))
         problem = problem.in_unit(unit or 1.0)
     solved = solve_problem(problem.on_rows(fit_rows))

@@ -43,11 +43,11 @@ class _Record:
 
         stage = self.scene
         touch = scene.touch(stage.model, stage.data, *self.geoms)
-        self.touching.append(touch.touching)
+        self.touching.append(touch.is_touching)
         self.normal.append(touch.normal_force)
         self.tangential.append(touch.tangential_force)
         self.depth.append(touch.depth)
-        if touch.touching:
+        if touch.is_touching:
             self.friction = touch.friction
             if self.onset is None:
                 self.onset = pose_vector(scene.body_pose(stage.data, stage.bodies[0])).tolist()

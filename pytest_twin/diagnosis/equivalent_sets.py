@@ -1,11 +1,10 @@
-"""Which other sets of effects predict the recordings as well as the one that was found.
+"""Other sets of effects that predict the recordings as well as the set that was found.
 
-Some sets of effects are alike on some recordings: a late command and a late sensor of one joint, a
-tilted base and a zero offset about parallel axes, a motor constant and payload, viscous and dry
-friction that are all larger by the same share. A confidence is honest only if such a set was asked
-for. Subsets of the final set are taken out; a beam search over all candidates, linearized along the
-measured motion, looks for other sets that predict the same change; the closest are fitted along the
-motion, then by simulation with the slopes of the linearized motion, which cost no simulation.
+Some sets are not distinguishable on some recordings, for example command and sensor delay of one
+joint, or base tilt and encoder bias about parallel axes. Confidences have to include such sets.
+Subsets of the final set are removed. A beam search over all candidates in the linearized motion
+proposes other sets with the same prediction. The closest ones are fitted in the linearized motion,
+then by simulation with the Jacobian of the linearized motion, which needs no simulations.
 """
 
 from __future__ import annotations
@@ -53,11 +52,11 @@ from pytest_twin.diagnosis.set_evidence import (
     set_price,
 )
 
-# Dampings of Levenberg and Marquardt, shares of each parameter's own curvature.
+# Levenberg-Marquardt dampings, as shares of the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)
 
 Allowed = Callable[[Hypothesis], bool]
-"""Whether a set is physically possible and lies where the recordings show it."""
+"""Whether a set is physically possible and within the range that the recordings cover."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +64,9 @@ class AlternativeSet:
     """Another set of effects, fitted by simulation.
 
     Attributes:
-        rival: the whole set.
-        evidence: penalized log-likelihood over the final set's, model error counted.
-        apart: largest RMS difference between its prediction and the final set's on the fitted
+        rival: the fitted set.
+        evidence: penalized log-likelihood relative to the final set, tempered for model error.
+        apart: largest RMS difference between its prediction and that of the final set on the fit
             recordings, in noise floors.
     """
 
@@ -77,20 +76,20 @@ class AlternativeSet:
 
     @property
     def terms(self) -> frozenset[Term]:
-        """Its effects."""
+        """The terms of the set."""
         return frozenset(self.rival.hypothesis.terms)
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedSets:
-    """The likeliest set and its rivals.
+    """The most likely set and its alternatives.
 
     Attributes:
-        best: the final set, or one that is likelier.
-        sets: all other sets with their evidence over ``best``, likeliest first.
-        tempering: effective samples with model error counted, over those without.
-        simulations: of all recordings that the comparison took.
-        gain: evidence of ``best`` over the final set; minus infinity where no set is possible.
+        best: the final set, or a more likely one.
+        sets: all other sets with their evidence relative to ``best``, most likely first.
+        tempering: ratio of the effective sample sizes with and without model error.
+        simulations: number of simulations of all recordings that the comparison took.
+        gain: evidence of ``best`` relative to the final set; minus infinity if no set is possible.
     """
 
     best: ScoredModel
@@ -106,14 +105,14 @@ def compare_sets(
     """Compare a fitted set of effects with others that predict the same.
 
     Args:
-        comparison: of the problem.
-        found: the final set, fitted.
-        allowed: whether a set may be reported at all. If the final set may not, the likeliest
-            other one takes its place.
+        comparison: the comparison of the problem.
+        found: the final set with its fitted parameters.
+        allowed: whether a set may be reported. If the final set may not, the most likely other set
+            replaces it.
 
     Returns:
-        The comparison; without rivals where the robot touches something, since nothing is
-        linearized there.
+        The comparison; without alternatives if the robot touches a surface, because there is no
+        linearization in contact.
     """
     problem = comparison.problem
     count = _Count(problem)
@@ -135,7 +134,11 @@ def compare_sets(
 
 
 class _Count:
-    """Simulations of all recordings since it was made, what was known apart."""
+    """Counts simulations of all recordings since its creation, without those from the cache.
+
+    Attributes:
+        fitted: steps of one simulation of the fit recordings, as a share of all recordings.
+    """
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
@@ -148,12 +151,15 @@ class _Count:
 
     @property
     def spent(self) -> float:
+        """Number of simulations of all recordings so far."""
         return (self._stepped() - self._since) / self._once
 
 
 def subsets(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
-    """Subsets of a final set that are taken out: single terms, all terms, all of one joint, equal
-    effects at several joints, then pairs and triples that share a joint or the whole robot.
+    """Subsets of the final set that are removed.
+
+    These are single terms, all terms, all terms of a joint, the same effect at several joints, then
+    pairs and triples of a joint and of the robot.
     """
     out: dict[tuple[Term, ...], None] = dict.fromkeys((t,) for t in terms)
     if len(terms) <= EQUIVALENT.largest + 1:
@@ -179,8 +185,9 @@ def _near(
     candidate_sensitivities: CandidateSensitivities,
     allowed: Allowed,
 ) -> list[Hypothesis]:
-    """Other sets that predict nearly the same along the motion, fitted there, likeliest first; with
-    them the final set without some of its terms, where that is near.
+    """Other sets with nearly the same prediction, fitted in the linearized motion.
+
+    The most likely ones come first. The final set without some of its terms may be among them.
     """
     own, found = best.hypothesis, list[tuple[float, Hypothesis]]()
     alike = list[Hypothesis]()
@@ -210,8 +217,8 @@ def _near(
     ranked = [
         (e, f.hypothesis) for e, f in zip(values, fitted, strict=True) if allowed(f.hypothesis)
     ]
-    # What is linearized is exact for small effects only. Sets that are alike by structure may seem
-    # far apart along the motion: they are simulated with the parameters of what they replace.
+    # The linearization is exact for small effects only. Structurally equivalent sets may seem to
+    # differ, so they are simulated with the parameters of the effects that they replace.
     likeliest = _without_additions(ranked, own.terms, 1)
     fewer = [h for h in likeliest if len(h.terms) < len(own.terms)]
     out = [
@@ -223,7 +230,7 @@ def _near(
 
 
 def _beam(lens: NormalEquations, barred: Sequence[Term], largest: int) -> list[Structure]:
-    """The best sets of up to so many candidates instead of what is gone."""
+    """The best sets of up to ``largest`` candidates in place of the removed terms."""
     level, out = [lens.bare], list[Structure]()
     for _ in range(largest):
         chosen = {
@@ -242,9 +249,10 @@ def _beam(lens: NormalEquations, barred: Sequence[Term], largest: int) -> list[S
 
 
 def _chosen(removed: Sequence[Term], sets: Sequence[Structure], evidence: FloatArray) -> list[int]:
-    """Which sets are fitted along the motion: the best few of each size, because what is linearized
-    around coarse starting values favours many parameters; and single effects that the catalogue
-    lists as confused with what is gone.
+    """Indices of the sets that are fitted in the linearized motion.
+
+    These are the best of each size, because the coarse start values favour sets with many
+    parameters, and single effects that the catalogue lists as confused with a removed one.
     """
     out = dict[int, None]()
     order = [int(i) for i in np.argsort(-evidence)]
@@ -262,8 +270,10 @@ def _chosen(removed: Sequence[Term], sets: Sequence[Structure], evidence: FloatA
 def _carried(
     problem: Problem, own: Hypothesis, removed: Sequence[Term], other: Hypothesis
 ) -> list[Hypothesis]:
-    """Another set with the values that parameters of one name and quantity have in what is gone:
-    equal effects at other places, and delays of another part of the signal path.
+    """The set ``other`` with values of removed parameters that have the same name and quantity.
+
+    Examples are the same effect at another joint, and delays in another part of the signal path.
+    The list is empty if there are no such parameters.
     """
     known = {
         (p.name, p.quantity): float(x) * problem.scales.value(p, t.joint)
@@ -286,9 +296,10 @@ def _carried(
 def _without_additions(
     found: Sequence[tuple[float, Hypothesis]], final: Sequence[Term], most: int
 ) -> list[Hypothesis]:
-    """Sets by evidence, at most so many with the same terms, none that only adds new effects to a
-    set that explains nearly as much: whether more effects are needed is the search's question.
-    What the final set has is not new: an exchange of one effect keeps the others.
+    """Sets by evidence, at most ``most`` with the same terms.
+
+    Sets that only add new effects to a set that explains nearly as much are left out, because the
+    search has decided about the number of effects. Effects of the final set do not count as new.
     """
     known: dict[tuple[Term, ...], float] = {}
     for e, h in found:
@@ -309,7 +320,7 @@ def _without_additions(
 
 
 def _few_of_each(found: Sequence[tuple[float, Hypothesis]], most: int) -> list[Hypothesis]:
-    """Hypotheses by evidence, at most so many with the same terms in the same forms."""
+    """Hypotheses by evidence, at most ``most`` with the same terms in the same forms."""
     out, seen = list[Hypothesis](), Counter[_Form]()
     for evidence, h in sorted(found, key=lambda each: -each[0]):
         form = _form(h)
@@ -335,7 +346,7 @@ def _form(h: Hypothesis) -> _Form:
 def _linearized_evidence(
     comparison: ModelComparison, view: ResidualView, own: Hypothesis, fits: Sequence[LinearizedFit]
 ) -> FloatArray:
-    """Evidence of sets over the final one, along the motion."""
+    """Evidence of sets relative to the final one, in the linearized motion."""
     everything = [LinearizedFit(own, view.residual), *fits]
     if len(everything) == 1:
         return np.zeros(0)
@@ -362,7 +373,7 @@ def _simulated(
     near: Sequence[Hypothesis],
     count: _Count,
 ) -> list[ScoredModel]:
-    """Sets fitted by simulation: all as they start, fewer after each step of the fit."""
+    """Sets fitted by simulation; after each step of the fit fewer sets remain."""
     problem = comparison.problem
     weights = comparison.weights(best)
     current = list(near)
@@ -405,7 +416,10 @@ def _front(
     most: int,
     behind: float,
 ) -> tuple[list[Hypothesis], list[FloatArray]]:
-    """The likeliest sets by simulation, one start of each, none that is further ``behind``."""
+    """The most likely sets by simulation with their residuals, one start of each.
+
+    Sets whose evidence is more than ``behind`` below the final set are left out.
+    """
     lengths = comparison.problem.lengths(comparison.problem.fit)
     problem, sets = comparison.problem, [best.hypothesis, *hypotheses]
     left = within_a_step(problem, sets, [best.fitted.residual, *residuals], problem.fit)
@@ -425,7 +439,7 @@ def _compared(
     *,
     possible: bool,
 ) -> ComparedSets:
-    """The likeliest set, and the evidence of the others over it."""
+    """The most likely set, and the evidence of the others relative to it."""
     everyone = [best, *rivals]
     idle = idle_parameters(comparison.problem, linear, [r.hypothesis for r in everyone])
     values, tempering = set_evidence(comparison, everyone, idle)
@@ -464,11 +478,10 @@ def _compared(
 def _decided(
     value: float, rival: ScoredModel, best: ScoredModel, comparison: ModelComparison
 ) -> float:
-    """Evidence of a set after what the search has decided about the number of effects.
+    """Evidence of a set, limited by the search's decision about the number of effects.
 
-    More effects are not needed: such a set is as likely as the final one at most. Fewer do not
-    suffice if they have clearly less evidence before model error: the price of one effect of many
-    is paid for then, and model error leaves open only how well each set predicts.
+    A set with more effects is at most as likely as the final one. A set with fewer effects has the
+    penalty of the missing effects if its evidence without tempering is clearly lower.
     """
     more = len(rival.hypothesis.terms) - len(best.hypothesis.terms)
     if more > 0:
@@ -479,11 +492,10 @@ def _decided(
 
 
 def _simplest_of_as_likely(rivals: Sequence[ScoredModel], values: FloatArray, top: int) -> int:
-    """Of sets as likely as the likeliest and as large, the one of which MJCF holds most effects,
-    and of these the one with the fewest parameters.
+    """Index of the simplest set among those as likely and as large as the set ``top``.
 
-    Recordings do not decide between them. A user runs the first with MuJoCo alone, and less has to
-    be true for the second.
+    It has the most effects that MJCF can express, so that MuJoCo alone can simulate it, and among
+    these sets the fewest parameters.
     """
 
     def inexpressible(i: int) -> int:

@@ -262,7 +262,7 @@ def _cut(
             continue
         if made[0].velocity is None and made[0].mode == "position" and not made[0].starts_in_motion:
             # The restriction to motion far from contact applies to windows only.
-            moving = replace(cutting, moving=True, contact=None)
+            moving = replace(cutting, estimates_velocity=True, contact=None)
             (cut.moving[len(cut.segments)],) = segments_of(
                 realization,
                 trial,

@@ -47,15 +47,15 @@ class Cutting:
     Attributes:
         window: length of a window in s. None: trials under effort commands are cut into windows of
             :data:`WINDOW`, others are not cut.
-        moving: whether the initial velocity of a whole trial without measured velocities is
-            estimated from its first samples; otherwise the trial starts at rest.
+        estimates_velocity: whether the initial velocity of a whole trial without measured
+            velocities is estimated from its first samples; otherwise the trial starts at rest.
         commanded: whether samples well before the first command are left out, because the commands
             until then are not recorded. A part after a hole then begins during a motion.
         contact: surfaces from which windows keep a distance; a trial may then have no window.
     """
 
     window: float | None = None
-    moving: bool = False
+    estimates_velocity: bool = False
     commanded: bool = False
     contact: ContactGeoms | None = None
 
@@ -101,7 +101,7 @@ def segments_of(
     if cutting.window is None and recorded.mode != "effort":
         if after_hole:
             return _windows(recorded, joints, clear, trial.duration, whole=True)
-        return [_whole(recorded, joints, first, cutting.moving)]
+        return [_whole(recorded, joints, first, cutting.estimates_velocity)]
     if cutting.contact is not None:
         ids = np.array([recorded.model.joint(j).id for j in joints])
         clear &= in_the_air(recorded.model, ids, cutting.contact, recorded.position)

@@ -26,7 +26,7 @@ class JointLimits:
         velocity, acceleration: rad/s, rad/s^2, or m/s, m/s^2.
         effort: N*m or N.
         start: where every trajectory begins and ends, rad or m.
-        slide: whether it is a slide and not a hinge.
+        is_slide: whether it is a slide and not a hinge.
         effort_noise, position_noise: standard deviation of one sample, where it is declared.
         stop_lower, stop_upper: the joint's own range in the model, rad or m; infinite without one.
     """
@@ -38,7 +38,7 @@ class JointLimits:
     acceleration: float
     effort: float
     start: float
-    slide: bool
+    is_slide: bool
     effort_noise: float | None = None
     position_noise: float | None = None
     stop_lower: float = -math.inf
@@ -47,12 +47,12 @@ class JointLimits:
     @property
     def unit(self) -> str:
         """Of positions."""
-        return "m" if self.slide else "rad"
+        return "m" if self.is_slide else "rad"
 
     @property
     def effort_unit(self) -> str:
         """Of efforts."""
-        return "N" if self.slide else "N*m"
+        return "N" if self.is_slide else "N*m"
 
 
 @dataclass(frozen=True, slots=True)

@@ -235,7 +235,7 @@ def _joint(realization: Realization, name: str, own: Mapping[str, Any], twin: Tw
         acceleration=float(own["acceleration"]),
         effort=float(own["effort"]),
         start=start,
-        slide=slide,
+        is_slide=slide,
         effort_noise=own.get("effort_noise"),
         position_noise=own.get("position_noise"),
         stop_lower=-math.inf if own_range is None else own_range[0],

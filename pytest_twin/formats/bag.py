@@ -53,7 +53,7 @@ class Contents:
         schemas, channels: by number.
         metadata: name and fields of each metadata record.
         message_counts: channel -> messages.
-        guarded: whether a checksum covers the whole data section, metadata records included.
+        has_checksum: whether a checksum covers the whole data section, metadata records included.
     """
 
     notes: Notes = field(default_factory=Notes)
@@ -61,4 +61,4 @@ class Contents:
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
     message_counts: dict[int, int] = field(default_factory=dict)
-    guarded: bool = False
+    has_checksum: bool = False

@@ -163,7 +163,7 @@ class Gatherer:
 
     def _trial_records(self) -> list[tuple[dict[str, str], bool]]:
         return [
-            (dict(fields), contents.guarded)
+            (dict(fields), contents.has_checksum)
             for _, contents in self.files
             for name, fields in contents.metadata
             if name == "trial"

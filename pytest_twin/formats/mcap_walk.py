@@ -434,7 +434,7 @@ class _Walker:
                 self.expected[channel] = counts.integer(8)
         else:
             stated = fields.integer(4)
-            self.contents.guarded = stated != 0
+            self.contents.has_checksum = stated != 0
             if stated and stated != crc_before:
                 self.notes.add("data section", "its CRC is wrong: something in it has changed")
             self.in_summary = True

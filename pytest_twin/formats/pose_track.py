@@ -35,7 +35,7 @@ class PoseTrack:
         quaternion: (n, 4) w x y z, object to world.
         velocity: (n, 3) of the frame's origin in the world, or None where none was recorded.
         angular: (n, 3) in the object's own axes, rad/s, or None.
-        timed: whether the file says when each pose was measured.
+        has_times: whether the file says when each pose was measured.
         metadata: what the recording says of itself.
         wrench: what was measured to push the object, beside gravity and contact.
     """
@@ -47,6 +47,6 @@ class PoseTrack:
     quaternion: Floats
     velocity: Floats | None = None
     angular: Floats | None = None
-    timed: bool = True
+    has_times: bool = True
     metadata: tuple[tuple[str, str], ...] = ()
     wrench: WrenchTrack | None = None

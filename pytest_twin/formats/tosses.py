@@ -89,7 +89,7 @@ def _track(data: bytes, member: str, path: Path) -> PoseTrack:
         table[:, 3:7] / length[:, None],
         table[:, 7:10],
         table[:, 10:13],
-        timed=False,
+        has_times=False,
     )
 
 

@@ -50,11 +50,11 @@ class Closed:
     """What came of a run.
 
     Attributes:
-        blocked: whether a release was wanted and refused.
+        is_blocked: whether a release was wanted and refused.
         lines: what to say, the verdict last.
     """
 
-    blocked: bool
+    is_blocked: bool
     lines: tuple[str, ...]
 
 

@@ -88,7 +88,7 @@ class Gate:
 
     @property
     def planned(self) -> Plan | None:
-        """The plan, None while nobody asked for it."""
+        """The plan; None before its first use."""
         return self._plan
 
     def plan(self) -> Plan:
@@ -164,7 +164,7 @@ class Gate:
         reasons: tuple[Reason, ...],
         progress: Progress | None,
     ) -> Outcome:
-        """Run one golden, unless a tolerance is to write or nobody has ever recorded it."""
+        """Run one golden, unless its tolerance is blank or it was never recorded."""
         if golden.unwritten is not None or golden.provenance is None:
             return Outcome(
                 golden=golden.id,

@@ -83,7 +83,7 @@ class Plan:
 
     @property
     def unproven(self) -> tuple[str, ...]:
-        """Ids of goldens that nobody has recorded yet."""
+        """Ids of goldens that were never recorded."""
         goldens = {task.golden.id: task.golden for task in self.tasks.values()}
         return tuple(ident for ident, golden in goldens.items() if golden.provenance is None)
 

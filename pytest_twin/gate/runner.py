@@ -96,7 +96,7 @@ class Runner:
     def _quick_diagnosis(
         self, twin: Twin, golden: Golden, realization: str, failed: list[str], seconds: float
     ) -> str:
-        """What a failure looks like, in one line; or why nobody can say."""
+        """Description of a failure in one line, or the reason why there is none."""
         bound = min(self.seconds, max(_GLANCE_SECONDS, _GLANCE_SHARE * seconds))
         try:
             said = self._call(

@@ -16,7 +16,7 @@ class Signed:
 
 @dataclass(frozen=True, slots=True)
 class Holds:
-    """Everything is still proven by the baseline, and nothing has gone or come."""
+    """All goldens are proven by the baseline, and none was added or removed."""
 
     release: int
 

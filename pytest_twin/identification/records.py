@@ -85,7 +85,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
     }
     better = _mean(result.errors) < _mean(result.nominal)
     ordered = in_order(stages)
-    fatal = any(one.fatal for one in result.suspected)
+    fatal = any(one.is_fatal for one in result.suspected)
     for joint, scale in result.scales.items():
         parameters[f"{joint}.effort_scale"] = {
             "value": scale.value,

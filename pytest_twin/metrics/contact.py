@@ -69,7 +69,7 @@ def slip(
     *,
     least_travel: float,
 ) -> Slip | None:
-    """When and at what friction a contact gives way; None where it does not.
+    """Time and friction coefficient at which a contact slips; None if it does not slip.
 
     Soft contacts creep under any tangential force, so saturation shows slip: friction is the
     median ratio of tangential to normal force over the samples beyond ``least_travel``, if nine

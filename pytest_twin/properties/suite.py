@@ -23,13 +23,13 @@ class Property:
 
     Attributes:
         check: what of it is broken on an asset, at a configuration where ``posed``.
-        posed: whether it is held at drawn configurations, or once.
+        needs_poses: whether it is held at drawn configurations, or once.
         compares: whether it needs two realizations.
     """
 
     name: str
     check: Callable[..., Iterable[Broken]]
-    posed: bool
+    needs_poses: bool
     compares: bool
 
     @property
@@ -44,7 +44,7 @@ class Property:
             PropertyError: it is broken.
         """
         __tracebackhide__ = True
-        if self.posed:
+        if self.needs_poses:
             at = asset.generic if q is None else q
             broken = list(self.check(asset, at))
         else:
@@ -138,11 +138,11 @@ def asset_properties(
         made = wanted[robot_property]
         if made.compares and not loaded.others:
             pytest.skip("; ".join(loaded.left_out) or "one realization alone")
-        if made.posed:
+        if made.needs_poses:
             # The simplest pose at which it can break is the one to be told.
             made.hold(loaded, loaded.rest)
         made.hold(loaded)
-        if made.posed and loaded.configurations.independent:
+        if made.needs_poses and loaded.configurations.independent:
             _drawn(made, loaded, strategies.configurations(loaded.simulated[0]), examples)
 
     return test_property

@@ -1,4 +1,4 @@
-"""Randomization ranges that somebody else wrote: read, and never run.
+"""Reader of randomization ranges from other tools; their code is never executed.
 
 A file is a ``ranges.json``, a table of ``NAME: [low, high]``, or events of Isaac Lab or mjlab as
 YAML or as a Python file, of which the syntax tree alone is read.

@@ -87,7 +87,7 @@ def threads_here(count: int) -> int:
 
 
 def _taken(tasks: Sequence[Callable[[], _Result]], numbers: int) -> dict[int, _Result]:
-    """Tasks that nobody took before, done until none is left."""
+    """Do tasks that no other process has taken, until none remains."""
     found = {}
     while number := os.read(numbers, _NUMBER):
         i = int.from_bytes(number, "little")
@@ -122,7 +122,7 @@ class _Fork(Generic[_Result]):
         return found
 
     def end(self) -> None:
-        """End it, done or not; nobody waits until the system has taken its memory back."""
+        """End the process, finished or not, without waiting for its memory to be released."""
         self.answers.close()
         # Somebody else in this process may have waited for all its children.
         with contextlib.suppress(ProcessLookupError):
@@ -131,7 +131,7 @@ class _Fork(Generic[_Result]):
 
 
 def _bury() -> None:
-    """Take leave of forks that are gone."""
+    """Reap forked processes that have ended."""
     for process in tuple(_ended):
         with contextlib.suppress(ChildProcessError):
             if not os.waitpid(process, os.WNOHANG)[0]:

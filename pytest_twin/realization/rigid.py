@@ -15,7 +15,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(slots=True)
 class RigidModel:
-    """A Pinocchio model and how it is asked.
+    """A Pinocchio model with the assignment of joints and frames to it.
 
     Attributes:
         model: joints in a tree; ``inertias[0]`` is what stands still.

@@ -37,7 +37,7 @@ def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> 
 
 
 def _end_with_parent(parent: int) -> None:
-    """A parent that was killed cannot end its child: no long call goes on for nobody."""
+    """End the child if its parent was killed, because the parent can no longer end it."""
     while os.getppid() == parent:
         time.sleep(1.0)
     # With the forks that share its work: the group is its own.
@@ -108,7 +108,7 @@ def _at_most(wanted: int, limit: int) -> int:
 
 
 def _bound_cpu(seconds: float) -> None:
-    """A second bound beside the parent's clock: it holds even when the parent is gone."""
+    """Set a time limit in the child itself, which holds even after the parent has ended."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     used = usage.ru_utime + usage.ru_stime
     soft = int(used + seconds * (os.cpu_count() or 1) + 5)

@@ -58,7 +58,7 @@ class Touch:
         depth: m, of the deepest contact, 0 where none overlaps.
         point: (3,) m, weighted by force.
         friction: sliding friction coefficient of the deepest contact, as the model declares it.
-        touching: whether any contact is there.
+        is_touching: whether any contact is there.
     """
 
     force: Vector
@@ -68,7 +68,7 @@ class Touch:
     depth: float
     point: Vector
     friction: float
-    touching: bool
+    is_touching: bool
 
 
 def setting(free: FreeObject | None, floor: float | None) -> Callable[[mujoco.MjSpec], None] | None:
@@ -286,7 +286,7 @@ def touch(
         depth=max(0.0, -deepest) if np.isfinite(deepest) else 0.0,
         point=point,
         friction=friction,
-        touching=bool(np.isfinite(deepest)),
+        is_touching=bool(np.isfinite(deepest)),
     )
 
 

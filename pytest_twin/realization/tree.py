@@ -1,4 +1,4 @@
-"""Rigid bodies in a tree, in plain numpy: what a file states, computed by nobody's engine.
+"""Kinematics and masses of a tree of rigid bodies in numpy, independent of any engine.
 
 The forms are the textbook ones (Siciliano et al., "Robotics: Modelling, Planning and Control",
 2009, ch. 3 and 7), with the Jacobian of each body's centre of mass: short rather than fast.

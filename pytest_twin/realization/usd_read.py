@@ -32,7 +32,7 @@ class UsdJoint:
         max_force: of its drive, N*m or N; None without a drive.
         velocity: rad/s or m/s, None where the stage states none (no part of UsdPhysics).
         damping, friction: N*m*s/rad or N*s/m; N*m or N (no part of UsdPhysics).
-        collides: whether the bodies on its two sides collide.
+        has_collision: whether the bodies on its two sides collide.
     """
 
     name: str
@@ -45,7 +45,7 @@ class UsdJoint:
     velocity: float | None
     damping: float | None
     friction: float | None
-    collides: bool
+    has_collision: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +153,7 @@ class _Reader:
             joints[joint.name] = joint
             if degree is not None and joint.body1 is not None:
                 moved[joint.body1] = degree
-            if joint.body0 and joint.body1 and not joint.collides:
+            if joint.body0 and joint.body1 and not joint.has_collision:
                 disabled.add(frozenset((joint.body0, joint.body1)))
             leader = prim.GetRelationship("newton:mimicJoint")
             if leader and leader.GetTargets():

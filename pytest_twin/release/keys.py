@@ -109,7 +109,7 @@ def signer(
 
 
 def require_trusted(signer: CryptoSigner, trusted: Sequence[Key], root: Path) -> None:
-    """Refuse to sign with a key that nobody would accept.
+    """Refuse to sign with a key that no verification would accept.
 
     Raises:
         ReleaseError: the key is not among the trusted ones.

@@ -318,7 +318,7 @@ class TwinSession:
         )
         closed = close(gate, self._facts(gate, session, exitstatus), policy, diagnosed)
         self.summaries.append((gate, list(closed.lines)))
-        if closed.blocked and session.exitstatus in (
+        if closed.is_blocked and session.exitstatus in (
             pytest.ExitCode.OK,
             pytest.ExitCode.NO_TESTS_COLLECTED,
         ):

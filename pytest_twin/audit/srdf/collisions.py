@@ -143,7 +143,7 @@ def _samples(srdf: Srdf) -> list[dict[str, float]]:
     for joint in srdf.asset.joints:
         if not joint.is_scalar:
             continue
-        if joint.limited and joint.lower is not None and joint.upper is not None:
+        if joint.is_limited and joint.lower is not None and joint.upper is not None:
             ranges[joint.name] = joint.lower, joint.upper
         else:
             ranges[joint.name] = (-math.pi, math.pi) if joint.kind == "hinge" else (0.0, 0.0)

@@ -91,7 +91,7 @@ def _variables(joint: Joint) -> int:
 
 
 def _range(joint: Joint, value: float, node: Node, element: str) -> Iterator[Finding]:
-    if not joint.limited or joint.continuous or joint.lower is None or joint.upper is None:
+    if not joint.is_limited or joint.is_continuous or joint.lower is None or joint.upper is None:
         return
     beyond = max(joint.lower - value, value - joint.upper)
     if beyond <= _SAME:

@@ -57,7 +57,7 @@ class Bundle:
         image: (m,) image of each corner.
         robot: (n, 6) how far the robot's pose is off, in the flange's axes: m, then rad.
         weights: (n,) weight of each robot pose, 1 for one that fits.
-        board_free: whether the board's corners were estimated.
+        is_board_estimated: whether the board's corners were estimated.
         arm: (k,) steps of the arm's own parameters, rad and m.
     """
 
@@ -73,7 +73,7 @@ class Bundle:
     image: np.ndarray
     robot: FloatArray
     weights: FloatArray
-    board_free: bool
+    is_board_estimated: bool
     arm: FloatArray
 
     @property
@@ -91,7 +91,7 @@ class KnownNoise:
     """Standard deviations: ``exact``, or where their estimation starts."""
 
     value: Noise
-    exact: bool = True
+    is_exact: bool = True
 
 
 def bundle(
@@ -133,7 +133,7 @@ def bundle(
     unknowns, sizes = start, Noise() if noise is None else noise.value
     for _ in range(_ROUNDS):
         unknowns = _minimized(model, unknowns, sizes)
-        if noise is not None and noise.exact:
+        if noise is not None and noise.is_exact:
             break
         new = noise_of(model, unknowns, sizes)
         change = max(abs(np.log(new.vector / sizes.vector)))

@@ -118,7 +118,7 @@ def fixed_or_free(
     """
     if before is not None:
         start = Unknowns(np.eye(4), np.eye(4), intrinsics.vector, before.camera_from_target, board)
-        known = KnownNoise(before.noise, exact=False)
+        known = KnownNoise(before.noise, is_exact=False)
         return bundle(None, detections, start, "hand", free, noise=known)
     poses = [target_pose(one, intrinsics) for one in detections]
     if any(pose is None for pose in poses):
@@ -138,7 +138,7 @@ def camera_of(found: Bundle) -> Camera:
         if found.free
         else np.zeros((0, 0)),
         found.noise.pixel,
-        found.noise.board if found.board_free else 0.0,
+        found.noise.board if found.is_board_estimated else 0.0,
     )
 
 

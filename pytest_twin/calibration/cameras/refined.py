@@ -83,7 +83,7 @@ def refined(
         solved.free,
         solved.covariance[12 + own :, 12 + own :],
         solved.noise.pixel,
-        solved.noise.board if solved.board_free else 0.0,
+        solved.noise.board if solved.is_board_estimated else 0.0,
     )
     return better, new_camera, solved
 

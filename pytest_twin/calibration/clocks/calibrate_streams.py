@@ -55,12 +55,12 @@ class Start:
     Attributes:
         solver: name of the best algebraic solver.
         solved: what each solver found.
-        inverted: whether the camera's stream is read the other way round.
+        is_inverted: whether the camera's stream is read the other way round.
     """
 
     solver: str
     solved: Mapping[str, HandEye]
-    inverted: bool
+    is_inverted: bool
 
 
 def calibrate_streams(plan: Plan) -> dict[str, Any]:
@@ -153,12 +153,12 @@ def _solve(
 ) -> None:
     fitted, held_out = parts
     start = _start(hand, camera.rows(fitted), found.offset)
-    seen = seen_in(camera, inverted=start.inverted)
+    seen = seen_in(camera, inverted=start.is_inverted)
     mine, theirs = camera.rows(fitted), camera.rows(held_out)
     at = start.solved[start.solver]
     fit = fit_clocks(hand, mine, seen[fitted], found.offset, at, middle, with_drift=False)
     drifting = fit_clocks(hand, mine, seen[fitted], fit.offset, fit.solved, middle, with_drift=True)
-    if start.inverted:
+    if start.is_inverted:
         document["notes"].append(
             "the camera's stream holds poses of the camera in the target's frame; it was inverted"
         )

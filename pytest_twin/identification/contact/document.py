@@ -95,7 +95,7 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
                 "surroundings": [_name(model, geom) for geom in fit.contact.body.others],
             },
             "held": {f"{body}.{one.fixed}": one.value for one in fit.untold},
-            "from": "whole tosses" if fit.refined else f"{_samples()}-sample stretches",
+            "from": "whole tosses" if fit.is_refined else f"{_samples()}-sample stretches",
             "restitution": restitution_of(fit),
             "solver": solver_of(model),
             "spread": [
@@ -123,7 +123,7 @@ def _interval(fit: ContactFit, name: str, deviation: float) -> list[float]:
     """95 % interval of a parameter; of one that is searched by its logarithm, around that."""
     value = fit.values[name]
     (parameter,) = (one for one in fit.contact.parameters if one.name == name)
-    if not parameter.logarithmic:
+    if not parameter.is_logarithmic:
         return [value - Z95 * deviation, value + Z95 * deviation]
     factor = float(np.exp(Z95 * deviation / value))
     return [value / factor, value * factor]

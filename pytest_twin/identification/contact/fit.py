@@ -102,7 +102,7 @@ class ContactFit:
         nominal, fitted: errors on the fit tosses.
         nominal_held, fitted_held: errors on the held-out tosses.
         variants: other options of the simulation.
-        refined: whether whole tosses moved the estimate.
+        is_refined: whether whole tosses moved the estimate.
     """
 
     contact: ContactModel
@@ -116,7 +116,7 @@ class ContactFit:
     nominal_held: TossErrors
     fitted_held: TossErrors
     variants: tuple[Variant, ...] = ()
-    refined: bool = False
+    is_refined: bool = False
     notes: tuple[str, ...] = field(default=())
 
 

@@ -39,24 +39,24 @@ class Parameter:
         name: as ``UNITS`` has it.
         low, high: bounds in its unit.
         start: the model's value.
-        logarithmic: whether the scale is.
+        is_logarithmic: whether the scale is.
     """
 
     name: str
     low: float
     high: float
     start: float
-    logarithmic: bool = True
+    is_logarithmic: bool = True
 
     def value(self, place: float) -> float:
         """The value at a place on the scale."""
-        if self.logarithmic:
+        if self.is_logarithmic:
             return float(self.low * (self.high / self.low) ** place)
         return float(self.low + (self.high - self.low) * place)
 
     def place(self, value: float) -> float:
         """The place of a value on the scale, within it."""
-        if self.logarithmic:
+        if self.is_logarithmic:
             share = np.log(max(value, 1e-300) / self.low) / np.log(self.high / self.low)
         else:
             share = (value - self.low) / (self.high - self.low)
@@ -64,7 +64,7 @@ class Parameter:
 
     def slope(self, place: float) -> float:
         """Change of the value by a unit of the scale."""
-        if self.logarithmic:
+        if self.is_logarithmic:
             return float(self.value(place) * np.log(self.high / self.low))
         return float(self.high - self.low)
 
@@ -144,7 +144,7 @@ def contact_model(realization: Realization, body: FreeBody) -> ContactModel:
     ]
     if all(int(model.geom_type[g]) in _SIZES for g in body.geoms):
         most = _OFFSET_SHARE * min(_half_size(model, g) for g in body.geoms)
-        parameters.append(Parameter(OFFSET, -most, most, 0.0, logarithmic=False))
+        parameters.append(Parameter(OFFSET, -most, most, 0.0, is_logarithmic=False))
     return ContactModel(model, body, tuple(parameters), {})
 
 

@@ -93,15 +93,15 @@ def in_model_units(
     notes: list[str] = []
     period: float | None = None
     # Poses of ROS, which are timed, are in m.
-    unitless = length is None and not all(track.timed for track in tracks)
-    if not all(track.timed for track in tracks):
+    unitless = length is None and not all(track.has_times for track in tracks)
+    if not all(track.has_times for track in tracks):
         period = 1.0 / rate if rate is not None else _period(tracks)
         if rate is None:
             notes.append(
                 f"sample rate {1.0 / period:.4g} Hz, found from displacements and velocities; "
                 "--rate states another"
             )
-        tracks = [track if track.timed else _timed(track, period) for track in tracks]
+        tracks = [track if track.has_times else _timed(track, period) for track in tracks]
     down = float(np.linalg.norm(gravity))
     unit = 1.0 if length is None else length
     fall = _fall(tracks, gravity) if unitless and down > 0.0 else down
@@ -123,7 +123,7 @@ def in_model_units(
 
 
 def _timed(track: PoseTrack, period: float) -> PoseTrack:
-    return replace(track, time=track.time * period, timed=True)
+    return replace(track, time=track.time * period, has_times=True)
 
 
 def _period(tracks: Sequence[PoseTrack]) -> float:

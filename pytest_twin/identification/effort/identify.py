@@ -147,7 +147,7 @@ def identify_effort(
         SpecError: a payload that the twin does not state.
     """
     found, late = _identify(realization, measured, signals)
-    if any(one.fatal for one in found.suspected):
+    if any(one.is_fatal for one in found.suspected):
         why = "not estimated: a mistake of the input is suspected, and would pass for it"
         skipped: tuple[StageName, ...] = ("delay", "encoder")
         before = (Stage(n, "not_observable", why, (), None, EXCLUDES[n]) for n in skipped)

@@ -40,16 +40,16 @@ class Suspect:
     Attributes:
         what: joint, what is wrong, and the number that shows it.
         mend: what to do.
-        fatal: whether no result can be accepted before it is corrected.
+        is_fatal: whether no result can be accepted before it is corrected.
     """
 
     what: str
     mend: str
-    fatal: bool = True
+    is_fatal: bool = True
 
     def to_json(self) -> dict[str, object]:
         """As it stands in ``identification.json``."""
-        return {"what": self.what, "mend": self.mend, "fatal": self.fatal}
+        return {"what": self.what, "mend": self.mend, "fatal": self.is_fatal}
 
 
 def suspects(
@@ -132,7 +132,7 @@ def drifts(
                 f"{joint}: dry friction changes by {100 * slope / levels[k]:+.0f} % over a "
                 "recording: the gear warms up, or its load changes",
                 "record after the robot is warm, or identify cold and warm recordings apart",
-                fatal=False,
+                is_fatal=False,
             ))  # fmt: skip
     return found
 

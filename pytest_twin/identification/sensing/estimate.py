@@ -67,7 +67,7 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
         fit, held_out: recordings of one sensor.
     """
     kind = fit[0].kind
-    axes = axes_of(kind, fit[0].slide)
+    axes = axes_of(kind, fit[0].is_slide)
     groups = _groups(kind)
     limit = limits_of(np.vstack([one.reading for one in fit]))
     keep = [np.all(np.abs(one.reading) < limit * (1.0 - 1e-9), axis=1) for one in fit]

@@ -90,7 +90,7 @@ def compared(
 
 
 def _read(trial: SensorTrial, stated: SensorFields) -> dict[str, Any]:
-    axes = axes_of(stated.kind, trial.slide)
+    axes = axes_of(stated.kind, trial.is_slide)
     predicted = readings_of(stated, trial.true, trial.period)
     return {
         "rms": _by_axis(axes, trial.smoothed - predicted),

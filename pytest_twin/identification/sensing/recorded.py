@@ -57,7 +57,7 @@ class SensorTrial:
         smoothed: (n, k) low-passed as the motion was.
         true: (n, k) of an ideal sensor along the smoothed motion.
         kind: ``force_torque``, ``imu`` or ``joint_torque``.
-        slide: whether a joint torque sensor is on a slide.
+        is_slide: whether a joint torque sensor is on a slide.
         role: what the recording says of itself.
         steps: joint -> quantization of its encoder, rad or m; joints that show none are left out.
     """
@@ -68,7 +68,7 @@ class SensorTrial:
     smoothed: FloatArray
     true: FloatArray
     kind: str
-    slide: bool
+    is_slide: bool
     role: str | None
     steps: Mapping[str, float]
 
