@@ -686,7 +686,7 @@ def _broken(
     asset: Asset, qs: list[dict[str, float]], known: Mapping[Key, str] | None = None
 ) -> Iterator[tuple[Broken, Key]]:
     for name, made in PROPERTIES.items():
-        for q in qs if made.posed else [None]:
+        for q in qs if made.needs_poses else [None]:
             for broken in made.check(asset) if q is None else made.check(asset, q):
                 key = (name, broken.element, broken.what, broken.forms)
                 if known is None or key not in known:

@@ -382,9 +382,9 @@ class Run:
             where=None if joint is None else f"joint '{joint}'",
             expected="a stable simulation; check timestep, inertias and servo gains",
         )
-        gone = self.sample_step >= step
+        has_ended = self.sample_step >= step
         for kept in (self.qpos, self.velocity, self.effort):
-            kept[gone] = np.nan
+            kept[has_ended] = np.nan
         self.steps = self.step
 
     def result(self) -> Replayed:

@@ -194,15 +194,15 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
         if pose is None
         else {"position [m]": list(pose.position), "quaternion": list(pose.quaternion)}
     )
-    gone = {name for entry in twin.calibrations for name in entry.supersedes}
+    superseded = {name for entry in twin.calibrations for name in entry.supersedes}
     for entry in twin.calibrations:
         ident = entry.record.id
-        contents[f"record:{ident}"] = {**_record(entry.record), "superseded": ident in gone}
-    gone = {name for fit in twin.fits for name in fit.supersedes}
+        contents[f"record:{ident}"] = {**_record(entry.record), "superseded": ident in superseded}
+    superseded = {name for fit in twin.fits for name in fit.supersedes}
     for fit in twin.fits:
         contents[f"fit:{fit.record.id}"] = {
             **_identified(fit.record),
-            "superseded": fit.record.id in gone,
+            "superseded": fit.record.id in superseded,
         }
     for record in twin.holding_fits:
         for sensor in record.sensors:

@@ -95,10 +95,10 @@ class RealizationRef:
     @property
     def effects(self) -> Path | None:
         """What a diagnosis put beside the model, where it did."""
-        return effects_beside(self.file)
+        return effects_file_next_to(self.file)
 
 
-def effects_beside(model: Path) -> Path | None:
+def effects_file_next_to(model: Path) -> Path | None:
     """The list of effects beside a model, or None."""
     path = model.parent / EFFECTS_FILE
     return path if path.is_file() else None
@@ -592,7 +592,7 @@ class _Reader:
             found.append(Authority(name, matched))
         return tuple(found)
 
-    def _beside(self, key: str) -> _Section | None:
+    def _table_of(self, key: str) -> _Section | None:
         """The table of ``key``: inline, or what its ``file:`` holds."""
         data = self.data.get(key)
         if data is None:
@@ -605,7 +605,7 @@ class _Reader:
         return _Section(document.data, path, "", document.lines)
 
     def _calibration(self) -> Calibration | None:
-        section = self._beside("calibration")
+        section = self._table_of("calibration")
         if section is None:
             return None
         base = section.data.get("base")
@@ -690,7 +690,7 @@ class _Reader:
         """What holds of ``fit:``, one table or a list of records, and the records themselves."""
         data = self.data.get("fit")
         if not isinstance(data, list):
-            section = self._beside("fit")
+            section = self._table_of("fit")
             return (None if section is None else _fit(section)), ()
         tables: dict[str, Fit] = {}
         entries: list[FitEntry] = []

@@ -90,7 +90,7 @@ def from_model(realization: Realization, left_out: tuple[str, ...]) -> Approved:
         most = 50.0 if effort is None else min(-effort[0], effort[1])
         joints.append(
             JointLimits(
-                name, middle - half, middle + half, speed, 4.0 * speed, most, middle, slide=False
+                name, middle - half, middle + half, speed, 4.0 * speed, most, middle, is_slide=False
             )
         )
     return approved(joints, 20.5, (0.1, 1.0))
@@ -156,7 +156,7 @@ def envelope(realization: Realization, names: tuple[str, ...], drawn: Drawn) -> 
                 name, low, high, float(np.abs(drawn.velocity[:, at]).max()),
                 float(np.abs(drawn.acceleration[:, at]).max()),
                 50.0 if effort is None else min(-effort[0], effort[1]),
-                float(np.clip(drawn.position[0, at], low + 1e-3, high - 1e-3)), slide=False,
+                float(np.clip(drawn.position[0, at], low + 1e-3, high - 1e-3)), is_slide=False,
             )
         )  # fmt: skip
     seconds = float(drawn.time[-1])

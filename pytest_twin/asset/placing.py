@@ -72,9 +72,9 @@ def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -
         target.parent.mkdir(parents=True, exist_ok=True)
         path.replace(target)
     for name in written - {target.relative_to(out).as_posix() for target in targets}:
-        gone = out / name
-        if gone.parent.resolve() in (out, out / MESH_FOLDER) and gone.is_file():
-            gone.unlink()
+        obsolete = out / name
+        if obsolete.parent.resolve() in (out, out / MESH_FOLDER) and obsolete.is_file():
+            obsolete.unlink()
     manifest.write(out / manifest.FILE_NAME, told)
     made["manifest"] = json.loads(told.to_text())
 

@@ -94,13 +94,13 @@ def _lines(
     progress: Callable[[float], None],
 ) -> list[Line]:
     found: list[Line] = []
-    gone = {name for entry in twin.calibrations for name in entry.supersedes}
-    gone |= {name for fit in twin.fits for name in fit.supersedes}
+    superseded = {name for entry in twin.calibrations for name in entry.supersedes}
+    superseded |= {name for fit in twin.fits for name in fit.supersedes}
     taken: set[str] = set()
     count = max(1, len(twin.calibrations) + len(twin.fits))
     # The newest first: what it measured, no earlier one counts again.
     for done, entry in enumerate(reversed(twin.calibrations), 1):
-        if entry.record.id in gone:
+        if entry.record.id in superseded:
             continue
         cause = calibrated(entry, task, twin.path, taken)
         taken |= claims(entry.record)
@@ -112,7 +112,7 @@ def _lines(
             found.append(line)
         progress(done / count)
     for done, fit in enumerate(twin.fits, 1 + len(twin.calibrations)):
-        if fit.record.id not in gone:
+        if fit.record.id not in superseded:
             line = identification_line(identified(fit, task, realization), task, realization)
             if line is not None:
                 found.append(line)

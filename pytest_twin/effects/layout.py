@@ -126,8 +126,8 @@ class Layout:
 
     def own_axes(self, joint: NDArray[np.int64]) -> FloatArray:
         """(n, 3, 3) own axes of :meth:`in_link` as rows, in the frames of the links."""
-        along, turning = self._load_directions[joint], self.tangential[joint]
-        return np.stack([along, turning, np.cross(along, turning)], axis=1)
+        axis_of_load, turning = self._load_directions[joint], self.tangential[joint]
+        return np.stack([axis_of_load, turning, np.cross(axis_of_load, turning)], axis=1)
 
     def shift(
         self, radial: FloatArray, tangential: FloatArray, joint: NDArray[np.int64]

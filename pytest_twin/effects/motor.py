@@ -118,10 +118,10 @@ class WatchdogTimeout(Effect):
 
     def drive(self, world: World, values: Values) -> None:
         _, still = world.state[self.id]
-        gone = still * values["inverse_timeout"] > 1.0
+        is_off = still * values["inverse_timeout"] > 1.0
         undamped = values["back_emf"] * world.motor_velocity
-        world.delivered = np.where(gone, undamped, world.delivered)
-        world.state[_TAKEN] = np.where(gone, undamped, world.state.get(_TAKEN, 0.0))
+        world.delivered = np.where(is_off, undamped, world.delivered)
+        world.state[_TAKEN] = np.where(is_off, undamped, world.state.get(_TAKEN, 0.0))
 
 
 class MotorLoadFriction(Effect):

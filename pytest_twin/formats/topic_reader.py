@@ -206,7 +206,7 @@ class TopicReader:
         for name in QUANTITIES:
             note_not_finite(self.notes, self.topic, name, tables, names, carried)
         if self.schema in TRAJECTORIES:
-            stamp, log_time, tables = self._followed(stamp, log_time, order, tables)
+            stamp, log_time, tables = self._as_setpoints(stamp, log_time, order, tables)
         if self.schema in ANY_QUANTITY:
             tables = self._of_one_quantity(tables)
             self._note_places(names)
@@ -219,7 +219,7 @@ class TopicReader:
             **tables,
         )
 
-    def _followed(
+    def _as_setpoints(
         self,
         stamp: Integers,
         log_time: Integers,

@@ -14,7 +14,7 @@ from pytest_twin.gate import specs
 from pytest_twin.gate.authority import recorded_elsewhere
 from pytest_twin.gate.identity import digests
 from pytest_twin.gate.parts import changed_since, look_around
-from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, gone, vouched
+from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, missing_and_dropped, vouched
 from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update, record
 from pytest_twin.gate.verdict import Facts, SessionFacts
@@ -125,7 +125,7 @@ class Gate:
         }
         # The golden of a broken spec is neither missing nor without a spec.
         there = {specs.golden_id(path, self.twin) for path in broken}
-        missing, dropped = gone(known, tasks, self.twin.retired, there)
+        missing, dropped = missing_and_dropped(known, tasks, self.twin.retired, there)
         referred = {golden.path.parent / golden.trace.file for golden in goldens if golden.trace}
         referred |= {path.with_suffix(".trace.csv") for path in broken}
         return Plan(

@@ -98,7 +98,7 @@ def vouched(release: Release) -> staleness.Baseline:
     )
 
 
-def gone(
+def missing_and_dropped(
     known: Release | None,
     tasks: Mapping[str, Task],
     retired: Mapping[str, str],

@@ -86,18 +86,18 @@ def _of_records(
     twin: Twin, realization: Realization, patched: Patched | None
 ) -> tuple[list[Gathered], list[dict[str, str]]]:
     """Of each record that still holds, the newest first; what it has, no earlier one has again."""
-    gone = {name for entry in twin.calibrations for name in entry.supersedes}
-    gone |= {name for fit in twin.fits for name in fit.supersedes}
+    superseded = {name for entry in twin.calibrations for name in entry.supersedes}
+    superseded |= {name for fit in twin.fits for name in fit.supersedes}
     parts: list[Gathered] = []
     records: list[dict[str, str]] = []
     for fit in reversed(twin.fits):
-        if fit.record.id not in gone:
+        if fit.record.id not in superseded:
             found = gathered(fit.record, realization, patched)
             parts.append(_without(found, parts))
             records.append(_record("identification", fit.record.id, fit.record.path, twin))
     taken: set[str] = set()
     for entry in reversed(twin.calibrations):
-        if entry.record.id not in gone and entry.record.covariance_names:
+        if entry.record.id not in superseded and entry.record.covariance_names:
             found = zeros_of(entry, realization.structure, taken)
             taken |= set(entry.record.joint_zeros)
             parts.append(_without(found, parts))

@@ -73,7 +73,7 @@ def checked_recordings(
             trials = _trials(path, realization, options, topics, notes)
             _check_role(trials, role, notes)
             found[role] += trials
-    for path in _beside(twin):
+    for path in _files_next_to(twin):
         if all(named.values()):
             break
         for trial in _trials(path, realization, options, topics, notes):
@@ -84,7 +84,7 @@ def checked_recordings(
     return Checked(tuple(found[FINAL]), tuple(found[HELD_OUT]), tuple(dict.fromkeys(notes)))
 
 
-def _beside(twin: Twin) -> list[Path]:
+def _files_next_to(twin: Twin) -> list[Path]:
     folder = twin.root / FOLDER
     return sorted(folder.glob("*.mcap")) if folder.is_dir() else []
 

@@ -78,7 +78,7 @@ class Fleet:
     ) -> None:
         self.realization, self.patched = realization, patched
         self._stepped = without_delays(realization)
-        self._beside = effects_outside_mjcf(realization, patched)
+        self._outside_mjcf = effects_outside_mjcf(realization, patched)
         self.coordinates, self.bodies = tuple(coordinates), tuple(bodies)
         self._room = _MEMORY_SHARE * memory_bytes
         self.steps = 0
@@ -190,7 +190,7 @@ class Fleet:
         """(n, j) what a replay of a patched model takes off for the size of its step."""
         if self.patched is None or self.patched.substeps:
             return np.zeros_like(segment.position)
-        values = fixed_values(self._beside, joints, 1)
+        values = fixed_values(self._outside_mjcf, joints, 1)
         coarse, fine = (
             BatchSimulator([segment], joints, refine=refine).simulate(
                 np.zeros(1, dtype=int), values
@@ -221,7 +221,7 @@ class Fleet:
         rows = len(draws)
         values: Values = {
             effect: {name: np.array(v) for name, v in own.items()}
-            for effect, own in fixed_values(self._beside, joints, rows).items()
+            for effect, own in fixed_values(self._outside_mjcf, joints, rows).items()
         }
         for column, one in enumerate(self.coordinates):
             if one.effect is None or one.parameter is None:
@@ -268,7 +268,7 @@ class Fleet:
         """The effect where the stepped model has it in its fields."""
         if self.patched is None:
             return None
-        beside = {(e.effect, e.joint) for e in self._beside}
+        beside = {(e.effect, e.joint) for e in self._outside_mjcf}
         for effect in self.patched.effects:
             if (effect.effect, effect.joint) == (one.effect, one.joint) and effect.is_in_mjcf:
                 return None if (one.effect, one.joint) in beside else effect

@@ -50,7 +50,7 @@ def triangles(
     return np.asarray(scene.vertices, dtype=np.float64), np.asarray(scene.faces, dtype=np.int64)
 
 
-def files_beside(path: Path, limits: ModelLimits) -> list[Path]:
+def referenced_files(path: Path, limits: ModelLimits) -> list[Path]:
     """The buffers that a ``.gltf`` file names, none of them outside its folder.
 
     Raises:

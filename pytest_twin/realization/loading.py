@@ -19,7 +19,7 @@ from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.model_formats import as_mjcf
 from pytest_twin.realization.source import Source
-from pytest_twin.twin import Fit, Twin, effects_beside
+from pytest_twin.twin import Fit, Twin, effects_file_next_to
 
 
 # A public function whose arguments are given by keyword.
@@ -60,7 +60,7 @@ def load(  # noqa: PLR0913
     """
     # Its folder without links, as the roots have it; a link in place of the file is refused.
     path = path.parent.resolve() / path.name
-    effects = effects_beside(path)
+    effects = effects_file_next_to(path)
     fit = None if twin is None or effects is not None else twin.fit
     text = as_mjcf(path)
     tag = xml.parse(path).tag if text is None else "mujoco"

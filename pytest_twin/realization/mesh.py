@@ -65,7 +65,7 @@ def files_of(path: Path, limits: ModelLimits) -> list[Path]:
     """
     return [
         path,
-        *(gltf.files_beside(path, limits) if path.suffix.lower() in gltf.SUFFIXES else ()),
+        *(gltf.referenced_files(path, limits) if path.suffix.lower() in gltf.SUFFIXES else ()),
     ]
 
 

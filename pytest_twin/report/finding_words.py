@@ -84,8 +84,8 @@ def place(item: Mapping[str, Any]) -> str:
 def place_of_set(item: Mapping[str, Any]) -> str:
     """All effects of an alternative and, of a set, the findings that it replaces."""
     names = [place(item), *(place(other) for other in item.get("together_with", ()))]
-    gone = [place(other) for other in item.get("instead_of", ())]
-    instead = f" instead of {_listed(gone)}" if gone else ""
+    replaced = [place(other) for other in item.get("instead_of", ())]
+    instead = f" instead of {_listed(replaced)}" if replaced else ""
     return f"{_listed(names)}{instead}"
 
 

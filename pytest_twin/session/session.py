@@ -119,10 +119,10 @@ class TwinSession:
         self.deselected = len(collected) - len(items)
         if self.config.getoption("collectonly") or session.testsfailed:
             return
-        gone = [item for item in items if not self._runs(item)]
-        if gone:
-            self.config.hook.pytest_deselected(items=gone)
-            items[:] = [item for item in items if item not in set(gone)]
+        deselected = [item for item in items if not self._runs(item)]
+        if deselected:
+            self.config.hook.pytest_deselected(items=deselected)
+            items[:] = [item for item in items if item not in set(deselected)]
 
     def _runs(self, item: pytest.Item) -> bool:
         if self.options.why:

@@ -92,11 +92,11 @@ def test_a_lasting_corruption_ends_in_the_base(setting) -> None:
     rows = [row_of(realization, trial) for trial in trials]
     recursion = Recursion(SPEC, base_parameters(SPEC, rows[0].model))
     recursion.compare(0.01, 0.02)
-    assert recursion.falls_back
+    assert recursion.has_fallback
     assert recursion.in_use is recursion.base
     for _ in range(20):
         recursion.compare(0.02, 0.01)
-    assert not recursion.falls_back
+    assert not recursion.has_fallback
 
 
 def test_an_update_does_not_hide_a_worse_model(setting, tmp_path: Path) -> None:

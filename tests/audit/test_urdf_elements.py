@@ -148,7 +148,7 @@ def test_what_is_left_out_is_a_finding(
     ]
     assert found, f"no {entry.goes.code} names {element}"
     if entry.attribute is not None:
-        assert found[0]["severity"] == ("warning" if entry.physics else "info")
+        assert found[0]["severity"] == ("warning" if entry.is_physical else "info")
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_the_mjcf_moves_as_the_calibration_says(tmp_path: Path) -> None:
             "values": {
                 link.label: {
                     "value": value, "joint": chain.joints[link.joint],
-                    "kind": "rotation" if link.rotation else "translation",
+                    "kind": "rotation" if link.is_rotation else "translation",
                     "direction": link.direction.tolist(),
                 }
                 for link, value in zip(links, values, strict=True)

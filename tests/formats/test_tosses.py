@@ -42,7 +42,7 @@ def test_tosses_keep_their_names_order_and_columns(tmp_path: Path) -> None:
     assert (one.name, two.name) == ("7", "2")
     assert two.position.shape == (30, 3)
     assert one.position[0, 2] == pytest.approx(1.0)
-    assert not one.timed
+    assert not one.has_times
 
 
 class _Boom:

@@ -108,7 +108,7 @@ def test_units_of_a_file_without_units_are_found(model_path: Path) -> None:
         turn = np.tile([1.0, 0.0, 0.0, 0.0], (20, 1))
         tracks.append(PoseTrack(
             str(seed), Path("t.npz"), np.arange(20.0), (position + noise) / unit, turn,
-            old / unit, np.zeros((20, 3)), timed=False,
+            old / unit, np.zeros((20, 3)), has_times=False,
         ))  # fmt: skip
     found, units = in_model_units(tracks, GRAVITY)
     assert units.length == pytest.approx(unit, rel=0.01)
@@ -121,7 +121,7 @@ def test_units_of_a_file_without_units_are_found(model_path: Path) -> None:
 def test_tosses_that_do_not_begin_in_the_air_need_their_unit() -> None:
     still = PoseTrack(
         "0", Path("t.npz"), np.arange(20.0), np.zeros((20, 3)), np.tile([1.0, 0, 0, 0], (20, 1)),
-        np.ones((20, 3)), np.zeros((20, 3)), timed=False,
+        np.ones((20, 3)), np.zeros((20, 3)), has_times=False,
     )  # fmt: skip
     with pytest.raises(RecordingError, match="do not begin in free fall"):
         in_model_units([still, still], GRAVITY, rate=100.0)

@@ -51,12 +51,12 @@ def test_a_wrong_sign_of_one_motor_is_named(tmp_path: Path) -> None:
     (suspect,) = identified(tmp_path, scaled([1.0, -1.0])).suspected
     assert suspect.what.startswith("elbow: the effort helps the motion")
     assert "its sign is wrong" in suspect.what
-    assert suspect.fatal
+    assert suspect.is_fatal
 
 
 def test_no_encoder_and_no_delay_pass_for_a_wrong_sign(tmp_path: Path) -> None:
     result = identified_from_two(tmp_path, scaled([1.0, -1.0]))
-    assert [one.fatal for one in result.suspected] == [True]
+    assert [one.is_fatal for one in result.suspected] == [True]
     for stage in result.stages[:2]:
         assert stage.state == "not_observable"
         assert stage.why == (
@@ -134,7 +134,7 @@ def test_friction_that_falls_over_the_run_is_said(tmp_path: Path) -> None:
 
     (suspect,) = identified(tmp_path, warming).suspected
     assert suspect.what.startswith("shoulder: dry friction changes by -")
-    assert not suspect.fatal
+    assert not suspect.is_fatal
 
 
 @pytest.mark.parametrize("late", [0.012, -0.008])

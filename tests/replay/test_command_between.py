@@ -113,7 +113,7 @@ def test_the_diagnosis_is_commanded_as_the_replay(between: CommandBetween) -> No
         trial=0, model=arm, mode="position", start=0.0, time=trial.time,
         position=trial.position, velocity=None, effort=None, command_time=asked.time,
         command=asked.value, initial_position=np.zeros(2), initial_velocity=np.zeros(2),
-        moving=asked.linear,
+        is_interpolated=asked.linear,
     )  # fmt: skip
     rows = BatchSimulator([segment], trial.joints, threads=1)
     found = rows.simulate(np.array([0]), {})[0]

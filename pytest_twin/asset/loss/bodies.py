@@ -146,8 +146,8 @@ def shapes(source: Description, target: Description) -> Row:
 def disabled_pairs(source: Description, target: Description) -> Row:
     """Pairs of links whose collision is disabled."""
     fresh = target.disabled_pairs - source.disabled_pairs
-    gone = source.disabled_pairs - target.disabled_pairs
-    items = [Item(_pair(pair), "lost", "disabled", None) for pair in sorted(map(sorted, gone))]
+    lost = source.disabled_pairs - target.disabled_pairs
+    items = [Item(_pair(pair), "lost", "disabled", None) for pair in sorted(map(sorted, lost))]
     items += [
         Item(_pair(pair), "changed", "not stated", "disabled")
         for pair in sorted(map(sorted, fresh))

@@ -83,12 +83,12 @@ def configurations(
             lower, upper = max(lower, -_REACH), min(upper, _REACH)
             drawn[name] = float(generator.uniform(min(lower, upper), max(lower, upper)))
         for name in shared:
-            drawn[name] = _followed(source.mimics, drawn, name)
+            drawn[name] = _with_mimics(source.mimics, drawn, name)
         found.append(drawn)
     return found
 
 
-def _followed(
+def _with_mimics(
     mimics: Mapping[str, tuple[str, float, float]], drawn: Mapping[str, float], name: str
 ) -> float:
     if name not in mimics:
@@ -96,4 +96,4 @@ def _followed(
     leader, multiplier, offset = mimics[name]
     if leader not in drawn:
         return drawn[name]
-    return multiplier * _followed(mimics, drawn, leader) + offset
+    return multiplier * _with_mimics(mimics, drawn, leader) + offset

@@ -156,9 +156,9 @@ def fit_contact(
         free.remove(gone)
     known = told(around, free, rivals)
     while known.untold and len(free) > 1:
-        gone, untold_one = _fixed(contact, around.centre, free, known)
+        removed, untold_one = _fixed(contact, around.centre, free, known)
         untold.append(untold_one)
-        free.remove(gone)
+        free.remove(removed)
         known = told(around, free, rivals)
     progress(0.6)
     places = around.centre.copy()
@@ -282,9 +282,9 @@ def _fixed(
     shared = [k for k in order if abs(direction[k]) > 0.5 * abs(direction[order[0]])]
     at = next((k for k in shared if contact.names[free[k]] != FRICTION), order[0])
     loadings = {contact.names[free[k]]: float(direction[k]) for k in range(len(free))}
-    gone = free[at]
-    value = contact.parameters[gone].value(float(centre[gone]))
-    return gone, Untold(loadings, contact.names[gone], value)
+    removed = free[at]
+    value = contact.parameters[removed].value(float(centre[removed]))
+    return removed, Untold(loadings, contact.names[removed], value)
 
 
 def _refined(

@@ -48,12 +48,12 @@ def essential(problem: Linear) -> Essential:
     while True:
         rest = problem.only(kept)
         found = solve(rest)
-        gone = _eliminated(rest, found)
-        if not gone:
+        removed = _eliminated(rest, found)
+        if not removed:
             held = np.setdiff1d(np.arange(problem.matrix.shape[2]), kept)
             half = np.hypot(found.half_width, Z95 * omission(problem, kept, held, found))
             return Essential(kept, held, replace(found, half_width=half))
-        kept = np.delete(kept, gone)
+        kept = np.delete(kept, removed)
 
 
 def _eliminated(problem: Linear, found: Solution) -> list[int]:
@@ -61,7 +61,7 @@ def _eliminated(problem: Linear, found: Solution) -> list[int]:
     said = information(problem, found.residual, found.weight)
     values = found.values.copy()
     kept = np.arange(len(values))
-    gone: list[int] = []
+    removed: list[int] = []
     while len(kept):
         own = values[kept]
         std = np.sqrt(np.diag(said.covariance(kept)).clip(1e-300))
@@ -69,12 +69,12 @@ def _eliminated(problem: Linear, found: Solution) -> list[int]:
         if abs(own[least]) >= SIGNIFICANT * std[least]:
             break
         one = int(kept[least])
-        gone.append(one)
+        removed.append(one)
         kept = np.delete(kept, least)
         # The others follow the one that is held, at the least squares.
         block = said.matrix[np.ix_(kept, kept)]
         values[kept] += np.linalg.lstsq(block, said.matrix[kept, one] * values[one], rcond=None)[0]
-    return gone
+    return removed
 
 
 def omission(

@@ -42,11 +42,11 @@ def drawn(seed: int, rows: int, *, links: bool) -> tuple[cells.Cell, Images, dic
     if links:
         placements = chain.placements.copy()
         for link in link_parameters(chain, 1):
-            prior = PRIORS.geometry_rotation if link.rotation else PRIORS.geometry_translation
+            prior = PRIORS.geometry_rotation if link.is_rotation else PRIORS.geometry_translation
             value = float(rng.normal(0.0, prior))
             deviations[link.label] = value
-            turn = Rotation.from_rotvec(value * link.direction * link.rotation).as_matrix()
-            shift = value * link.direction * (not link.rotation)
+            turn = Rotation.from_rotvec(value * link.direction * link.is_rotation).as_matrix()
+            shift = value * link.direction * (not link.is_rotation)
             placements[link.joint] = placements[link.joint] @ rigid(turn, shift)
         true = replace(chain, placements=placements)
     # A free base and a free camera take up the zeros of the first and the last joint.
