@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.audit.finding import Finding, Place
+from pytest_twin.old_names import old_name
 from pytest_twin.realization.files.locate import Located
 from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.node import Node
@@ -105,6 +106,11 @@ class Joint:
     soft_gain: float | None = None
     soft_place: Place | None = None
 
+    limited = old_name("limited", "is_limited")
+    continuous = old_name("continuous", "is_continuous")
+    limit_stated = old_name("limit_stated", "has_stated_limit")
+    soft_stated = old_name("soft_stated", "has_stated_soft_limit")
+
     @property
     def unit(self) -> str:
         """Of its position."""
@@ -136,6 +142,8 @@ class Mimic:
     multiplier: float
     offset: float
     is_active: bool = True
+
+    active = old_name("active", "is_active")
 
 
 @dataclass(slots=True)

@@ -7,7 +7,6 @@ of many simulations at one time step. Every array is (rows, joints), one row per
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.motor_side import Gear, MotorSide
+from pytest_twin.old_names import old_name
 from pytest_twin.trial import CommandMode
 
 if TYPE_CHECKING:
@@ -282,20 +282,8 @@ class World:
             + self.offset
         )
 
-    def asked(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Deprecated name of :meth:`control_effort`; it goes with version 0.2."""
-        _renamed("asked", "control_effort")
-        return self.control_effort(position, velocity)
-
-    @property
-    def coldness(self) -> FloatArray:
-        """Deprecated name of :attr:`cold_fraction`; it goes with version 0.2."""
-        _renamed("coldness", "cold_fraction")
-        return self.cold_fraction
-
-
-def _renamed(old: str, new: str) -> None:
-    warnings.warn(f"World.{old} is now World.{new}", DeprecationWarning, stacklevel=3)
+    asked = old_name("asked", "control_effort")
+    coldness = old_name("coldness", "cold_fraction")
 
 
 class Effect:
@@ -628,6 +616,8 @@ class ModelFields:
     def center_moves(self) -> NDArray[np.bool_]:
         """(rows, joints) whose links have a shifted centre of mass."""
         return np.asarray((self.center_radial != 0.0) | (self.center_tangential != 0.0))
+
+    changes_links = old_name("changes_links", "has_changed_links")
 
     @property
     def has_changed_links(self) -> bool:

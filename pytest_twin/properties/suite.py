@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.errors import SpecError
+from pytest_twin.old_names import old_name
 from pytest_twin.properties import agreement, dynamics, other_clothes
 from pytest_twin.properties.asset import Asset, load_asset
 from pytest_twin.properties.broken import Broken, PropertyError
@@ -22,7 +23,7 @@ class Property:
     """One property.
 
     Attributes:
-        check: what of it is broken on an asset, at a configuration where ``posed``.
+        check: what of it is broken on an asset, at a configuration if it ``needs_poses``.
         needs_poses: whether it is held at drawn configurations, or once.
         compares: whether it needs two realizations.
     """
@@ -31,6 +32,8 @@ class Property:
     check: Callable[..., Iterable[Broken]]
     needs_poses: bool
     compares: bool
+
+    posed = old_name("posed", "needs_poses")
 
     @property
     def doc(self) -> str:

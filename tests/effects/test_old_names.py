@@ -1,9 +1,13 @@
 """Names of the effect interface that changed: effects of other packages go on for one release."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
-from pytest_twin.effects import World
+from pytest_twin.audit.asset import Joint, Mimic
+from pytest_twin.effects import ModelFields, World
+from pytest_twin.properties import Property
 
 
 def world() -> World:
@@ -35,3 +39,27 @@ def test_the_old_name_of_the_cold_fraction_warns_and_returns_the_same() -> None:
     here = world()
     with pytest.warns(DeprecationWarning, match=r"World\.coldness is now World\.cold_fraction"):
         assert here.coldness == pytest.approx([0.25])
+
+
+@pytest.mark.parametrize(
+    ("owner", "old", "new"),
+    [
+        (Joint, "limited", "is_limited"),
+        (Joint, "continuous", "is_continuous"),
+        (Joint, "limit_stated", "has_stated_limit"),
+        (Joint, "soft_stated", "has_stated_soft_limit"),
+        (Mimic, "active", "is_active"),
+        (ModelFields, "changes_links", "has_changed_links"),
+        (Property, "posed", "needs_poses"),
+    ],
+)
+def test_old_names_of_the_public_interface_warn_and_say_the_new_one(
+    owner: type, old: str, new: str
+) -> None:
+    bare = owner.__new__(owner)
+    with (
+        pytest.warns(DeprecationWarning, match=rf"{owner.__name__}\.{old} is now .*\.{new}"),
+        contextlib.suppress(AttributeError),
+    ):
+        getattr(bare, old)
+    assert hasattr(owner, new)
