@@ -26,6 +26,8 @@ import numpy as np
 import yaml
 
 from pytest_twin import cli
+from pytest_twin.calibration.closed_form import rigid
+from pytest_twin.metrics.pose import rotation_of
 
 MAKERS_INTRINSICS = {"fx": 1352.03, "fy": 1356.14, "cx": 789.67, "cy": 627.30}
 BOARD = {
@@ -48,17 +50,37 @@ def calibrated(folder: Path, plan: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+def scatter(found: dict[str, Any], flanges: dict[str, np.ndarray]) -> float:
+    """Distances of the target on the flange from its mean place, root mean square, m.
+
+    Over all held-out images in which the target was found, those left out as gross errors too.
+    """
+    where = found["records"]["hand_eye"]["transform"]
+    camera = rigid(rotation_of(where["quaternion_wxyz"]), np.array(where["xyz"]))
+    places = []
+    for name in found["held_out"]["ids"]:
+        seen = found["images"].get(name, {}).get("camera_from_target")
+        if seen is not None:
+            target = camera @ rigid(rotation_of(seen[3:]), np.array(seen[:3]))
+            places.append((np.linalg.inv(flanges[name]) @ target)[:3, 3])
+    apart = np.array(places) - np.mean(places, axis=0)
+    return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
+
+
 def charuco(source: Path, folder: Path, draws: int) -> None:
     """Root mean squares over random thirds of the images, with and without free intrinsics."""
     shutil.copytree(source / "charuco" / "images", folder / "images")
+    flanges = {}
     with (folder / "observations.csv").open("w", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(["id", "image", *(f"flange.{name}" for name in POSE)])
         for image in sorted((folder / "images").iterdir()):
             pose = yaml.safe_load((source / "charuco/poses" / f"{image.stem}.yaml").read_text())
-            writer.writerow([image.stem, f"images/{image.name}", *(pose[name] for name in POSE)])
+            values = [float(pose[name]) for name in POSE]
+            writer.writerow([image.stem, f"images/{image.name}", *values])
+            flanges[image.stem] = rigid(rotation_of(values[3:]), np.array(values[:3]))
     for estimate in (["hand_eye", "base_world"], ["hand_eye", "base_world", "intrinsics"]):
-        errors, everything, left_out, seconds = [], [], [], []
+        errors, everything, apart, left_out, seconds = [], [], [], [], []
         for seed in range(draws):
             found = calibrated(folder, {
                 "calibration": "charuco", "observations": "observations.csv",
@@ -69,13 +91,15 @@ def charuco(source: Path, folder: Path, draws: int) -> None:
             errors.append(held_out["translation_rms"])
             # With the held-out images that were left out as gross errors.
             everything.append(held_out.get("with_excluded", held_out)["translation_rms"])
+            apart.append(scatter(found, flanges))
             left_out += [one["id"] for one in found["excluded"]]
             seconds.append(found["seconds"])
         print(
             f"charuco, {', '.join(estimate)}: {1e3 * np.mean(errors):.2f} mm of {draws} draws "
             f"({1e3 * min(errors):.2f} to {1e3 * max(errors):.2f}), median "
             f"{1e3 * np.median(errors):.2f} mm; with held-out images that were left out "
-            f"{1e3 * np.mean(everything):.2f} mm, median {1e3 * np.median(everything):.2f} mm; "
+            f"{1e3 * np.mean(everything):.2f} mm; scatter of the target on the flange, distances, "
+            f"{1e3 * np.mean(apart):.2f} mm, median {1e3 * np.median(apart):.2f} mm; "
             f"left out: {dict(Counter(left_out).most_common())}; "
             f"{np.median(seconds):.1f} s of processor time each",
             flush=True,
