@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +26,13 @@ MASS, FRICTION, HALF, OFFSET = 0.4, 0.32, 0.05, 0.0012
 START = 1_700_000_000_000_000_000
 
 
-def box(friction: float, half: float, timestep: float = 0.004) -> str:
+def box(friction: float, half: float, timestep: float = 0.004, surface: str = "") -> str:
     return f"""<mujoco><option timestep="{timestep}" cone="elliptic"/><worldbody>
       <geom name="table" type="plane" size="5 5 0.1"/>
       <body name="cube" pos="0 0 {HALF}"><freejoint/>
         <inertial pos="0 0 0" mass="{MASS}" diaginertia="7e-4 7e-4 7e-4"/>
         <geom name="faces" type="box" size="{half} {half} {half}" friction="{friction}"
-          priority="1"/>
+          priority="1" {surface}/>
       </body></worldbody></mujoco>"""
 
 
@@ -42,17 +43,31 @@ def force_at(time: float, seed: int) -> np.ndarray:
     return FRICTION * MASS * 9.81 * share * np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
-def record(path: Path, seed: int, frame: str, seconds: float = 0.7) -> None:
-    """Poses at 100 Hz and the force at 500 Hz, of a box that was stepped at 0.25 ms."""
+def press_at(time: float, seed: int) -> np.ndarray:
+    """Two levels of a force straight down, in multiples of the box's weight; N."""
+    first, second = ((2, 5), (4, 1), (1, 6), (3, 6))[seed]
+    levels = [0.0, first, first, second, second, 0.0]
+    share = np.interp(time, [0.1, 0.12, 0.35, 0.37, 0.5, 0.52], levels)
+    return np.array([0.0, 0.0, -MASS * 9.81 * share])
+
+
+def record(
+    path: Path,
+    seed: int,
+    frame: str,
+    acting: Callable[[float, int], np.ndarray] = force_at,
+    surface: str = "",
+) -> None:
+    """Poses at 100 Hz and the force at 500 Hz over 0.7 s, of a box that was stepped at 0.25 ms."""
     rng = np.random.default_rng(100 + seed)
-    model = mujoco.MjModel.from_xml_string(box(FRICTION, HALF + OFFSET, 0.00025))
+    model = mujoco.MjModel.from_xml_string(box(FRICTION, HALF + OFFSET, 0.00025, surface))
     data = mujoco.MjData(model)
     data.qpos[2] = HALF + OFFSET
-    mujoco.mj_step(model, data, nstep=2000)
+    mujoco.mj_step(model, data, nstep=4000)
     start, poses, wrenches = data.time, [], []
-    for tick in range(round(4000 * seconds)):
+    for tick in range(2800):
         time = data.time - start
-        force = force_at(time, seed)
+        force = acting(time, seed)
         data.xfrc_applied[1, :3] = force
         if tick % 8 == 0:
             own = data.xmat[1].reshape(3, 3).T @ force if frame == "cube" else force
@@ -105,6 +120,29 @@ def test_what_pushes_do_not_tell_has_no_number(pushed: Any) -> None:
     _, document = pushed
     assert "cube.contact_damping" not in document["parameters"]
     assert any("contact_damping" in one["expression"] for one in document["unobservable"])
+
+
+def test_presses_tell_stiffness_and_height_and_no_friction(tmp_path: Path) -> None:
+    stiffness = 150.0
+    (tmp_path / "box.xml").write_text(box(0.8, HALF))
+    files = [tmp_path / f"{seed}.mcap" for seed in range(4)]
+    for seed, path in enumerate(files):
+        record(path, seed, "world", press_at, f'solref="-{stiffness} -15"')
+    status = cli.main(
+        ["identify", str(tmp_path / "box.xml"), *map(str, files[:3]), "--held-out", str(files[3]),
+         "--pose-topic", "/object", "--wrench-topic", "/push", "--out", str(tmp_path / "contact")]
+    )  # fmt: skip
+    document = json.loads((tmp_path / "contact/identification.json").read_text())
+    assert status == 0
+    found = document["parameters"]
+    for name, true in (("stiffness", stiffness), ("offset", OFFSET)):
+        low, high = found[f"cube.contact_{name}"]["ci95"]
+        assert low <= true <= high, name
+    assert found["cube.contact_stiffness"]["value"] == pytest.approx(stiffness, rel=0.4)
+    assert "cube.contact_friction" not in found
+    (friction,) = (o for o in document["unobservable"] if o["expression"].endswith("_friction (on "
+                   "the scales of the search)"))  # fmt: skip
+    assert friction["motion"].startswith("push the object along the surface so that it slides")
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(1e5, 30.0), (1e5, 200.0), (1e5, 500.0)])
