@@ -303,7 +303,7 @@ def _geometry(found: Estimate) -> dict[str, Any]:
             "std": spread,
             "ci95": [value - width, value + width],
             "joint": layout.joints[link.joint],
-            "kind": "rotation" if link.rotation else "translation",
+            "kind": "rotation" if link.is_rotation else "translation",
             "direction": link.direction.tolist(),
             "prior_std": prior,
             "determined_by": "prior" if spread > HELD_BY_PRIOR * prior else "data",
