@@ -190,28 +190,41 @@ def _near(
     The most likely ones come first. The final set without some of its terms may be among them.
     """
     own, found = best.hypothesis, list[tuple[float, Hypothesis]]()
-    alike = list[Hypothesis]()
+    alike, similar = list[Hypothesis](), list[tuple[float, Hypothesis]]()
     places = subsets(own.terms)
     lefts = residuals_without(comparison.problem, linear, view, own, places)
+    rigid = candidate_sensitivities.without_elastic_transmissions()
     for removed, left in zip(places, lefts, strict=True):
         rest = own.without(*removed)
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
-        lens = NormalEquations(
-            ResidualView(left, slope, view.floor, view.lengths), candidate_sensitivities
+        # One elastic transmission can be another; whether there is one, the search has simulated.
+        near = (
+            candidate_sensitivities
+            if any(t.law.is_elastic_transmission for t in removed)
+            else rigid
         )
+        lens = NormalEquations(ResidualView(left, slope, view.floor, view.lengths), near)
         sets = _beam(lens, own.terms, EQUIVALENT.largest if len(removed) == 1 else len(removed))
         fits = [LinearizedFit(rest.with_terms(s.starts), s.residual) for s in sets]
         evidence = _linearized_evidence(comparison, view, own, fits)
-        for i in _chosen(removed, sets, evidence):
+        for i in _chosen(removed, sets, evidence, [allowed(f.hypothesis) for f in fits]):
             h = fits[i].hypothesis
             found.append((float(evidence[i]), h))
             same = _carried(comparison.problem, own, removed, h)
             found += [(float(evidence[i]), c) for c in same]
             alike += [c for c in same if len(c.terms) <= len(own.terms)]
         found.append((np.inf if len(removed) == 1 else -np.inf, rest))
-    starts = _without_additions(found, own.terms, EQUIVALENT.starts)[
-        : EQUIVALENT.fitted_along_motion
-    ]
+        change = ResidualView(left - view.residual, slope, view.floor, view.lengths)
+        similar += [
+            (similarity - h.free, h)
+            for similarity, chosen in _most_similar(NormalEquations(change, near), own.terms)
+            if similarity > EQUIVALENT.similar
+            and allowed(h := rest.with_terms(lens.structure(chosen).starts))
+        ]
+    # Of sets that predict most of the change, those with the fewest parameters come first.
+    closest = _few_of_each(similar, 1)[: EQUIVALENT.closest]
+    more = _without_additions(found, own.terms, EQUIVALENT.starts)
+    starts = [*closest, *more[: EQUIVALENT.fitted_along_motion - len(closest)]]
     fitted = fit_linearized(linear, view, starts, NEARBY)
     values = _linearized_evidence(comparison, view, own, fitted).tolist()
     ranked = [
@@ -224,6 +237,7 @@ def _near(
     out = [
         *(h for h in alike[: EQUIVALENT.with_same_parameters] if allowed(h)),
         *fewer[: EQUIVALENT.with_fewer_effects],
+        *(f.hypothesis for f in fitted[: len(closest)] if allowed(f.hypothesis)),
         *likeliest,
     ]
     return list({(h.terms, h.theta.tobytes()): h for h in out}.values())[: EQUIVALENT.simulated]
@@ -248,22 +262,55 @@ def _beam(lens: NormalEquations, barred: Sequence[Term], largest: int) -> list[S
     return out
 
 
-def _chosen(removed: Sequence[Term], sets: Sequence[Structure], evidence: FloatArray) -> list[int]:
+def _most_similar(
+    equations: NormalEquations, barred: Sequence[Term]
+) -> list[tuple[float, tuple[int, ...]]]:
+    """Single effects that predict most of a change, with the share of its square, 0 to 1.
+
+    What else the recordings hold does not count: an effect at another joint may explain more of
+    them, but it is no other name for this one.
+
+    Args:
+        equations: with the change as residual.
+        barred: effects that are left out.
+    """
+    floor = equations.view.floor
+    whole = float((equations.view.mean_square / floor**2).sum())
+    out = list[tuple[float, tuple[int, ...]]]()
+    for chosen in equations.children(equations.bare, EQUIVALENT.single, barred):
+        left = np.mean(equations.structure(chosen).residual ** 2, axis=0)
+        out.append((1.0 - float((left / floor**2).sum()) / max(whole, 1e-30), chosen))
+    return out
+
+
+def _chosen(
+    removed: Sequence[Term],
+    sets: Sequence[Structure],
+    evidence: FloatArray,
+    possible: Sequence[bool],
+) -> list[int]:
     """Indices of the sets that are fitted in the linearized motion.
 
     These are the best of each size, because the coarse start values favour sets with many
-    parameters, and single effects that the catalogue lists as confused with a removed one.
+    parameters; as many single effects that may be reported; and single effects that the catalogue
+    lists as confused with a removed one.
+
+    Args:
+        removed: effects that are replaced.
+        sets, evidence, possible: the sets, their evidence, and whether each may be reported.
     """
     out = dict[int, None]()
     order = [int(i) for i in np.argsort(-evidence)]
     for size, count in enumerate(EQUIVALENT.of_size, start=1):
         out.update(dict.fromkeys([i for i in order if len(sets[i].chosen) == size][:count]))
     confused = {e for t in removed for e in t.law.confused_with}
-    for i in order:
-        if len(sets[i].starts) == 1:
-            (new,) = sets[i].starts
-            if new.effect in confused or any(t.effect in new.law.confused_with for t in removed):
-                out[i] = None
+    singles = [i for i in order if len(sets[i].starts) == 1]
+    more = [i for i in singles if possible[i] and i not in out]
+    out.update(dict.fromkeys(more[: EQUIVALENT.of_size[0]]))
+    for i in singles:
+        (new,) = sets[i].starts
+        if new.effect in confused or any(t.effect in new.law.confused_with for t in removed):
+            out[i] = None
     return list(out)
 
 
@@ -494,8 +541,8 @@ def _decided(
 def _simplest_of_as_likely(rivals: Sequence[ScoredModel], values: FloatArray, top: int) -> int:
     """Index of the simplest set among those as likely and as large as the set ``top``.
 
-    It has the most effects that MJCF can express, so that MuJoCo alone can simulate it, and among
-    these sets the fewest parameters.
+    It has the fewest parameters, and among these sets the most effects that MJCF can express, so
+    that MuJoCo alone can simulate it.
     """
 
     def inexpressible(i: int) -> int:
@@ -507,7 +554,7 @@ def _simplest_of_as_likely(rivals: Sequence[ScoredModel], values: FloatArray, to
         for i, r in enumerate(rivals)
         if len(r.hypothesis.terms) == size and values[i] >= values[top] - EQUIVALENT.ahead
     ]
-    return min(alike, key=lambda i: (inexpressible(i), rivals[i].hypothesis.free, i != top))
+    return min(alike, key=lambda i: (rivals[i].hypothesis.free, inexpressible(i), i != top))
 
 
 def _apart(problem: Problem, one: ScoredModel, other: ScoredModel) -> float:

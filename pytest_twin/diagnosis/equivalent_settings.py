@@ -20,9 +20,13 @@ class EquivalentSetSettings:
         single: single effects that a beam search begins with.
         children: children of each larger set.
         grown: sets that are grown.
-        of_size: for each subset, sets of one, two and three effects that are kept.
+        of_size: for each subset, sets of one, two and three effects that are kept; of one effect as
+            many again that may be reported.
         fitted_along_motion: sets that are fitted along the linearized motion, of all subsets.
         starts: starts of one set.
+        similar: share of the square of a change by effects of the final set, from which a single
+            effect that predicts it is simulated instead of them: most of it.
+        closest: sets of this kind that are simulated, those with the fewest parameters first.
         simulated: sets that are simulated before they are fitted.
         with_same_parameters: of these, sets with the parameters of the effects that they replace.
         with_fewer_effects: of these, sets with fewer effects.
@@ -42,7 +46,9 @@ class EquivalentSetSettings:
     of_size: tuple[int, ...] = (4, 2, 2)
     fitted_along_motion: int = 24
     starts: int = 2
-    simulated: int = 12
+    similar: float = 0.5
+    closest: int = 5
+    simulated: int = 16
     with_same_parameters: int = 4
     with_fewer_effects: int = 3
     kept_by_step: tuple[int, ...] = (6, 4, 3)

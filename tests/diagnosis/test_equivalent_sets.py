@@ -311,3 +311,19 @@ def test_a_rival_set_keeps_the_other_effects() -> None:
     kept = [set(h.terms) for h in _without_additions(sets, (main, small), 1)]
     assert {rival, small} in kept
     assert {rival, small} not in [set(h.terms) for h in _without_additions(sets, (main,), 1)]
+
+
+def test_an_effect_that_predicts_the_same_is_a_rival_although_another_joint_is_unexplained() -> (
+    None
+):
+    """Dry friction at the other joint explains more of the recordings, but is no other name for an
+    eccentric encoder; a wrong encoder scale is.
+    """
+    eccentric, scale, dry = (
+        Term("encoder_eccentricity", FIRST), Term("encoder_scale", FIRST),
+        Term("coulomb_friction", SECOND),
+    )  # fmt: skip
+    problem = problem_of(PLANAR, "position", {scale: {"scale_error": 0.04}, dry: {"coulomb": 4.0}})
+    found = compared(problem, with_values(problem, {eccentric: {"sine": 0.04, "zeroed": 1.0}}))
+    named = [found.best.hypothesis.terms, *(s.rival.hypothesis.terms for s in found.sets)]
+    assert (scale,) in named

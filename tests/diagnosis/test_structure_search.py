@@ -15,6 +15,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.structure_search.proposals import (
     Proposal,
+    Quota,
     best_of_each_size,
     removals,
 )
@@ -88,6 +89,21 @@ def test_the_best_of_each_number_of_effects_are_fitted_on() -> None:
         Term("encoder_bias", 0), np.zeros(2)
     )
     ranked = [Proposal(h, g) for h, g in ((three, 9.0), (three, 8.0), (one, 7.0), (two, 6.0))]
-    kept, others = best_of_each_size(ranked, 1)
+    kept, others = best_of_each_size(ranked, Quota(1, 1, 1))
     assert [p.gain for p in kept] == [9.0, 7.0]
     assert [p.gain for p in others] == [8.0, 6.0]
+
+
+def test_elastic_transmissions_take_no_place_of_other_effects() -> None:
+    """Along the measured motion they seem to explain nearly everything."""
+    names = ("joint_elasticity", "backlash", "encoder_scale", "payload", "armature")
+    models = [
+        EMPTY.with_term(Term(n, -1 if n == "payload" else 0), np.zeros(len(Term(n, 0).parameters)))
+        for n in names
+    ]
+    ranked = [Proposal(h, 9.0 - k) for k, h in enumerate(models)]
+    kept, others = best_of_each_size(ranked, Quota(2, 1, 1))
+    assert [p.hypothesis.terms[0].effect for p in kept] == [
+        "joint_elasticity", "encoder_scale", "payload",
+    ]  # fmt: skip
+    assert [p.hypothesis.terms[0].effect for p in others] == ["backlash", "armature"]

@@ -176,6 +176,22 @@ class CandidateSensitivities:
         self.penalty_per_effect = effect_penalty(len({r.term for r in self.responses}))
         self.groups = [self._group(m) for m in sorted({len(r.switches) for r in self.responses})]
 
+    def without_elastic_transmissions(self) -> CandidateSensitivities:
+        """The sensitivities of all other candidates.
+
+        The force of an elastic transmission is evaluated along the measured motion of the link. It
+        contains what is to be explained, and so seems to explain nearly everything. Only a
+        simulation can compare it with other candidates.
+        """
+        others = [r for r in self.responses if not r.term.law.is_elastic_transmission]
+        return self if len(others) == len(self.responses) else CandidateSensitivities(others)
+
+    def of_elastic_transmissions(self) -> CandidateSensitivities:
+        """The sensitivities of elastic transmissions only."""
+        return CandidateSensitivities(
+            [r for r in self.responses if r.term.law.is_elastic_transmission]
+        )
+
     def _group(self, switches: int) -> _Group:
         which = [i for i, r in enumerate(self.responses) if len(r.switches) == switches]
         columns = np.array([np.arange(self.at[i].start, self.at[i].stop) for i in which])

@@ -76,32 +76,72 @@ def proposals(
 
     def fitted(models: Sequence[Hypothesis], iterations: int) -> list[Proposal]:
         fits = fit_linearized(linear, linearized.view, models, iterations)
-        worth = linearized_evidence(linearized.view, [incumbent, *fits], scorer.penalty_per_effect)
-        gains = np.nan_to_num(worth[1:] - worth[0], nan=-np.inf)
-        found = [Proposal(f.hypothesis, float(g)) for f, g in zip(fits, gains, strict=True)]
+        found = list[Proposal]()
+        for elastic in (False, True):
+            # The residual that an elastic transmission seems to leave would set the scale for all.
+            some = [f for f in fits if _new_elastic(f.hypothesis, own) == elastic]
+            worth = linearized_evidence(
+                linearized.view, [incumbent, *some], scorer.penalty_per_effect
+            )
+            gains = np.nan_to_num(worth[1:] - worth[0], nan=-np.inf)
+            found += [Proposal(f.hypothesis, float(g)) for f, g in zip(some, gains, strict=True)]
         return sorted(found, key=lambda p: -p.gain)
 
     first = fitted(starts, 1)
-    kept, others = best_of_each_size(first, settings.fitted_of_each_count)
+    kept, others = best_of_each_size(first, Quota.of(settings, 2))
     return sorted(
         [*fitted([p.hypothesis for p in kept], _ITERATIONS - 1), *others], key=lambda p: -p.gain
     )
 
 
+def _new_elastic(hypothesis: Hypothesis, own: Hypothesis) -> bool:
+    """Whether a hypothesis has an elastic transmission that another one lacks."""
+    return any(t.law.is_elastic_transmission for t in hypothesis.terms if t not in own.terms)
+
+
+@dataclass(frozen=True, slots=True)
+class Quota:
+    """Largest numbers of proposals: with one effect, with each larger number, and of each number
+    with an elastic transmission.
+    """
+
+    single: int
+    larger: int
+    elastic: int
+
+    @classmethod
+    def of(cls, settings: StructureSearchSettings, times: int = 1) -> Quota:
+        """The numbers of the settings, multiplied."""
+        return cls(
+            times * settings.of_one_effect,
+            times * settings.of_each_count,
+            times * settings.of_each_elastic,
+        )
+
+    def most(self, effects: int, *, elastic: bool) -> int:
+        """Largest number of proposals with so many effects."""
+        return self.elastic if elastic else self.single if effects == 1 else self.larger
+
+
 def best_of_each_size(
-    ranked: Sequence[Proposal], most: int
+    ranked: Sequence[Proposal], quota: Quota
 ) -> tuple[list[Proposal], list[Proposal]]:
-    """The first so many proposals with each number of effects, and the others.
+    """The first proposals with each number of effects, and the others.
+
+    Proposals with an elastic transmission are counted apart: along the measured motion they seem
+    to explain nearly everything, and would displace all others.
 
     Args:
         ranked: best first.
-        most: of each number of effects.
+        quota: how many of each kind.
     """
-    kept, others, taken = list[Proposal](), list[Proposal](), Counter[int]()
+    kept, others, taken = list[Proposal](), list[Proposal](), Counter[tuple[int, bool]]()
     for proposal in ranked:
-        count = len(proposal.hypothesis.terms)
-        (kept if taken[count] < most else others).append(proposal)
-        taken[count] += 1
+        terms = proposal.hypothesis.terms
+        count, elastic = len(terms), any(t.law.is_elastic_transmission for t in terms)
+        fits = taken[count, elastic] < quota.most(count, elastic=elastic)
+        (kept if fits else others).append(proposal)
+        taken[count, elastic] += 1
     return kept, others
 
 
@@ -120,13 +160,18 @@ def _exchanged(
             lambda before, after: bool((after < before).any()),
         )  # fmt: skip
 
+    rigid = linearized.candidate_sensitivities.without_elastic_transmissions()
+    elastic = linearized.candidate_sensitivities.of_elastic_transmissions()
     for removed, rest, left in zip(removed_sets, reduced, lefts, strict=True):
         if removed:
             yield rest
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
-        lens = NormalEquations(
-            ResidualView(left, slope, view.floor, view.lengths), linearized.candidate_sensitivities
-        )
+        seen = ResidualView(left, slope, view.floor, view.lengths)
+        lens = NormalEquations(seen, rigid)
+        if elastic.responses:
+            alone = NormalEquations(seen, elastic)
+            for chosen in alone.children(alone.bare, 2 * settings.of_each_elastic):
+                yield rest.with_terms(alone.structure(chosen).starts)
         most = settings.added if not removed else min(len(removed) + 1, 2)
         width = settings.beam if not removed else settings.beam // 2
         for level in search(most, width).levels(lens):

@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.search.linearized_view import LinearizedView, lineari
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.structure_search.proposals import (
     Proposal,
+    Quota,
     best_of_each_size,
     proposals,
 )
@@ -162,7 +163,7 @@ class StructureSearch:
         ranked = sorted(found, key=rank, reverse=True)
         # Large models can fit errors of the linearization. The best proposals of each number of
         # effects are simulated, so that large ones do not displace a single right effect.
-        chosen, others = best_of_each_size(ranked, settings.of_each_count)
+        chosen, others = best_of_each_size(ranked, Quota.of(settings))
         return chosen + others[: max(settings.proposals - len(chosen), 0)]
 
     def _fitted(

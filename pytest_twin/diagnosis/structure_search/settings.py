@@ -14,10 +14,12 @@ class StructureSearchSettings:
         added: largest number of effects that one step adds. Two effects may only help together.
         beam: sets that the beam search keeps for each number of effects.
         proposals: models that one step simulates.
-        of_each_count: number of them with each number of effects. A right effect alone can be
-            behind three wrong ones in the linearized motion (clock drift of 0.5 %: place 14).
-        fitted_of_each_count: models with each number of effects that are fitted in the linearized
-            motion for more than one iteration: twice ``of_each_count``.
+        of_one_effect: number of them with one effect. A right effect with one parameter can be
+            behind more flexible wrong ones in the linearized motion, until all are simulated.
+        of_each_count: number of them with each larger number of effects.
+        of_each_elastic: number of them with each number of effects and an elastic transmission.
+            Twice as many of each kind are fitted in the linearized motion for more than one
+            iteration.
         finalists: simulated models that are fitted.
         corrections: simulations of one fit in the linearized motion.
         refinements: iterations of the final fit by simulation.
@@ -31,8 +33,9 @@ class StructureSearchSettings:
     added: int = 3
     beam: int = 8
     proposals: int = 12
+    of_one_effect: int = 8
     of_each_count: int = 4
-    fitted_of_each_count: int = 8
+    of_each_elastic: int = 2
     finalists: int = 5
     corrections: int = 3
     refinements: int = 3
