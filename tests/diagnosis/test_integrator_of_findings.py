@@ -27,23 +27,36 @@ PENDULUM = """
 """
 
 
-def recorded(path: Path, seed: int, step: float, noise: float = 1e-4) -> Path:
-    """What a user logs: set the control, step for 10 ms, log position and command."""
+def recorded(
+    path: Path, seed: int, step: float, noise: float = 1e-4, *, with_force: bool = False
+) -> Path:
+    """What a user logs: set the control, step for 10 ms, log position, command, and the actuator's
+    force as MuJoCo leaves it, which is that of the step's beginning.
+    """
     model = mujoco.MjModel.from_xml_string(PENDULUM.format(step=step, damping=0.3 + MORE))
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
     rate, size = rng.uniform(2.0, 12.0, 4), rng.uniform(0.1, 0.3, 4)
     stamp = np.arange(300) * 10_000_000
-    position, command = np.zeros((300, 1)), np.zeros((300, 1))
+    position, command, force = np.zeros((3, 300, 1))
     for k in range(300):
         position[k] = data.qpos + noise * rng.standard_normal()
+        force[k] = data.actuator_force
         command[k] = data.ctrl[0] = float(size @ np.sin(rate * 0.01 * k))
         mujoco.mj_step(model, data, nstep=round(0.01 / step))
     stamp += 1_700_000_000_000_000_000
     write_recording(
         path,
         [
-            JointSeries("/joint_states", ("j1",), stamp, stamp, position, None, None),
+            JointSeries(
+                "/joint_states",
+                ("j1",),
+                stamp,
+                stamp,
+                position,
+                None,
+                force if with_force else None,
+            ),
             JointSeries("/joint_commands", ("j1",), stamp, stamp, command, None, None),
         ],
         metadata={"command_between": "held"},
@@ -51,10 +64,10 @@ def recorded(path: Path, seed: int, step: float, noise: float = 1e-4) -> Path:
     return path
 
 
-def diagnosed(folder: Path, step: float) -> Diagnosis:
+def diagnosed(folder: Path, step: float, *, with_force: bool = False) -> Diagnosis:
     model = folder / "model.xml"
     model.write_text(PENDULUM.format(step=0.002, damping=0.3), "utf-8")
-    recordings = [recorded(folder / f"r{i}.mcap", i, step) for i in range(3)]
+    recordings = [recorded(folder / f"r{i}.mcap", i, step, with_force=with_force) for i in range(3)]
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
     return diagnose(loaded.realization, trials, threads=1)
@@ -70,3 +83,13 @@ def test_damping_is_right_whatever_step_made_the_recordings(tmp_path: Path, step
     assert estimate.high - estimate.low < 0.05
     said = any("the recordings come from a simulation" in note for note in found.notes)
     assert said is (step == 0.002)
+
+
+def test_a_force_that_is_one_step_old_hides_no_simulation(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, 0.002, with_force=True)
+    (finding,) = found.explained.findings
+    assert finding.effect == "viscous_friction"
+    estimate = finding.parameters["coefficient"]
+    assert estimate.low <= MORE <= estimate.high
+    assert estimate.high - estimate.low < 0.05
+    assert any("the recordings come from a simulation" in note for note in found.notes)
