@@ -30,36 +30,39 @@ PENDULUM = """
 def recorded(
     path: Path, seed: int, step: float, noise: float = 1e-4, *, with_force: bool = False
 ) -> Path:
-    """What a user logs: set the control, step for 10 ms, log position, command, and the actuator's
-    force as MuJoCo leaves it, which is that of the step's beginning.
+    """What a user logs: set the control, step for 10 ms, log position and command; or log
+    after the step, with the velocity and the actuator's force, which is of the step's beginning.
     """
     model = mujoco.MjModel.from_xml_string(PENDULUM.format(step=step, damping=0.3 + MORE))
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
     rate, size = rng.uniform(2.0, 12.0, 4), rng.uniform(0.1, 0.3, 4)
     stamp = np.arange(300) * 10_000_000
-    position, command, force = np.zeros((3, 300, 1))
+    position, velocity, command, force = np.zeros((4, 300, 1))
     for k in range(300):
         position[k] = data.qpos + noise * rng.standard_normal()
-        force[k] = data.actuator_force
         command[k] = data.ctrl[0] = float(size @ np.sin(rate * 0.01 * k))
         mujoco.mj_step(model, data, nstep=round(0.01 / step))
+        if with_force:
+            position[k] = data.qpos + noise * rng.standard_normal()
+            velocity[k], force[k] = data.qvel, data.actuator_force
     stamp += 1_700_000_000_000_000_000
+    logged = stamp + 10_000_000 if with_force else stamp
     write_recording(
         path,
         [
             JointSeries(
                 "/joint_states",
                 ("j1",),
-                stamp,
-                stamp,
+                logged,
+                logged,
                 position,
-                None,
+                velocity if with_force else None,
                 force if with_force else None,
             ),
             JointSeries("/joint_commands", ("j1",), stamp, stamp, command, None, None),
         ],
-        metadata={"command_between": "held"},
+        metadata={} if with_force else {"command_between": "held"},
     )
     return path
 
