@@ -1,6 +1,7 @@
 """Expected covariance of D-optimal motion against random motion, and against published motion.
 
-    python benchmarks/identification/excitation.py [--flobaroid CHECKOUT] [--out JSON] [ROBOT ...]
+    python benchmarks/identification/excitation.py [--solver ipopt] [--flobaroid CHECKOUT]
+        [--out JSON] [ROBOT ...]
 
 Random motion is a Fourier series with the same functions, limits and length, random coefficients,
 scaled to the limits as far as they allow; the median of 20 stands in the table. Published motion:
@@ -29,6 +30,7 @@ import tx40_files
 
 from pytest_twin.excitation.approved import Approved, JointLimits, Stop
 from pytest_twin.excitation.d_optimal import Design
+from pytest_twin.excitation.minimizers import SOLVERS, minimizer
 from pytest_twin.excitation.motion import Drawn
 from pytest_twin.excitation.noise import noise_of
 from pytest_twin.excitation.prediction import of_base
@@ -112,11 +114,14 @@ def worst(realization: Realization, limits: Approved, drawn: Drawn) -> tuple[flo
     return value, 100.0 * max(relative, default=math.nan)
 
 
-def compared(name: str, realization: Realization, limits: Approved, theirs: Drawn | None) -> dict:
+def compared(
+    name: str, realization: Realization, limits: Approved, theirs: Drawn | None, solver: str
+) -> dict:
     """Ours against random motion, and against theirs where there is one."""
     regressor = Regressor(realization, limits.names)
     base = structural_base(regressor)
-    design = Design(limits, regressor, base, noise_of(realization, limits).effort)
+    std = noise_of(realization, limits).effort
+    design = Design(limits, regressor, base, std, minimize=minimizer(solver))
     since = time.process_time()
     best = design.optimum(1)
     seconds = time.process_time() - since
@@ -210,6 +215,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("robots", nargs="*", help="some of the robots; all by default")
     parser.add_argument("--flobaroid", type=Path, help="a checkout of github.com/kjyv/FloBaRoID")
+    parser.add_argument("--solver", choices=SOLVERS, default=SOLVERS[0])
     parser.add_argument("--out", type=Path, help="write the figures as JSON")
     args = parser.parse_args()
     cases: list[tuple[str, Any]] = []
@@ -234,7 +240,7 @@ def main() -> None:
         if args.robots and name.split(" ")[0] not in args.robots and name not in args.robots:
             continue
         realization, limits, theirs = make()
-        one = compared(name, realization, limits, theirs)
+        one = compared(name, realization, limits, theirs, args.solver)
         found.append(one)
         print(_line(one), flush=True)
         if args.out is not None:

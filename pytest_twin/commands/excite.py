@@ -11,6 +11,7 @@ from pytest_twin.commands import folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
+from pytest_twin.excitation.minimizers import SOLVERS
 from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import excitation
@@ -52,6 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", metavar="N", type=_seed, default=1, help="of all random choices (default: 1)"
     )
+    parser.add_argument(
+        "--solver",
+        choices=SOLVERS,
+        default=SOLVERS[0],
+        help="of the D-optimal series; ipopt comes with casadi (default: scipy)",
+    )
     model_files.add_arguments(parser)
 
 
@@ -72,7 +79,13 @@ def run(args: argparse.Namespace) -> int:
         out = args.out if blank["template"] else folders.make(args.out)
         found = sandbox.call(
             "pytest_twin.excitation.excite:excite_file",
-            {"model": model, "out": str(out.absolute()), "seed": args.seed, **search},
+            {
+                "model": model,
+                "out": str(out.absolute()),
+                "seed": args.seed,
+                "solver": args.solver,
+                **search,
+            },
             progress=progress,
         )
     document, abort = found["document"], found["abort"]

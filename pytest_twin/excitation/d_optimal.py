@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-import scipy.optimize
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.excitation.approved import Approved
 from pytest_twin.excitation.closed_loop import WORSE
 from pytest_twin.excitation.fourier import REST, Series, free_time, series
+from pytest_twin.excitation.lbfgs_b import lbfgs_b
+from pytest_twin.excitation.minimizers import Minimizer
 from pytest_twin.excitation.motion import Drawn, Path
 from pytest_twin.identification.regressor.base_parameters import BaseParameters
 from pytest_twin.identification.regressor.regressor import Regressor
@@ -68,6 +70,7 @@ class Design:
         base: parameters that are to be identified.
         std: (joints,) standard deviation of the effort's noise, N*m or N.
         spare: distance beyond what is required at a pose (j,), at most a given one, m.
+        minimize: solver.
     """
 
     def __init__(
@@ -77,8 +80,10 @@ class Design:
         base: BaseParameters,
         std: FloatArray,
         spare: Callable[[FloatArray, float], float] = lambda position, most: most,
+        minimize: Minimizer = lbfgs_b,
     ) -> None:
         self._spare = spare
+        self._minimize = minimize
         self._approved = approved
         self._regressor = regressor
         self._base = base
@@ -94,7 +99,7 @@ class Design:
         self._effort = np.minimum(approved.effort, approved.array("effort") / WORSE)
 
     def optimum(self, seed: int, starts: int = STARTS) -> Optimum:
-        """The best of several starts (L-BFGS-B with exact derivatives of the information)."""
+        """The best of several starts, with exact derivatives of the information."""
         random = np.random.default_rng(seed)
         found = []
         for _ in range(starts):
@@ -110,15 +115,8 @@ class Design:
         return Optimum(coefficients, self.log_det(coefficients), tuple(v for v, _ in found))
 
     def _minimized(self, first: FloatArray, iterations: int, near: bool) -> FloatArray:
-        solved = scipy.optimize.minimize(
-            self._objective,
-            first.ravel(),
-            args=(near,),
-            jac=True,
-            method="L-BFGS-B",
-            options={"maxiter": iterations, "ftol": _TOLERANCE},
-        )
-        return np.asarray(solved.x.reshape(first.shape))
+        objective = partial(self._objective, near=near)
+        return self._minimize(objective, first.ravel(), iterations, _TOLERANCE).reshape(first.shape)
 
     def random(self, seed: int) -> FloatArray:
         """(j, m) coefficients of a random motion that uses the same limits to the full."""

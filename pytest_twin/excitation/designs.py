@@ -13,7 +13,6 @@ from pytest_twin.excitation.clearance import Surroundings
 from pytest_twin.excitation.gravity_grid import grid, static_matrix
 from pytest_twin.excitation.motion import Design, Drawn, Role
 from pytest_twin.excitation.prediction import LOADS_APART
-from pytest_twin.identification.regressor.base_parameters import BaseParameters
 from pytest_twin.identification.regressor.regressor import Regressor
 
 ROLES: tuple[Role, ...] = ("fit", "held_out")
@@ -57,13 +56,20 @@ def single_joint_designs(
 def several_joint_designs(
     approved: Approved,
     regressor: Regressor,
-    base: BaseParameters,
     std: FloatArray,
     around: Surroundings,
     payloads: Sequence[str],
+    optimal: d_optimal.Design | None,
     seed: int,
 ) -> list[Design]:
-    """The static grid, once for each payload, and the Fourier series."""
+    """The static grid, once for each payload, and the Fourier series.
+
+    Args:
+        std: (joints,) standard deviation of the effort's noise, N*m or N.
+        payloads: ids of payloads.
+        optimal: of the series; None where none is asked for.
+        seed: of all random choices.
+    """
     asked, found = set(approved.mechanisms), []
     static = tuple(one for one in ("gravity", "payload") if one in asked)
     for role in ROLES:
@@ -79,10 +85,9 @@ def several_joint_designs(
                     )
                     for name in payloads
                 ]  # fmt: skip
-        if "inertia" in asked:
+        if optimal is not None:
             # Held-out motion has to be another one in the same limits, not the best one.
             starts = d_optimal.STARTS if role == "fit" else 1
-            optimal = d_optimal.Design(approved, regressor, base, std, around.spare)
             series = _series(optimal, starts)
             found.append(
                 Design(

@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from pytest_twin.excitation import files, prediction
+from pytest_twin.excitation import d_optimal, files, prediction
 from pytest_twin.excitation.approved import Approved, missing_lines
 from pytest_twin.excitation.clearance import Surroundings
 from pytest_twin.excitation.closed_loop import servo_modes
@@ -22,6 +22,7 @@ from pytest_twin.excitation.designs import (
 from pytest_twin.excitation.document import courses, document_of, on_abort
 from pytest_twin.excitation.find_safe import Refused, Robot, Safe, find_safe
 from pytest_twin.excitation.gravity_grid import static_base
+from pytest_twin.excitation.minimizers import minimizer
 from pytest_twin.excitation.noise import Noise, noise_of
 from pytest_twin.excitation.prediction import Predicted
 from pytest_twin.excitation.reading import missing_error, movable_joints, read_approved
@@ -50,6 +51,7 @@ class Excitation:
         safe, refused: motions, and designs without a safe one.
         predicted: what the motions to fit will determine.
         seed: of all random choices.
+        solver: of the D-optimal series.
     """
 
     realization: Realization
@@ -61,6 +63,7 @@ class Excitation:
     refused: tuple[Refused, ...]
     predicted: tuple[Predicted, ...]
     seed: int
+    solver: str
 
 
 def missing_template(
@@ -86,6 +89,7 @@ def excite_file(
     model: str,
     out: str,
     seed: int,
+    solver: str = "scipy",
     packages: Mapping[str, str] | None = None,
     roots: Sequence[str] = (),
     progress: Callable[[float], None] = lambda fraction: None,
@@ -100,7 +104,7 @@ def excite_file(
     realization, twin = _loaded(path, SearchFolders.of(roots, packages))
     if twin is None:
         raise missing_error(path, missing_lines({}, movable_joints(realization)), None)
-    return written(excite(realization, twin, seed, progress), path, Path(out))
+    return written(excite(realization, twin, seed, solver, progress), path, Path(out))
 
 
 def written(found: Excitation, twin: Path, out: Path) -> dict[str, Any]:
@@ -120,13 +124,19 @@ def excite(
     realization: Realization,
     twin: Twin,
     seed: int = 1,
+    solver: str = "scipy",
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Excitation:
     """Design all motions that are asked for, and predict what they determine.
 
+    Args:
+        solver: one of :data:`~pytest_twin.excitation.minimizers.SOLVERS`.
+
     Raises:
-        SpecError: lines are missing, a value cannot be, or the start is not safe.
+        SpecError: lines are missing, a value cannot be, the start is not safe, or the solver is
+            not installed.
     """
+    minimize = minimizer(solver)
     approved = read_approved(realization, twin)
     noise = noise_of(realization, approved)
     around = Surroundings(realization, approved)
@@ -135,8 +145,11 @@ def excite(
     base = structural_base(regressor)
     loads = loading_poses(approved, regressor, around.is_clear, seed)
     payloads = tuple(twin.payloads)
+    optimal = None
+    if "inertia" in approved.mechanisms:
+        optimal = d_optimal.Design(approved, regressor, base, noise.effort, around.spare, minimize)
     designs = single_joint_designs(approved, loads, seed) + several_joint_designs(
-        approved, regressor, base, noise.effort, around, payloads, seed
+        approved, regressor, noise.effort, around, payloads, optimal, seed
     )
     wanted = {design.payload for design in designs}
     robots = {
@@ -149,7 +162,7 @@ def excite(
     predicted = _predicted(safe, approved, noise, regressor, base, robots, carrier)
     return Excitation(
         realization, approved, noise, regressor, base, tuple(safe), tuple(refused),
-        tuple(predicted), seed,
+        tuple(predicted), seed, solver,
     )  # fmt: skip
 
 
