@@ -241,7 +241,7 @@ def test_a_controller_of_the_twin_is_still_scaled_by_a_gain(tmp_path: Path) -> N
         (lambda d: d["effects"][0].update(joint="nose"), "one of joints"),
         (lambda d: d["effects"][0]["values"].update(coulomb=float("nan")), "finite number"),
         (lambda d: d["effects"][0]["values"].update(speed=1.0), "coulomb"),
-        (lambda d: d["effects"][0].update(is_in_mjcf="yes"), "true or false"),
+        (lambda d: d["effects"][0].update(in_model="yes"), "true or false"),
         (lambda d: d.update(effects=7), "a list"),
         (lambda d: d.update(joints=[]), "names of joints"),
     ],
