@@ -10,6 +10,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
 
@@ -246,5 +247,7 @@ def _check_staged(staging: Path, release: Release, header: Header) -> None:
 def _clean(releases: Path) -> None:
     """Remove what interrupted writes left; not what another process may be writing now."""
     for path in releases.glob(f"{_STAGING}*"):
-        if not path.is_symlink() and time.time() - path.stat().st_mtime > _STALE_SECONDS:
-            shutil.rmtree(path, ignore_errors=True)
+        # Another process may have finished its release since the folder was listed.
+        with suppress(FileNotFoundError):
+            if not path.is_symlink() and time.time() - path.stat().st_mtime > _STALE_SECONDS:
+                shutil.rmtree(path, ignore_errors=True)
