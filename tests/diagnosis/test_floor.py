@@ -148,9 +148,9 @@ def test_a_stiff_servo_is_not_a_loud_effort_sensor(tmp_path: Path) -> None:
     assert 0.015 < floor[0] < 0.05 * jumps
 
 
-@pytest.mark.parametrize(("scale", "stands"), [(1.0, False), (0.8, True)])
+@pytest.mark.parametrize(("scale", "stands_out"), [(1.0, False), (0.8, True)])
 def test_a_scale_of_efforts_stands_out_among_jumps(
-    tmp_path: Path, scale: float, influence: bool
+    tmp_path: Path, scale: float, stands_out: bool
 ) -> None:
     """Samples beside jumps say little, those between them tell a fifth."""
     steps = np.repeat(np.random.default_rng(1).uniform(-0.2, 0.2, 30), 10)
@@ -160,13 +160,13 @@ def test_a_scale_of_efforts_stands_out_among_jumps(
     assert problem.effort_floor is not None
     off = problem.residuals([EMPTY], problem.fit)[0][:, 1]
     level = float(np.sqrt(np.mean(off**2))) / problem.effort_floor[0]
-    assert bool(level > 2.0) is influence, level
+    assert bool(level > 2.0) is stands_out, level
     # Its laws are simulated, whatever means along the motion say of them, until they are named.
-    problem.effort_floor *= level / (1.6 if influence else 1.4)
+    problem.effort_floor *= level / (1.6 if stands_out else 1.4)
     best = ModelComparison(problem).nominal
     starts = effort_sensor_terms(problem, best)
     effects = {h.terms[-1].effect for h in starts}
-    assert effects == ({"effort_scale", "effort_bias"} if influence else set())
+    assert effects == ({"effort_scale", "effort_bias"} if stands_out else set())
     for start in starts:
         named = replace(best, fitted=replace(best.fitted, hypothesis=start))
         others = [h.terms for h in effort_sensor_terms(problem, named)]
