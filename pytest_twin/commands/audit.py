@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         type=Path,
         default=Path(),
-        help="where NAME.audit.json and NAME.audit.html go, NAME that of the asset (default: the "
-        "working directory)",
+        help="folder for NAME.audit.json and NAME.audit.html; NAME is that of the asset (default: "
+        "the working directory)",
     )
     parser.add_argument(
         "--evidence",

@@ -193,18 +193,17 @@ def _near(
     alike, similar = list[Hypothesis](), list[tuple[float, Hypothesis]]()
     places = subsets(own.terms)
     lefts = residuals_without(comparison.problem, linear, view, own, places)
-    rigid = candidate_sensitivities.without_elastic_transmissions()
+    elastic = candidate_sensitivities.elastic_transmissions
     for removed, left in zip(places, lefts, strict=True):
         rest = own.without(*removed)
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
         # One elastic transmission can be another; whether there is one, the search has simulated.
-        near = (
-            candidate_sensitivities
-            if any(t.law.is_elastic_transmission for t in removed)
-            else rigid
+        exchanged = any(t.law.is_elastic_transmission for t in removed)
+        barred = own.terms if exchanged else (*own.terms, *elastic)
+        lens = NormalEquations(
+            ResidualView(left, slope, view.floor, view.lengths), candidate_sensitivities
         )
-        lens = NormalEquations(ResidualView(left, slope, view.floor, view.lengths), near)
-        sets = _beam(lens, own.terms, EQUIVALENT.largest if len(removed) == 1 else len(removed))
+        sets = _beam(lens, barred, EQUIVALENT.largest if len(removed) == 1 else len(removed))
         fits = [LinearizedFit(rest.with_terms(s.starts), s.residual) for s in sets]
         evidence = _linearized_evidence(comparison, view, own, fits)
         for i in _chosen(removed, sets, evidence, [allowed(f.hypothesis) for f in fits]):
@@ -217,7 +216,9 @@ def _near(
         change = ResidualView(left - view.residual, slope, view.floor, view.lengths)
         similar += [
             (similarity - h.free, h)
-            for similarity, chosen in _most_similar(NormalEquations(change, near), own.terms)
+            for similarity, chosen in _most_similar(
+                NormalEquations(change, candidate_sensitivities), barred
+            )
             if similarity > EQUIVALENT.similar
             and allowed(h := rest.with_terms(lens.structure(chosen).starts))
         ]

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.increments import inverse
-from pytest_twin.calibration.clocks.offset import MOST_OFFSET_SPREAD_S, ClockFit, hand_times
+from pytest_twin.calibration.clocks.offset import MOST_OFFSET_SPREAD_S, ClockFit, spread_rows
 from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
@@ -51,10 +49,8 @@ def mistakes(
     """
     if not fit.interval(0) < MOST_OFFSET_SPREAD_S:
         return ()
-    time = hand_times(camera, fit.offset, fit.drift, middle)
-    inside = np.flatnonzero((time >= hand.time[0]) & (time <= hand.time[-1]))
-    rows = inside[np.linspace(0, len(inside) - 1, min(_POSES, len(inside))).astype(int)]
-    carried = hand.at(time[rows])
+    rows, time = spread_rows(hand, camera, fit, middle, _POSES)
+    carried = hand.at(time)
     observations = Observations(
         ids=tuple(str(row) for row in rows),
         flange=inverse(carried) if hand.inverted else carried,

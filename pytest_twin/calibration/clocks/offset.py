@@ -67,6 +67,23 @@ def hand_times(camera: PoseStream, offset: float, drift: float, middle: float) -
     return camera.time + offset + drift * (camera.time - middle)
 
 
+def spread_rows(
+    hand: PoseStream, camera: PoseStream, fit: ClockFit, middle: float, most: int
+) -> tuple[np.ndarray, FloatArray]:
+    """Rows of the camera's stream, evenly over what the hand's covers, and their hand times, s.
+
+    Args:
+        hand, camera: the streams.
+        fit: offset and drift.
+        middle: time of the camera's clock at which the offset holds, s.
+        most: largest number of rows.
+    """
+    time = hand_times(camera, fit.offset, fit.drift, middle)
+    inside = np.flatnonzero((time >= hand.time[0]) & (time <= hand.time[-1]))
+    rows = inside[np.linspace(0, len(inside) - 1, min(most, len(inside))).astype(int)]
+    return rows, time[rows]
+
+
 def errors_at(
     hand: PoseStream, camera: PoseStream, seen: FloatArray, fit: ClockFit, middle: float
 ) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.increments import inverse
 from pytest_twin.calibration.clocks.correlation import angular_speed
-from pytest_twin.calibration.clocks.offset import ClockFit, hand_times
+from pytest_twin.calibration.clocks.offset import ClockFit, hand_times, spread_rows
 from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import words_of
@@ -72,10 +72,8 @@ def scene_of_streams(
         middle: time of the camera's clock at which the offset holds, s.
         held_out: rows of the camera's stream that nothing was fitted on.
     """
-    time = hand_times(camera, fit.offset, fit.drift, middle)
-    inside = np.flatnonzero((time >= hand.time[0]) & (time <= hand.time[-1]))
-    rows = inside[np.linspace(0, len(inside) - 1, min(_ARROWS, len(inside))).astype(int)]
-    carried = hand.at(time[rows])
+    rows, time = spread_rows(hand, camera, fit, middle, _ARROWS)
+    carried = hand.at(time)
     flange = inverse(carried) if hand.inverted else carried
     error = (carried @ fit.solved.hand_eye @ inverse(seen[rows]))[:, :3, 3]
     error = error - fit.solved.robot_world[:3, 3]
@@ -91,7 +89,7 @@ def scene_of_streams(
         role: words_of(f"camera.{role}", plan.mount).split()[1] for role in ("mounted", "world")
     }
     return {
-        "observation": f"{time[rows[shown]] - hand.time[0]:.2f} s after the hand's stream begins",
+        "observation": f"{time[shown] - hand.time[0]:.2f} s after the hand's stream begins",
         "chain": [],
         "frames": [
             frame("base", np.eye(4)),

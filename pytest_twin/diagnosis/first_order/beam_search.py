@@ -176,21 +176,14 @@ class CandidateSensitivities:
         self.penalty_per_effect = effect_penalty(len({r.term for r in self.responses}))
         self.groups = [self._group(m) for m in sorted({len(r.switches) for r in self.responses})]
 
-    def without_elastic_transmissions(self) -> CandidateSensitivities:
-        """The sensitivities of all other candidates.
+    @property
+    def elastic_transmissions(self) -> frozenset[Term]:
+        """Candidates that only a simulation can compare with others.
 
         The force of an elastic transmission is evaluated along the measured motion of the link. It
-        contains what is to be explained, and so seems to explain nearly everything. Only a
-        simulation can compare it with other candidates.
+        contains what is to be explained, and so seems to explain nearly everything.
         """
-        others = [r for r in self.responses if not r.term.law.is_elastic_transmission]
-        return self if len(others) == len(self.responses) else CandidateSensitivities(others)
-
-    def of_elastic_transmissions(self) -> CandidateSensitivities:
-        """The sensitivities of elastic transmissions only."""
-        return CandidateSensitivities(
-            [r for r in self.responses if r.term.law.is_elastic_transmission]
-        )
+        return frozenset(r.term for r in self.responses if r.term.law.is_elastic_transmission)
 
     def _group(self, switches: int) -> _Group:
         which = [i for i, r in enumerate(self.responses) if len(r.switches) == switches]
@@ -430,6 +423,7 @@ class BeamSearch:
         earns: evidence that a larger or an exchanged structure must gain.
         worth: (mean squares before, after), both (signals,) -> whether one more effect is accepted.
         cores: number of processes.
+        barred: terms that are not added.
     """
 
     width: int
@@ -437,6 +431,7 @@ class BeamSearch:
     earns: float
     worth: Callable[[FloatArray, FloatArray], bool]
     cores: int = 1
+    barred: Collection[Term] = ()
     _seen: dict[frozenset[int], Structure] = field(default_factory=dict)
 
     def levels(self, equations: NormalEquations) -> list[list[Structure]]:
@@ -480,7 +475,9 @@ class BeamSearch:
         check()
         parents = [s for s in level if len(s.chosen) < self.most]
         equations.candidate_sensitivities.take_products(i for s in parents for i in s.chosen)
-        children = Forks(self.cores).map(partial(equations.children, count=count), parents)
+        children = Forks(self.cores).map(
+            partial(equations.children, count=count, barred=self.barred), parents
+        )
         wanted = {frozenset(c): c for each in children for c in each}
         new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
         equations.candidate_sensitivities.take_products(

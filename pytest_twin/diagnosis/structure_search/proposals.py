@@ -153,25 +153,25 @@ def _exchanged(
     removed_sets = removals(own)
     reduced = [own.without(*removed) for removed in removed_sets]
     lefts = _residuals(scorer, linearized, removed_sets, reduced)
+    candidate_sensitivities = linearized.candidate_sensitivities
+    elastic = candidate_sensitivities.elastic_transmissions
+    rigid = {r.term for r in candidate_sensitivities.responses} - elastic
 
     def search(most: int, width: int) -> BeamSearch:
         return BeamSearch(
             width, most, settings.earns,
-            lambda before, after: bool((after < before).any()),
+            lambda before, after: bool((after < before).any()), barred=elastic,
         )  # fmt: skip
 
-    rigid = linearized.candidate_sensitivities.without_elastic_transmissions()
-    elastic = linearized.candidate_sensitivities.of_elastic_transmissions()
     for removed, rest, left in zip(removed_sets, reduced, lefts, strict=True):
         if removed:
             yield rest
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
         seen = ResidualView(left, slope, view.floor, view.lengths)
-        lens = NormalEquations(seen, rigid)
-        if elastic.responses:
-            alone = NormalEquations(seen, elastic)
-            for chosen in alone.children(alone.bare, 2 * settings.of_each_elastic):
-                yield rest.with_terms(alone.structure(chosen).starts)
+        lens = NormalEquations(seen, candidate_sensitivities)
+        if elastic:
+            for chosen in lens.children(lens.bare, 2 * settings.of_each_elastic, barred=rigid):
+                yield rest.with_terms(lens.structure(chosen).starts)
         most = settings.added if not removed else min(len(removed) + 1, 2)
         width = settings.beam if not removed else settings.beam // 2
         for level in search(most, width).levels(lens):
@@ -203,7 +203,7 @@ def _residuals(
     if linearized.linear is not None:
         for k, d in enumerate(linearized.linear.differences(reduced)):
             left = view.residual - d
-            separates = any(t.law.overrides("separates") for t in removed_sets[k])
+            separates = any(t.law.is_elastic_transmission for t in removed_sets[k])
             if np.isfinite(left).all() and not separates:
                 out[k] = left
     missing = [k for k in range(len(reduced)) if k not in out]

@@ -245,4 +245,4 @@ class StructureSearch:
 
 def _is_scanned(term: Term) -> bool:
     """Whether an effect is a limit or an elastic transmission."""
-    return term.law.is_limit or term.law.overrides("separates")
+    return term.law.is_limit or term.law.is_elastic_transmission
