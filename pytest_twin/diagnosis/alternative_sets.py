@@ -16,12 +16,13 @@ from pytest_twin.diagnosis.search_result import SearchResult
 from pytest_twin.diagnosis.shared_confidence import share_confidence
 
 _UNCOMPARED = 0.8
-"""Largest confidence of an effect if its set was not compared with others. In three of ten
-recordings of real machines, a wrong effect had 92 to 100 % without the comparison."""
+"""Largest confidence of an effect if its set was not compared with others, or if the search ended
+early and a residual remains. In three of ten recordings of real machines, a wrong effect had 92 to
+100 % without the comparison."""
 
 
-def without_alternative_sets(found: SearchResult) -> SearchResult:
-    """The result with confidences of at most 80 %, because its set was not compared with others."""
+def with_limited_confidence(found: SearchResult) -> SearchResult:
+    """The result with confidences of at most 80 %, because a search or comparison is missing."""
     confidence = {t: min(c, _UNCOMPARED) for t, c in found.selected.confidence.items()}
     return replace(found, selected=replace(found.selected, confidence=confidence))
 

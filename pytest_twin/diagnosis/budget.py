@@ -18,6 +18,10 @@ RESERVED, LAST = 0.2, 0.1
 """Shares of the time limit: ``RESERVED`` is kept for the steps after the search (final parameters,
 intervals, test recordings, report), ``LAST`` for those after the final parameters. With six joints
 on two cores, imports, reading and the report take 8 to 10 s."""
+COMPARED = 0.25
+"""Share of the time limit that the search leaves for the comparison of its result with other sets
+of effects. A name without its rivals is of little use: with one joint a late command and a late
+sensor predict the same. The comparison takes a quarter of the time of a complete diagnosis."""
 STRETCH = 5.0
 """Largest ratio of wall-clock time to the time limit, if other programs use the processors."""
 MOST_SIMULATIONS = 1200
@@ -57,6 +61,7 @@ class Budget:
         self._clock = clock
         self._start, self._start_computing = clock(), computing_seconds()
         self._apart = 0.0
+        self._kept = 0.0
         self._most = simulations
 
     def add(self, problem: Problem) -> None:
@@ -86,8 +91,14 @@ class Budget:
     @property
     def is_out_of_time(self) -> bool:
         """Whether the search must end: its share of the time is over, or it was stopped."""
-        over = bool(self.seconds) and self.elapsed > (1.0 - RESERVED) * self.seconds
+        over = bool(self.seconds) and self.elapsed > (1.0 - RESERVED - self._kept) * self.seconds
         return self.stopped or over
+
+    @property
+    def was_short_of_time(self) -> bool:
+        """Whether the time may have ended a search."""
+        limit = (1.0 - RESERVED - COMPARED) * self.seconds
+        return bool(self.seconds) and self.elapsed > limit
 
     @property
     def work(self) -> float:
@@ -118,12 +129,18 @@ class Budget:
         return sum(p.stepped / p.once for p in self.problems)
 
     @contextmanager
-    def searching(self) -> Iterator[None]:
-        """Context in which simulations raise :class:`OutOfTime` when the search must end."""
-        token = CHECK.set(self._check)
+    def searching(self, kept: float = 0.0) -> Iterator[None]:
+        """Context in which simulations raise :class:`OutOfTime` when the search must end.
+
+        Args:
+            kept: share of the time limit (0 to 1) that is kept for later searches.
+        """
+        token, before = CHECK.set(self._check), self._kept
+        self._kept = kept
         try:
             yield
         finally:
+            self._kept = before
             CHECK.reset(token)
 
     @contextmanager

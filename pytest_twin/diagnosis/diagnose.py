@@ -9,7 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.diagnosis.alternative_sets import with_alternative_sets, without_alternative_sets
+from pytest_twin.diagnosis.alternative_sets import (
+    with_alternative_sets,
+    with_limited_confidence,
+)
+from pytest_twin.diagnosis.budget import COMPARED
 from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
 from pytest_twin.diagnosis.conclusion import ChosenModel, assess, with_final_parameters
 from pytest_twin.diagnosis.cost import Cost, cost
@@ -183,7 +187,7 @@ def diagnose(
     since = time.perf_counter()
     run = Run() if run is None else run
     given, known = ModelSetup.of(realization, inherited, threads), roles_of(trials).of_search
-    with run.budget.searching():
+    with run.budget.searching(COMPARED):
         settled = run.attempt(
             "what the commands and efforts of the recordings are",
             lambda: settle(given, known), Settled(),
@@ -274,9 +278,10 @@ def find_structure(
     progress(0.06)
     run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
     given, prepared, trials = as_simulated_before(given, prepared, trials, run)
-    with run.budget.searching():
+    with run.budget.searching(COMPARED):
         searches = search_recordings(given, prepared, trials, run)
     given, notes = searches.given, [*notes, *searches.notes]
+    ended_early = bool(run.untried)
     progress(0.82)
     with run.budget.searching():
         reconsidered = run.attempt(
@@ -287,8 +292,10 @@ def find_structure(
         found, simulations = run.attempt(
             "other sets of effects instead of the final one",
             lambda: with_alternative_sets(likeliest, run),
-            (without_alternative_sets(likeliest), 0.0),
+            (with_limited_confidence(likeliest), 0.0),
         )
+    if ended_early and found.verdict != "explained":
+        found = with_limited_confidence(found)
     found = with_final_parameters(found, run.budget)
     if given.has_friction_creep:
         notes.append(CREEPS)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from pytest_twin.diagnosis.budget import Budget
+from pytest_twin.diagnosis.budget import RESERVED, Budget
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
@@ -53,7 +53,7 @@ class Run:
         done = 1.0 - 0.98**steps
         if not self.budget.seconds:
             return done
-        return min(max(done, self.budget.elapsed / (0.8 * self.budget.seconds)), 1.0)
+        return min(max(done, self.budget.elapsed / ((1.0 - RESERVED) * self.budget.seconds)), 1.0)
 
     def begin(self, stage: str, problem: Problem) -> None:
         """Start a search of ``problem``; the steps that follow belong to ``stage``."""
@@ -131,7 +131,7 @@ def not_tried(run: Run) -> list[str]:
     budget = run.budget
     if budget.stopped:
         why, more = "it was stopped", "Without the interruption"
-    elif budget.seconds and budget.is_out_of_time:
+    elif budget.was_short_of_time:
         why, more = f"its {budget.seconds:g} s were over", "With more time (--seconds)"
     else:
         why = f"its {budget.simulations:g} simulations of all data were used"

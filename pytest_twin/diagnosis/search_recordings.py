@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from pytest_twin.diagnosis.alternative_sets import with_alternative_sets, without_alternative_sets
+from pytest_twin.diagnosis.alternative_sets import with_alternative_sets, with_limited_confidence
 from pytest_twin.diagnosis.friction_constraint import (
     refit_as_friction_acts,
     search_as_friction_acts,
@@ -322,7 +322,7 @@ def _compare_with_windows(
         other, _ = run.attempt(
             "other sets of effects instead of those of windows",
             partial(with_alternative_sets, other, run),
-            (without_alternative_sets(other), 0.0),
+            (with_limited_confidence(other), 0.0),
         )
         if found.has_stick_slip:
             with run.budget.apart():

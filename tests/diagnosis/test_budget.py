@@ -9,8 +9,8 @@ import pytest
 from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.alternative_sets import without_alternative_sets
-from pytest_twin.diagnosis.budget import RESERVED, Budget
+from pytest_twin.diagnosis.alternative_sets import with_limited_confidence
+from pytest_twin.diagnosis.budget import COMPARED, RESERVED, Budget
 from pytest_twin.diagnosis.deadline import OutOfTime, check
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.prepare import prepare
@@ -79,6 +79,17 @@ def test_the_search_ends_a_fifth_before_the_time_is_over() -> None:
     check()
 
 
+def test_a_search_leaves_time_for_the_comparison_with_other_sets() -> None:
+    clock = Clock()
+    budget = Budget(seconds=100.0, clock=clock)
+    clock.now = 100.0 * (1.0 - RESERVED - COMPARED) + 2.0
+    with budget.searching(COMPARED), pytest.raises(OutOfTime):
+        check()
+    with budget.searching():
+        check()
+    assert budget.was_short_of_time
+
+
 def test_no_bound_of_time_is_for_as_long_as_it_takes() -> None:
     clock = Clock()
     budget = Budget(seconds=0.0, clock=clock)
@@ -122,7 +133,7 @@ def test_no_effect_is_sure_whose_set_was_not_compared_with_others(
     found = search(prepared, trials, StepwiseSelection(prepared.problem, Run()))
     (term,) = found.selected.best.hypothesis.terms
     assert found.selected.confidence[term] > 0.99
-    unsure = without_alternative_sets(found)
+    unsure = with_limited_confidence(found)
     assert unsure.selected.confidence == {term: 0.8}
     assert unsure.selected.best is found.selected.best
 
