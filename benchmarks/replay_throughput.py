@@ -4,7 +4,8 @@ Run ``python benchmarks/replay_throughput.py``. Both sides step the same rows (m
 states, controls) with as many threads; the replay's side is timed from trials to predictions, so
 that placing commands, interpolating and the rest of our own work count against it. The rollout's
 controls are laid out beforehand and do not. The two are interleaved, so that a busy machine
-slows both; the ratio by CPU time says what is left of that.
+slows both; the ratio by CPU time does not depend
+on it.
 
 Goal: at least 0.9 of the throughput of ``mujoco.rollout``.
 """

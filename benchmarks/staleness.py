@@ -590,7 +590,7 @@ def add_tie(root: Element, rng: Rng) -> str | None:
 
 
 def remove_element(root: Element, rng: Rng) -> str | None:
-    """Take something away, with all that hangs on it."""
+    """Remove an element with its children and all references to it."""
     kept = {"worldbody", "default", "asset", "contact", "equality", "tendon", "actuator", "sensor"}
     elements = [e for e in all_elements(root) if e.tag not in kept]
     element = elements[int(rng.integers(len(elements)))]

@@ -48,14 +48,3 @@ def test_a_misspelled_word_and_a_phrase_are_found_with_what_to_write(
     done = check(page, root=checkout)
     assert done.returncode == 1
     assert f"docs/page.md:3: {told}" in done.stdout
-
-
-def test_the_diagnosis_may_use_the_listed_phrases_and_no_others(checkout: Path) -> None:
-    module = checkout / "pytest_twin" / "diagnosis" / "module.py"
-    module.parent.mkdir(parents=True)
-    module.write_text('"""What is left, and what it rests on."""\n')
-    (checkout / "docs" / "prose" / "later.txt").write_text("what is left\n")
-    done = check(module, root=checkout)
-    assert done.stdout.splitlines() == [
-        "pytest_twin/diagnosis/module.py:1: rests on ==> depends on"
-    ]

@@ -8,7 +8,7 @@ with three, 20 with a force that is in no catalogue (5 of each kind), and 100 wi
 effect of the contract's table two or three times alone and at least once beside others. Which of
 them a seed is follows from its remainder by 200; everything else it draws.
 
-What is drawn could be told apart by a perfect observer:
+A perfect observer could distinguish what is drawn:
 
 - an effect acts where it shows (:data:`NEEDS`): one joint alone cannot tell a late command from a
   late sensor, nor a tilted base from a servo's biased encoder; on a slide or a vertical first axis

@@ -1,8 +1,8 @@
 """The plant of sampled cells, compiled: rigid bodies, sampled servos, motors, friction, integrator.
 
 Rigid-body terms are summed over bodies in the base frame (recursive accelerations, Jacobians of the
-centres of mass), so that neither Pinocchio nor an engine takes part. SI units; N*m stands for N on
-slides.
+centres of mass), so that neither Pinocchio nor an engine takes part. SI units; on slides N*m
+means N.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Names that no recording of a case can tell apart from what is hidden.
+"""Names that no recording of a case can distinguish from the hidden effect.
 
 A diagnosis that names one of them first is right only where it gives the hidden one a like
 confidence (``score.py``). Pairs are listed that are the same by structure, not those that only look

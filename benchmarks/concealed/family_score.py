@@ -41,7 +41,7 @@ STANDS = (
 """By how much an effect stands out: least, below, in words."""
 BANDS = ((0.5, 0.75), (0.75, 0.9), (0.9, 1.0))
 SHAPES = ("harmonic", "stribeck_velocity", "in_loop", "cosine", "damping_time")
-"""Parameters that say nothing of a difference's size."""
+"""Parameters that are no measure of the size of an effect."""
 MODEL_STEP = {True: 0.001, False: 0.002}
 """s, of nominal models: of one joint or with a contact, or of several joints."""
 RECORDINGS = 5

@@ -1,7 +1,7 @@
 """The plant's fast part, compiled: drive, transmission, friction, contact and the integrator.
 
 Everything that the plant computes itself at 40 kHz; mass matrix and bias effort come from
-Pinocchio at 20 kHz, with their slopes in time. SI units throughout; N*m stands for N on slides.
+Pinocchio at 20 kHz, with their slopes in time. SI units throughout; on slides N*m means N.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A logger of a real cell: drops, lates, jitter, driver-made velocities; writes MCAP.
+"""A logger of a real cell: dropped and late messages, jitter, driver-made velocities; writes MCAP.
 
 Takes traces of any plant and writes what a recorder beside it would have on disk.
 """

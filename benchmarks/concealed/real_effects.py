@@ -236,7 +236,7 @@ def asymmetric_friction(machine: Machine, joint: str, rng: np.random.Generator) 
 
 
 def _law_taken_away(effect: str) -> Any:
-    """A law that stands beside the model, taken away."""
+    """Remove a law that acts in addition to the MJCF model."""
 
     def draw(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
         values = next(dict(v) for e, _, v in machine.beside if e == effect)

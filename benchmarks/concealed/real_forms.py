@@ -68,7 +68,7 @@ def mjcf(machine: Machine, recordings: Path) -> str:
 
 
 def effects_json(machine: Machine) -> str | None:
-    """What stands beside the MJCF, as a diagnosis writes it; None where nothing does."""
+    """Effects that MJCF cannot express, as a diagnosis writes them; None if there are none."""
     if not machine.beside:
         return None
     effects = [
@@ -97,7 +97,7 @@ def push(machine: Machine) -> Floats:
 
 
 def law(machine: Machine, controller: str | None = None) -> Law | None:
-    """What stands beside the MJCF and is neither constant, delayed nor a reading."""
+    """Effects that MJCF cannot express, except constant ones, delays and sensor effects."""
     return _xl330(machine, controller or "") if machine.controllers else None
 
 

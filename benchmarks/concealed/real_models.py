@@ -88,7 +88,7 @@ class Machine:
         return replace(self, drives={**self.drives, joint: replace(self.drives[joint], **values)})
 
     def without(self, effect: str) -> Machine:
-        """Less one effect that stands beside the model."""
+        """The machine without one effect that acts in addition to the MJCF model."""
         return replace(self, beside=tuple(b for b in self.beside if b[0] != effect))
 
     def value(self, effect: str, name: str, joint: str | None = None) -> float:

@@ -230,7 +230,7 @@ def contact_mjcf(root: ElementTree.Element, last: ElementTree.Element, robot: Ro
         last, "geom", name="tip", type="sphere", size=repr(c.radius), pos=row(*c.tip), mass="0",
         contype="0", conaffinity="0",
     )  # fmt: skip
-    # An explicit pair: only there MuJoCo tells apart how surfaces hold along and across.
+    # Only an explicit pair has a reference of its own for friction (solreffriction).
     pairs = ElementTree.SubElement(root, "contact")
     ElementTree.SubElement(
         pairs, "pair", name="touch", geom1="surface", geom2="tip", condim="3",

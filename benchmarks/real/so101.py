@@ -123,13 +123,15 @@ def main() -> None:
     print(f"\n{args.seconds:g} s of each motion that was not fitted, rms in mrad before -> after:")
     print("| motion | " + " | ".join(joints) + " |")
     print("|---" * (len(joints) + 1) + "|")
-    befores, afters = errors(folder / "model.xml", trials), errors(why, trials)
-    for name, before, after in zip(rest, befores, afters, strict=True):
+    nominal, patched = errors(folder / "model.xml", trials), errors(why, trials)
+    for name, before, after in zip(rest, nominal, patched, strict=True):
         cells = ["diverged"] * len(joints)
         if before is not None and after is not None:
             cells = [f"{1e3 * b:.1f} -> {1e3 * a:.1f}" for b, a in zip(before, after, strict=True)]
         print(f"| {name} | " + " | ".join(cells) + " |")
-    both = [(b, a) for b, a in zip(befores, afters, strict=True) if b is not None and a is not None]
+    both = [
+        (b, a) for b, a in zip(nominal, patched, strict=True) if b is not None and a is not None
+    ]
     total = [
         1e3 * np.sqrt(np.mean(np.stack(each) ** 2, axis=0)) for each in zip(*both, strict=True)
     ]

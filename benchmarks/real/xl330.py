@@ -7,8 +7,9 @@ the data sheet's model, for what `pytest-twin diagnose` finds from the other thr
 DIR/without_GAIN), and, with --structure, for a structure that is given: the effects below, their
 parameters sought in the ranges below by an evolution strategy on the logs of the other three gains
 alone (kept in DIR/structure_without_GAIN.json). The last column is the mean over the three logs
-that are not `lift_and_drop`, the figure that is published; where a slide ends hangs on little, so
-the same figure is given of neighbours of what was found, every value some per cent off.
+that are not `lift_and_drop`, the figure that is published; the end of a slide depends
+on small differences, so the same figure is given for models whose parameters are a few per cent
+off.
 
 The structure is what a servo of this kind is known to have: motor constant, back-EMF, effort that
 rolls off with current, friction by the motor's effort that falls with speed, friction by the load,

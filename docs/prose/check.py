@@ -2,10 +2,9 @@
 
     python docs/prose/check.py [FILE ...]
 
-Without files: the pages, README, CHANGELOG, CONTRIBUTING, the package and the examples. codespell
-does both: once with its own dictionary, once with the phrases of ``plain_words.txt``.
-``later.txt`` lists phrases that ``pytest_twin/diagnosis`` still has; take a line away with the
-last sentence that uses it.
+Without files: the pages, README, CHANGELOG, CONTRIBUTING, the package, the examples and the
+benchmarks. codespell does both: once with its own dictionary, once with the phrases of
+``plain_words.txt``.
 """
 
 from __future__ import annotations
@@ -18,23 +17,19 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-PLACES = ("docs", "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "pytest_twin", "examples")
+PLACES = (
+    "docs", "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "pytest_twin", "examples", "benchmarks",
+)  # fmt: skip
 SUFFIXES = (".md", ".py", ".j2", ".toml", ".json")
 PHRASES = HERE / "plain_words.txt"
-LATER = (ROOT / "pytest_twin" / "diagnosis", HERE / "later.txt")
 
 
 def problems(files: Sequence[Path]) -> list[str]:
     """Each misspelled word and each phrase with a plainer form: file, line, words, suggestion."""
-    folder, allowed = LATER
-    later = [file for file in files if file.is_relative_to(folder)]
-    rest = [file for file in files if file not in later]
-    known = [line.split("->")[0] for line in PHRASES.read_text("utf-8").splitlines()]
-    without = [phrase for phrase in known if phrase not in allowed.read_text("utf-8").splitlines()]
+    phrases = [line.split("->")[0] for line in PHRASES.read_text("utf-8").splitlines()]
     return [
         *_codespell(files),
-        *_codespell(rest, "--dictionary", str(PHRASES), "--regex", _pattern(known)),
-        *_codespell(later, "--dictionary", str(PHRASES), "--regex", _pattern(without)),
+        *_codespell(files, "--dictionary", str(PHRASES), "--regex", _pattern(phrases)),
     ]
 
 
