@@ -9,16 +9,19 @@ import pytest
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.structure_search import search as search_module
 from pytest_twin.diagnosis.structure_search.proposals import (
     Proposal,
     Quota,
     best_of_each_size,
     removals,
 )
+from pytest_twin.diagnosis.structure_search.score import Model
 from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.diagnosis.trials import read_trials
 
@@ -61,6 +64,18 @@ def test_what_is_hidden_is_named_alone_and_cheaply(
     assert left.max() < 2.0
     accepted = [s for s in run.trace.steps if s.decision == "accepted"]
     assert bool(accepted) is bool(names)
+
+
+def test_when_time_runs_out_the_best_simulated_proposal_is_the_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def out_of_time(*arguments: object) -> list[Model]:
+        raise OutOfTime
+
+    monkeypatch.setattr(search_module, "corrected_fits", out_of_time)
+    result = StructureSearch(problem_of(tmp_path, viscous=0.03)).run()
+    assert [t.effect for t in result.model.hypothesis.terms] == ["viscous_friction"]
+    assert not result.is_complete
 
 
 def test_a_search_from_a_wrong_start_gives_its_effects_up(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -106,19 +106,32 @@ class StructureSearch:
         return result
 
     def _improved(self, result: Result) -> Result | None:
-        """The result of one round; None if no proposal passes the acceptance test."""
+        """The result of one round; None if no proposal passes the acceptance test.
+
+        Raises:
+            OutOfTime: the time is over, and no proposal that was simulated passes the test.
+        """
         scorer, incumbent = self.scorer, result.model
         has_effects = bool(incumbent.hypothesis.terms)
         if not has_effects and not scorer.stands_out(incumbent, VERDICT.stands_out).any():
             return None
         fitted = as_fitted(self.problem, incumbent, result.jacobian)
         view = linearize_around(self.problem, ScoredModel(fitted, incumbent.validation))
-        models = self._simulated_proposals(view, incumbent)
+        models: list[Model] = []
+        over: OutOfTime | None = None
+        # If time runs out, the models that were simulated until then are compared.
+        try:
+            for simulated in self._simulated_proposals(view, incumbent):
+                models = simulated
+        except OutOfTime as error:
+            over = error
         result.rivals = [(m, scorer.gain(m, incumbent)) for m in models]
         winner = self._winner(incumbent, models)
         for model, gain in sorted(result.rivals, key=lambda each: -each[1]):
             self._record(model, gain, incumbent, taken=model is winner)
         if winner is incumbent:
+            if over is not None:
+                raise over
             return None
         try:
             better, jacobian = settled(scorer, winner, self.settings.refinements)
@@ -135,21 +148,26 @@ class StructureSearch:
             return None
         return Result(better, jacobian)
 
-    def _simulated_proposals(self, view: LinearizedView, incumbent: Model) -> list[Model]:
-        """The most promising proposals, simulated; the best of them are fitted."""
+    def _simulated_proposals(self, view: LinearizedView, incumbent: Model) -> Iterator[list[Model]]:
+        """The most promising proposals: simulated, then the best fitted, then others in addition.
+
+        Raises:
+            OutOfTime: the time of the search is over.
+        """
         scorer, settings = self.scorer, self.settings
         found = proposals(scorer, view, settings)
         chosen = self._promising(found, incumbent)
         models = scorer.simulate([p.hypothesis for p in chosen])
+        yield models
         models = self._fitted(view, models, incumbent, settings.finalists)
+        yield models
         best = min(
             [incumbent, *models],
             key=lambda m: float(np.log(np.maximum(m.mean_square, 1e-30)).sum()),
         )
         if scorer.stands_out(best, 2.0 * VERDICT.stands_out).any():
             scanned = self._scanned(incumbent, best)
-            models += self._fitted(view, scanned, incumbent, 3)
-        return models
+            yield models + self._fitted(view, scanned, incumbent, 3)
 
     def _promising(self, found: Sequence[Proposal], incumbent: Model) -> list[Proposal]:
         """The proposals that are simulated: the best of each number of effects."""
