@@ -12,8 +12,8 @@ from pytest_twin.calibration.tangent import Moving, left_jacobian
 from pytest_twin.realization.serial_chain import SerialChain
 
 PARALLEL_SINE = 0.2
-"""Sine of the angle between neighbouring axes below which they count as parallel: the offset of a
-Denavit-Hartenberg row grows without bound there, and Hayati's second angle takes its place."""
+"""Sine of the angle between neighbouring axes below which they are treated as parallel. The
+Denavit-Hartenberg offset grows without bound there and is replaced by Hayati's second angle."""
 
 
 @dataclass(frozen=True)
@@ -21,10 +21,10 @@ class LinkParameter:
     """One deviation of a link from its nominal geometry.
 
     Attributes:
-        joint: index of the joint whose placement on the link before it deviates.
+        joint: index of the joint whose placement on the preceding link deviates.
         is_rotation: True for an angle about ``direction`` (rad), False for an offset along it (m).
         direction: (3,) in the joint's frame.
-        label: in words, ``offset along x of fr3_joint3``.
+        label: text such as ``offset along x of fr3_joint3``.
     """
 
     joint: int
@@ -34,20 +34,20 @@ class LinkParameter:
 
     @property
     def unit(self) -> str:
-        """``rad`` or ``m``."""
+        """Unit of the deviation, ``rad`` or ``m``."""
         return "rad" if self.is_rotation else "m"
 
 
 def link_parameters(
     chain: SerialChain, first: int, *, zeros_are_free: bool = True
 ) -> tuple[LinkParameter, ...]:
-    """A smallest complete set of deviations for the joints from ``first`` on.
+    """Return a minimal complete set of link deviations for the joints from ``first`` on.
 
-    The angle about an axis and the slide along it belong to the joint's zero and to the link
-    before, so that each joint keeps the directions that these do not reach: the twist and two
-    offsets where its axis is inclined to the one before (Denavit and Hartenberg, 1955), two angles
-    and one offset where both are parallel (Hayati, 1983). Where no joint's zero is free, two
-    angles and two offsets for each joint: the angle between links is then geometry too.
+    The rotation about a joint's axis is the joint's zero. The displacement along the axis belongs
+    to the preceding link. The remaining deviations of a joint are the twist and two offsets where
+    its axis is inclined to the preceding one (Denavit and Hartenberg, 1955), and two angles and one
+    offset where both are parallel (Hayati, 1983). If no joint zero is free, each joint has two
+    angles and two offsets, because the angle between the links is then geometry too.
     """
     found: list[LinkParameter] = []
     for at in range(first, len(chain.joints)):
@@ -59,7 +59,7 @@ def link_parameters(
         if at == 0 or not chain.revolute[at - 1] or not zeros_are_free:
             angles, offsets = _across(axis), _across(axis)
         if not chain.revolute[at]:
-            # Where a sliding axis lies does not matter, only where it points.
+            # Only the direction of a prismatic axis matters, not its position.
             offsets = []
         for rotation, directions in ((False, offsets), (True, angles)):
             for direction in directions:
@@ -78,7 +78,7 @@ def _parameter(chain: SerialChain, at: int, rotation: bool, direction: FloatArra
 
 
 def _across(axis: FloatArray) -> list[FloatArray]:
-    """Two directions across an axis, along the frame's own where they can be."""
+    """Two directions perpendicular to an axis, along axes of the frame where possible."""
     start = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = start - axis * (axis @ start)
     first = first / np.linalg.norm(first)
@@ -95,7 +95,7 @@ def _directions(
     if sine > PARALLEL_SINE:
         normal = normal / sine
         return [normal], [normal, np.cross(axis, normal)]
-    # Along the line from one axis to the other.
+    # The common normal of both axes.
     lever = placement[:3, :3].T @ placement[:3, 3]
     lever = lever - axis * (axis @ lever)
     length = float(np.linalg.norm(lever))
@@ -104,15 +104,15 @@ def _directions(
 
 @dataclass(frozen=True)
 class ChainParameters:
-    """Values and places of the chain's parameters among all parameters of a fit.
+    """Values of the chain's parameters, and their columns among all parameters of a fit.
 
     Attributes:
-        count: all parameters of the fit.
-        zeros: (n,) added to each joint's reading, rad or m.
-        zero_columns: (n,) column of each joint's zero, -1 where it is held.
-        links: deviations of links, m and rad.
-        link_values: their values.
-        link_columns: their columns.
+        count: number of all parameters of the fit.
+        zeros: (n,) value added to each joint's reading, rad or m.
+        zero_columns: (n,) column of each joint's zero, -1 where it is fixed.
+        links: deviations of links.
+        link_values: values of the deviations, m or rad.
+        link_columns: columns of the deviations.
     """
 
     count: int
@@ -127,12 +127,13 @@ def forward(chain: SerialChain, readings: FloatArray, parameters: ChainParameter
     """``transform_base_to_flange`` of each row, with derivatives.
 
     Args:
-        readings: (rows, n) joint positions as the encoders tell them, rad or m.
+        readings: (rows, n) joint positions as read from the encoders, rad or m.
     """
     rows, width = len(readings), parameters.count
     rotation = np.tile(np.eye(3), (rows, 1, 1))
     position = np.zeros((rows, 3))
-    # A change (v, w) at origin o moves a point p by v + w x (p - o); kept as v - w x o and w.
+    # A change (v, w) at origin o moves a point p by v + w x (p - o). It is stored as v - w x o and
+    # w.
     turn = np.zeros((rows, 3, width))
     shift = np.zeros((rows, 3, width))
     values = chain.signs * readings + chain.offsets + parameters.zeros

@@ -1,4 +1,4 @@
-"""Algebraic solutions without iterations: hand-eye, point sets, pivots."""
+"""Closed-form solutions for hand-eye, point-set and pivot calibration."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 
 _MOST_PAIRS = 2000
-"""Relative motions used: more add time and no accuracy that a start needs."""
+"""Largest number of relative motions. More cost time, and a start needs no more accuracy."""
 
 
 def rigid(rotation: FloatArray, position: FloatArray) -> FloatArray:
@@ -19,7 +19,7 @@ def rigid(rotation: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def inverse(transforms: FloatArray) -> FloatArray:
-    """The (..., 4, 4) rigid transforms the other way."""
+    """(..., 4, 4) inverses of rigid transforms."""
     back = np.zeros_like(transforms)
     turn = np.swapaxes(transforms[..., :3, :3], -1, -2)
     back[..., :3, :3] = turn
@@ -29,17 +29,17 @@ def inverse(transforms: FloatArray) -> FloatArray:
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
-    """The (3, 3) rotation nearest to a matrix."""
+    """(3, 3) rotation matrix nearest to a matrix (in the Frobenius norm)."""
     left, _, right = np.linalg.svd(matrix)
     turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0])
     return np.asarray(left @ turn @ right)
 
 
 def park(flange: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses ``mounted`` and ``world`` with ``flange @ mounted = world @ seen``.
+    """Solve ``flange @ mounted = world @ seen`` for ``mounted`` and ``world``.
 
-    The rotation from relative motions (Park and Martin: Robot sensor calibration, 1994), both
-    positions by linear least squares over all poses.
+    The rotation follows from relative motions (Park and Martin: Robot sensor calibration, 1994),
+    both positions from linear least squares over all poses.
 
     Args:
         flange: (n, 4, 4) ``transform_base_to_flange``, m.
@@ -65,7 +65,7 @@ def _relative_turns(poses: FloatArray) -> FloatArray:
 
 
 def shah(flange: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As :func:`park`, both rotations at once by a Kronecker product.
+    """Solve the equation of :func:`park`, with both rotations at once by a Kronecker product.
 
     (Shah: Solving the robot-world/hand-eye calibration problem using the Kronecker product, 2013.)
     """
@@ -81,7 +81,7 @@ def shah(flange: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:
 def positions(
     flange: FloatArray, seen: FloatArray, mounted: FloatArray, world: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Both poses of :func:`park` with their positions, from both rotations."""
+    """Return both poses of :func:`park`, with positions that follow from given rotations."""
     count = len(flange)
     # R_flange t_mounted + t_flange = R_world t_seen + t_world
     matrix = np.zeros((count, 3, 6))
@@ -93,7 +93,7 @@ def positions(
 
 
 def scale_of_seen(flange: FloatArray, seen: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """As :func:`park`, with a factor by which positions in ``seen`` must be multiplied."""
+    """Solve the equation of :func:`park` with a scale factor of the positions in ``seen``."""
     mounted, world = (pose[:3, :3] for pose in park(flange, seen))
     count = len(flange)
     matrix = np.zeros((count, 3, 7))
@@ -101,14 +101,14 @@ def scale_of_seen(flange: FloatArray, seen: FloatArray) -> tuple[float, FloatArr
     matrix[:, :, 3:6] = -np.eye(3)
     matrix[:, :, 6] = -(seen[:, :3, 3] @ world.T)
     right = -flange[:, :3, 3]
-    # Columns of unit length: the rank must not depend on the unit of the positions.
+    # The columns get unit length, so that the rank does not depend on the unit of the positions.
     size = np.linalg.norm(matrix.reshape(-1, 7), axis=0) + 1e-300
     found = _solved(matrix.reshape(-1, 7) / size, right.reshape(-1)) / size
     return float(found[6]), rigid(mounted, found[:3]), rigid(world, found[3:6])
 
 
 def kabsch(points: FloatArray, others: FloatArray) -> FloatArray:
-    """(4, 4) rigid transform that takes ``points`` (n, 3) nearest to ``others``, m.
+    """(4, 4) rigid transform that best maps ``points`` (n, 3) to ``others`` (n, 3), m.
 
     (Umeyama: Least-squares estimation of transformation parameters between two point patterns,
     1991, without scale.)
@@ -119,7 +119,7 @@ def kabsch(points: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def pivot(flange: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Tip in the flange and fixed point in the base, (3,) m, of a tool that turns about its tip."""
+    """(3,) tip in the flange and (3,) fixed point in the base, m, of a tool pivoting on its tip."""
     count = len(flange)
     matrix = np.zeros((count, 3, 6))
     matrix[:, :, :3] = flange[:, :3, :3]
@@ -132,14 +132,15 @@ def pivot(flange: FloatArray) -> tuple[FloatArray, FloatArray]:
 def markers(
     flange: list[FloatArray], seen: list[FloatArray]
 ) -> tuple[FloatArray, list[FloatArray]]:
-    """Measuring frame in the base, and each marker in the flange, from markers on the flange.
+    """Tracker frame in the base, and position of each marker in the flange, m.
 
-    Linear in the frame's nine direction cosines, its position and the markers' places; the nine
-    are then replaced by the nearest rotation and the rest is solved again.
+    The problem is linear in the frame's nine direction cosines, its position and the markers'
+    positions. The nine cosines are then replaced by the nearest rotation, and the rest is solved
+    again.
 
     Args:
         flange: for each marker, (n, 4, 4) ``transform_base_to_flange``, m.
-        seen: for each marker, (n, 3) in the measuring frame, m.
+        seen: for each marker, (n, 3) positions in the tracker's frame, m.
     """
     width = 12 + 3 * len(seen)
     rows, right = [], []
@@ -161,10 +162,10 @@ def markers(
 
 
 def scale_of_marker(flange: FloatArray, seen: FloatArray) -> tuple[float, float]:
-    """Factor by which a marker's positions must be multiplied, and the median error then left, m.
+    """Scale factor of a marker's positions, and the median residual with it, m.
 
-    The linear solution of :func:`markers` leaves the nine numbers of the rotation free, so that
-    their size is the factor.
+    The linear solution of :func:`markers` does not constrain the nine direction cosines to a
+    rotation, so their norm gives the factor.
     """
     matrix = np.zeros((len(flange), 3, 15))
     size = float(np.median(np.linalg.norm(seen, axis=1))) or 1.0
@@ -181,5 +182,5 @@ def scale_of_marker(flange: FloatArray, seen: FloatArray) -> tuple[float, float]
 
 
 def _solved(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """The smallest least-squares solution."""
+    """Least-squares solution of minimum norm."""
     return np.asarray(np.linalg.lstsq(matrix, values, rcond=1e-9)[0], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Markers that a tracker reports in one place: one was lost and filled in with the other."""
+"""Exclude markers that a tracker reports at the position of another marker."""
 
 from __future__ import annotations
 
@@ -10,32 +10,33 @@ import numpy as np
 from pytest_twin.calibration.observations import Observations
 
 COINCIDENT_M = 1e-4
-"""Markers nearer to each other are one: the smallest markers that are sold measure 1.5 mm."""
+"""Distance below which two markers coincide. The smallest markers on the market have a diameter of
+1.5 mm."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A measurement that is not used.
+    """A measurement that is left out of the calibration.
 
     Attributes:
-        id: of the observation, or ``point.NAME`` for all of a marker's.
-        why: in words.
+        id: id of the observation, or ``point.NAME`` for all observations of a marker.
+        why: reason, as text.
     """
 
     id: str
     why: str
 
     def to_json(self) -> dict[str, str]:
-        """As ``calibration.json`` has it."""
+        """Return the entry of ``calibration.json``."""
         return {"id": self.id, "why": self.why}
 
 
 def without_coincident(observations: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
-    """The observations without markers that stand where another one stands.
+    """Return the observations without coincident markers, and what was left out.
 
-    Where two markers coincide in every row, the first is kept. Where they coincide in some rows
-    only, the one is kept whose distances to the other markers are as in the other rows; where
-    that cannot be said, neither is.
+    If two markers coincide in every row, the first is kept. If they coincide in some rows only, the
+    marker is kept whose distances to the other markers agree with those of the other rows. If the
+    distances do not decide it, neither is kept.
     """
     points = {name: values.copy() for name, values in observations.points.items()}
     left_out: list[LeftOut] = []
@@ -74,7 +75,7 @@ def without_coincident(observations: Observations) -> tuple[Observations, tuple[
 def _wrong(
     points: dict[str, np.ndarray], first: str, second: str, row: int, same: np.ndarray
 ) -> tuple[str, ...]:
-    """Which of two coincident markers is not where it is on the body."""
+    """Return which of two coincident markers are not at their position on the body."""
     others = [name for name in points if name not in (first, second)]
     error = {first: 0.0, second: 0.0}
     for name in others:

@@ -1,7 +1,7 @@
-"""Covariance of estimates where errors of neighbouring observations are correlated.
+"""Covariance of estimates from observations with correlated errors.
 
-Odometry adds up its errors along the way: neighbouring poses share nearly all of them. An estimate
-that takes them as independent is far too sure of itself.
+Errors of odometry accumulate along the path, so neighbouring poses share nearly all of them. If
+they were assumed independent, the intervals would be far too narrow.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.problem import Problem
 
 BLOCKS = 8
-"""Parts of the way, each as long as the errors that are left out together. Fewer parts hold longer
-correlations, and the interval grows with Student's quantile: 2.36 with 8, 2.78 with 5."""
+"""Number of blocks of neighbouring observations. Fewer, longer blocks allow for longer
+correlations, but Student's quantile widens the interval: 2.36 with 8 blocks, 2.78 with 5."""
 
 
 def is_odometry(problem: Problem) -> bool:
-    """Whether poses of a camera's own odometry or SLAM, and nothing else, were measured."""
+    """Whether only poses of a camera's own odometry or SLAM were measured."""
     return problem.layout.scale and len(problem.terms) == 1
 
 
@@ -27,16 +27,16 @@ def block_jackknife(
 ) -> tuple[FloatArray, float]:
     """Covariance (p, p), and half width of a 95 % interval in standard deviations.
 
-    Each stretch of neighbouring observations is left out in turn, to first order (moving blocks;
+    Each block of neighbouring observations is left out in turn, to first order (moving blocks;
     Künsch: The jackknife and the bootstrap for general stationary observations, 1989).
 
     Args:
-        slopes: (n, k, p) derivatives of the residuals, in the order of the way.
-        residuals: (n, k), both divided by their noise.
-        prior: (p, p) information of the priors.
+        slopes: (n, k, p) derivatives of the residuals, in the order of the path.
+        residuals: (n, k) residuals; both are divided by the noise.
+        prior: (p, p) information matrix of the priors.
 
     Raises:
-        numpy.linalg.LinAlgError: without one of the stretches an unknown is not determined.
+        numpy.linalg.LinAlgError: without one of the blocks an unknown is not determined.
     """
     count, _, unknowns = slopes.shape
     length = max(count // BLOCKS, 1)

@@ -1,4 +1,4 @@
-"""Repeatability, hysteresis and home of encoders, from poses that the robot returned to."""
+"""Repeatability, hysteresis and home position of encoders, from repeated returns to poses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LEVEL = 0.95
 
 @dataclass(frozen=True)
 class _Group:
-    """Readings of one joint in one pose that was approached from one side, rad or m."""
+    """Readings of one joint in one pose that was approached from one direction, rad or m."""
 
     pose: str
     side: str
@@ -30,18 +30,18 @@ class _Group:
 
 @dataclass(frozen=True)
 class _Pooled:
-    """Standard deviation of readings about the mean of their group, with degrees of freedom."""
+    """Pooled standard deviation of readings about their group means, with degrees of freedom."""
 
     std: float
     degrees: int
 
     def scalar(self, value: float, variances: float, unit: str) -> dict[str, Any]:
-        """A mean with its interval by Student's distribution.
+        """Return the record of a mean with its interval from Student's distribution.
 
         Args:
-            value: of the mean, rad or m.
-            variances: its variance, as a multiple of that of one reading.
-            unit: of the value.
+            value: mean, rad or m.
+            variances: variance of the mean, as a multiple of that of one reading.
+            unit: unit of the value.
         """
         std = self.std * np.sqrt(variances)
         width = float(stats.t.ppf(0.5 + _LEVEL / 2.0, self.degrees)) * std
@@ -53,7 +53,7 @@ class _Pooled:
         }
 
     def repeatability(self, unit: str) -> dict[str, Any]:
-        """The standard deviation with its interval by the chi-squared distribution."""
+        """Return the record of the standard deviation with its chi-squared interval."""
         tails = stats.chi2.ppf([0.5 + _LEVEL / 2.0, 0.5 - _LEVEL / 2.0], self.degrees)
         low, high = self.std * np.sqrt(self.degrees / tails)
         return {
@@ -67,10 +67,10 @@ class _Pooled:
 def calibrate_encoders(
     plan: Plan, observations: Observations, chain: SerialChain | None
 ) -> dict[str, Any]:
-    """The content of ``calibration.json`` where the repeatability of encoders is asked for.
+    """Return the content of ``calibration.json`` for a plan that estimates encoder repeatability.
 
     Raises:
-        SpecError: other estimates beside it, or a reference of a pose or joint that is not there.
+        SpecError: the plan has other estimates too, or a reference names an unknown pose or joint.
     """
     _check(plan, observations)
     poses = observations.poses or ("",) * len(observations)
@@ -185,7 +185,7 @@ def _groups(
 
 
 def _pooled(groups: tuple[_Group, ...]) -> _Pooled | str:
-    """The spread of readings within groups, or why there is none."""
+    """Return the pooled standard deviation within groups, or the reason why there is none."""
     degrees = sum(len(group.readings) - 1 for group in groups)
     if degrees < 1:
         return (
@@ -195,7 +195,7 @@ def _pooled(groups: tuple[_Group, ...]) -> _Pooled | str:
     squares = sum(float(np.sum((g.readings - g.readings.mean()) ** 2)) for g in groups)
     largest = max(float(np.abs(group.readings).max()) for group in groups)
     std = float(np.sqrt(squares / degrees))
-    # Sums of equal numbers differ in their last digits only.
+    # Rounding can make the deviations of equal readings differ from zero in the last digits.
     if std <= 1e-14 * largest or std == 0.0:
         return (
             "its readings are equal in each pose, so that their resolution hides it. Record more "
@@ -210,7 +210,7 @@ def _sides_of(groups: tuple[_Group, ...], pose: str) -> Mapping[str, _Group]:
 
 
 def _hysteresis(groups: tuple[_Group, ...], pooled: _Pooled, unit: str) -> dict[str, Any] | None:
-    """Difference of both sides, each pose weighed by its variance; the same in all poses."""
+    """Return the difference of both approach directions, a weighted mean over the poses."""
     differences, variances = [], []
     for pose in dict.fromkeys(group.pose for group in groups):
         sides = _sides_of(groups, pose)
@@ -232,14 +232,14 @@ def _home(
     unit: str,
     sign: float,
 ) -> dict[str, Any]:
-    """What is added to the reading, from the middle of both sides in each reference pose.
+    """Return the offset to add to the reading, from the mean of both directions in reference poses.
 
     Args:
-        groups: of the joint.
-        pooled: spread of its readings.
-        reference: pose -> position, counted as the encoder counts it, rad or m.
-        unit: of the positions.
-        sign: of the encoder against the model.
+        groups: groups of readings of the joint.
+        pooled: pooled standard deviation of its readings.
+        reference: pose -> known position in the encoder's direction of counting, rad or m.
+        unit: unit of the positions.
+        sign: direction of the encoder against the model, 1 or -1.
     """
     offsets, variances = [], []
     for pose, position in reference.items():

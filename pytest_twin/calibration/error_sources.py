@@ -1,8 +1,9 @@
-"""Where the errors of poses come from: the camera across and along its view, and the robot.
+"""Variance components of pose errors: camera across and along its view, and robot.
 
-An error of the flange's orientation moves a far target more than a near one, and a camera sees
-depth worse than the other directions. One weight for all positions and one for all angles ignores
-both. The variance of each source is estimated from the residuals together with the unknowns.
+An error of the flange's orientation moves a distant target more than a near one, and a camera
+measures depth less accurately than the other directions. One weight for all positions and one for
+all angles would ignore both. The variance of each source is estimated from the residuals, together
+with the unknowns.
 """
 
 from __future__ import annotations
@@ -21,25 +22,25 @@ from pytest_twin.calibration.solve import Fit, at_state, prior_rows, prior_value
 from pytest_twin.calibration.terms import PoseTerm
 
 SOURCES = ("across", "along", "rotation", "flange_translation", "flange_rotation")
-"""Errors of the target's position across and along the view (m), of its orientation (rad), and of
-the flange's position (m) and orientation (rad)."""
+"""Sources: errors of the target's position across and along the view (m), of its orientation (rad),
+and of the flange's position (m) and orientation (rad)."""
 
 FEWEST_DEGREES = 40.0
-"""Residuals beyond the unknowns that five variances are estimated from: each is then known to a
-factor of two, which costs less than a wrong weight of two sources."""
+"""Fewest degrees of freedom from which five variances are estimated. Each variance is then known to
+a factor of two, which costs less accuracy than a common weight of two sources."""
 
 _ROUNDS = 60
 _SETTLED, _SMALL_STEP = 3e-3, 1e-6
-"""Change of a source's standard deviation against that of the residuals, and of the unknowns in m
-and rad, below which the estimate is settled."""
+"""Changes below which the estimate has converged: of a source's standard deviation, relative to
+that of the residuals, and of the unknowns, m and rad."""
 _LEAST = 1e-4
-"""Smallest standard deviation of a source against that of the residuals: a source that is not there
-must not vanish from the sums for good."""
+"""Smallest standard deviation of a source, relative to that of the residuals. A source with
+variance zero could not grow again in the iteration."""
 
 
 @dataclass(frozen=True)
 class _Linear:
-    """Kept measurements at a state: (n, 6) residuals, (n, 6, count) slopes, (5, n, 6, 6) parts."""
+    """Inliers at a state: (n, 6) residuals, (n, 6, count) Jacobian, (5, n, 6, 6) parts."""
 
     residuals: FloatArray
     slopes: FloatArray
@@ -51,12 +52,12 @@ class _Linear:
 
 
 def weighed_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
-    """The estimate with each source of error weighed by its variance, and their sizes, m and rad.
+    """Return the estimate weighted by the variance of each error source, and the sources' sizes.
 
     Restricted maximum likelihood by the minorize-maximize algorithm (Zhou, Hu, Zhou, Lange: MM
     algorithms for variance components models, 2019). The estimate is returned unchanged, without
-    sizes, in three cases: something else than poses of a target was measured, there are too few
-    poses, or the arm has errors that are not estimated.
+    sizes, in three cases: other measurements than target poses exist, there are too few poses, or
+    the arm has errors that are not estimated.
     """
     fit = found.fit
     terms = fit.problem.terms
@@ -66,7 +67,7 @@ def weighed_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
     if fit.degrees < FEWEST_DEGREES or layout.count == 0:
         return found, {}
     if fit.problem.chain is not None and not layout.zeros and not layout.links:
-        # Errors of an arm whose zeros are not estimated repeat with the pose: they are no noise.
+        # Errors of an arm whose zeros are not estimated repeat with the pose, so they are no noise.
         return found, {}
     kept = fit.kept[0]
     state = fit.state
@@ -119,7 +120,7 @@ def _linearized(fit: Fit, state: State, kept: np.ndarray) -> _Linear:
 def _stepped(
     fit: Fit, state: State, linear: _Linear, variances: FloatArray, priors: FloatArray
 ) -> tuple[State, float]:
-    """The state after a step of Gauss and Newton, and the step's largest part, m and rad."""
+    """Return the state after a Gauss-Newton step, and the step's largest component, m or rad."""
     slopes = linear.weights(variances) @ linear.slopes
     normal = _product(linear.slopes, slopes) + priors.T @ priors
     right = np.einsum("nap,na->p", slopes, linear.residuals)
@@ -129,7 +130,7 @@ def _stepped(
 
 
 def _variances(linear: _Linear, variances: FloatArray, prior: FloatArray) -> FloatArray:
-    """The next variances: each by the root of what it explains over what it should."""
+    """Return the next variances: each is scaled by the root of explained over expected squares."""
     weights = linear.weights(variances)
     slopes = weights @ linear.slopes
     covariance = np.linalg.pinv(_product(linear.slopes, slopes) + prior)

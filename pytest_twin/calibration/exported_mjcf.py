@@ -1,4 +1,4 @@
-"""An MJCF with joint zeros and link geometry in the places of its bodies, and new sites."""
+"""Write joint zeros, link geometry and new sites into an MJCF."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 
 def calibrated_mjcf(robot: Path, records: Mapping[str, Any], folder: Path) -> str | None:
-    """An MJCF's text in which a frame around each body holds what its joint deviates by.
+    """Return the text of an MJCF with a frame around each body that holds its joint's deviation.
 
-    Everything else stays as it was written: defaults, classes, includes. None where the change
-    cannot be told in this way: a joint that is not its body's first, a body inside a frame or in
+    Everything else stays unchanged: defaults, classes, includes. Returns None if a frame cannot
+    express the change: the joint is not the first of its body, or the body is inside a frame or in
     an included file.
 
     Args:
         robot: the MJCF before calibration.
-        records: of ``calibration.json``.
-        folder: where the text will lie; references to other files are rewritten for it.
+        records: ``records`` of ``calibration.json``.
+        folder: folder of the new file; references to other files are rewritten for it.
 
     Raises:
         TwinError: the model cannot be loaded.
@@ -63,7 +63,8 @@ def calibrated_mjcf(robot: Path, records: Mapping[str, Any], folder: Path) -> st
         ):
             return None
         body = rigid(rotation_of(model.body_quat[at]), model.body_pos[at])
-        # A joint's frame is that at position 0; the file has the body at the reference position.
+        # A joint's frame is that at position 0; the file states the body's pose at the reference
+        # position.
         back = -float(model.qpos0[model.jnt_qposadr[joint]]) * axes[name][0]
         anchor = rigid(np.eye(3), model.jnt_pos[joint]) @ (
             rigid(np.eye(3), back)
@@ -84,7 +85,7 @@ def calibrated_mjcf(robot: Path, records: Mapping[str, Any], folder: Path) -> st
 
 
 def _add_site(root: Any, bodies: Mapping[str, Any], record: Mapping[str, Any]) -> None:
-    """A site of the record's child frame in its parent body, where there is none yet."""
+    """Add a site for the record's child frame to its parent body, unless it exists."""
     taken = {site.get("name") for site in root.iter("site")}
     body = bodies.get(record["parent"])
     if body is None or record["child"] in taken:
@@ -97,7 +98,7 @@ def _add_site(root: Any, bodies: Mapping[str, Any], record: Mapping[str, Any]) -
 
 
 def _relocate(root: Any, before: Path, after: Path) -> None:
-    """Rewrite folders of assets and included files, which are relative to the file itself."""
+    """Rewrite the folders of assets and included files relative to the new file."""
 
     def moved(reference: str) -> str:
         path = Path(reference)

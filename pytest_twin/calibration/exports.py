@@ -1,4 +1,4 @@
-"""A calibration in the files of other tools: tf lines, easy_handeye2, a URDF with the estimates."""
+"""Export a calibration for other tools: tf, easy_handeye2, camera_info, URDF and MJCF."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ MJCF = "calibrated.xml"
 CAMERA_INFO = "camera_info.yaml"
 
 _DIGITS = 9
-"""Digits after the point of an exported m or rad: a nanometre."""
+"""Digits after the decimal point of exported values in m or rad (1 nm)."""
 
 
 def export_files(plan: str, document: Mapping[str, Any], folder: str) -> dict[str, str]:
-    """File name -> text of every export of an accepted calibration; empty for any other.
+    """Return file name -> text of each export of an accepted calibration; empty for any other.
 
     Args:
         plan: path of the plan.
         document: content of ``calibration.json``.
-        folder: where the files will lie.
+        folder: folder of the files.
     """
     if document["verdict"] != "accepted":
         return {}
@@ -62,10 +62,10 @@ def export_files(plan: str, document: Mapping[str, Any], folder: str) -> dict[st
 
 
 def camera_info(plan: Plan, document: Mapping[str, Any]) -> str | None:
-    """The text of ROS' ``camera_info`` file; None where its models lack a term that is not zero.
+    """Return the text of ROS' ``camera_info`` file; None if its models lack a non-zero term.
 
-    Format: camera_calibration_parsers. ``plumb_bob`` has k1 k2 p1 p2 k3, ``rational_polynomial``
-    k4 k5 k6 too.
+    The format is that of ``camera_calibration_parsers``. ``plumb_bob`` has k1 k2 p1 p2 k3,
+    ``rational_polynomial`` also k4 k5 k6.
     """
     record = document["records"]["intrinsics"]
     size = next((one["size"] for one in document.get("images", {}).values()), None)
@@ -92,7 +92,7 @@ def camera_info(plan: Plan, document: Mapping[str, Any]) -> str | None:
 
 
 def static_transforms(records: Mapping[str, Any]) -> Iterator[str]:
-    """A ``static_transform_publisher`` command of ROS 2 for each transform."""
+    """Yield a ``static_transform_publisher`` command of ROS 2 for each transform."""
     seen = set()
     for record in records.values():
         transform = record.get("transform")
@@ -100,7 +100,7 @@ def static_transforms(records: Mapping[str, Any]) -> Iterator[str]:
             continue
         frames = record["parent"], record["child"]
         if frames in seen or frames[::-1] in seen:
-            # base_world and robot_world are one transform and its inverse.
+            # base_world is the inverse of robot_world.
             continue
         seen.add(frames)
         x, y, z = transform["xyz"]
@@ -117,7 +117,7 @@ def static_transforms(records: Mapping[str, Any]) -> Iterator[str]:
 
 
 def easy_handeye(plan: Plan, document: Mapping[str, Any]) -> str:
-    """The text of easy_handeye2's calibration file."""
+    """Return the text of easy_handeye2's calibration file."""
     record = document["records"]["hand_eye"]
     on_hand = plan.mount == "hand"
     base = next(
@@ -151,12 +151,12 @@ def easy_handeye(plan: Plan, document: Mapping[str, Any]) -> str:
 
 
 def calibrated_urdf(robot: Path, records: Mapping[str, Any], folder: Path) -> str:
-    """A URDF's text with joint zeros and link geometry in its joints' origins, and new frames.
+    """Return a URDF's text with joint zeros and link geometry in the joint origins, and new frames.
 
     Args:
         robot: the URDF before calibration.
-        records: of ``calibration.json``.
-        folder: where the text will lie; relative paths of meshes are rewritten for it.
+        records: ``records`` of ``calibration.json``.
+        folder: folder of the new file; relative paths of meshes are rewritten for it.
     """
     root = xml.parse(robot)
     changes: dict[str, FloatArray] = {}
@@ -179,7 +179,7 @@ def calibrated_urdf(robot: Path, records: Mapping[str, Any], folder: Path) -> st
 
 
 def _axes_of_urdf(root: Any) -> dict[str, tuple[FloatArray, bool]]:
-    """Joint -> its axis in its own frame, and whether it slides."""
+    """Return joint -> its axis in its own frame, and whether it is prismatic."""
     found = {}
     for joint in root.iter("joint"):
         stated = joint.find("axis")
@@ -209,7 +209,7 @@ def _set_origin(joint: Any, transform: FloatArray) -> None:
 
 
 def _add_frame(root: Any, record: Mapping[str, Any]) -> None:
-    """A link of the record's child frame, fixed to its parent, where the robot has none yet."""
+    """Add a link for the record's child frame, fixed to its parent, unless it exists."""
     links = {link.get("name") for link in root.iter("link")}
     if record["child"] in links or record["parent"] not in links:
         return

@@ -1,6 +1,6 @@
-"""What each observation says when it is left out of the fit, and what follows for the covariance.
+"""Leave-one-out residuals of a fit, and the covariance that follows from them (jackknife).
 
-Markers that are measured together share the error of the robot's pose. So whole observations are
+Markers of one observation share the error of the robot's pose. Therefore whole observations are
 left out, never single markers.
 """
 
@@ -16,12 +16,13 @@ from pytest_twin.calibration.solve import Fit
 
 @dataclass(frozen=True)
 class Jackknife:
-    """A fit with each observation left out in turn, to first order.
+    """Result of leaving out each observation in turn, to first order.
 
     Attributes:
-        residuals: for each term, (m, columns) m, rad or px; NaN where a measurement was not fitted.
-        covariance: (count, count) of the unknowns.
-        count: observations that were fitted.
+        residuals: for each term, (m, columns) residuals of observations left out, m, rad or px; NaN
+            where a measurement was not fitted.
+        covariance: (count, count) covariance of the unknowns.
+        count: number of fitted observations.
     """
 
     residuals: tuple[FloatArray, ...]
@@ -29,7 +30,7 @@ class Jackknife:
     count: int
 
     def summary(self, fit: Fit) -> dict[str, float]:
-        """Root mean square of all coordinates for each kind of noise."""
+        """Root mean square of all coordinates, by kind of noise."""
         found = {}
         for name in fit.noise:
             parts = [
@@ -45,11 +46,11 @@ class Jackknife:
 
 
 def jackknife(fit: Fit) -> Jackknife:
-    """Leave out each observation, from the leverages: ``e = (I - H)^-1 r``.
+    """Compute leave-one-out residuals from the leverages: ``e = (I - H)^-1 r``.
 
-    Exact where the problem is linear. The covariance is the cluster-robust estimate CR3 (Cameron
-    and Miller: A practitioner's guide to cluster-robust inference, 2015, section VI.B), which asks
-    for independent observations and for nothing within one.
+    The result is exact for linear problems. The covariance is the cluster-robust estimate CR3
+    (Cameron and Miller: A practitioner's guide to cluster-robust inference, 2015, section VI.B). It
+    requires independent observations and makes no assumption on errors within one.
     """
     terms = fit.problem.terms
     starts = np.cumsum([0, *(len(term.rows) * len(term.noise) for term in terms)])

@@ -1,4 +1,4 @@
-"""What a calibration changes in the frame of each joint."""
+"""Changes of a calibration in the frame of each joint."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from pytest_twin.calibration.closed_form import rigid
 def joint_changes(
     records: Mapping[str, Any], axes: Mapping[str, tuple[FloatArray, bool]]
 ) -> Iterator[tuple[str, FloatArray]]:
-    """Deviations in each joint's own frame: offsets, then tilts, then the zero about its axis.
+    """Yield joint and (4, 4) deviation in its frame: offsets, tilts, then the zero about its axis.
 
     Args:
-        records: of ``calibration.json``.
-        axes: joint -> its axis in its own frame, and whether it slides.
+        records: ``records`` of ``calibration.json``.
+        axes: joint -> its axis in its own frame, and whether it is prismatic.
     """
     geometry = records.get("geometry", {"values": {}})["values"].values()
     for joint in dict.fromkeys(one["joint"] for one in geometry):

@@ -1,4 +1,4 @@
-"""How diverse the poses of a calibration are, and which further ones would help most."""
+"""Measure the diversity of calibration poses, and propose further poses."""
 
 from __future__ import annotations
 
@@ -22,23 +22,24 @@ from pytest_twin.calibration.workspace import (
 from pytest_twin.metrics.pose import pose_vector
 
 WANTED = 5
-"""Poses that are proposed: as many as an engineer adds before looking again."""
+"""Number of proposed poses. An engineer typically adds this many before calibrating again."""
 
 _DRAWN = 3000
 _KEPT = 300
 _AROUND_RAD, _AROUND_M = 0.5, 0.1
 _WIDER = 1.2
-"""A target counts as visible where its distance, its direction and its tilt are within the range of
-those that were seen, widened by this factor."""
+"""A target is assumed visible if its distance, direction and tilt are within the observed range,
+widened by this factor."""
 
 
 def pose_diversity(problem: Problem, estimate: Estimate) -> dict[str, Any]:
-    """Root mean square turn about each principal axis (rad), and the box of positions (m)."""
+    """Return the RMS rotation about each principal axis (rad), and the box of positions (m)."""
     flange = predicted_poses(problem, estimate.fit.state)
     flange = flange[np.isfinite(flange).all(axis=(1, 2))]
     rotations = Rotation.from_matrix(flange[:, :3, :3])
     turns = (rotations.mean().inv() * rotations).as_rotvec()
-    # Poses that turn about one axis have an eigenvalue of zero, which rounding puts below it.
+    # Poses that rotate about one axis only have an eigenvalue of zero, which rounding may make
+    # negative.
     squares = np.linalg.eigvalsh(turns.T @ turns / max(len(turns), 1))[::-1]
     size = np.sqrt(np.maximum(squares, 0.0))
     box = np.ptp(flange[:, :3, 3], axis=0)
@@ -46,16 +47,17 @@ def pose_diversity(problem: Problem, estimate: Estimate) -> dict[str, Any]:
 
 
 def next_poses(found: Estimate) -> dict[str, Any]:
-    """Poses that add most information about the unknowns, one after another (D-optimal).
+    """Return the poses that add most information about the unknowns (D-optimal, greedy).
 
-    Each is the one of some hundred drawn poses whose observation reduces the volume of the
-    unknowns' uncertainty most, given those before it (greedy exchange; Daney, Papegay, Madeline:
-    Choosing measurement poses for robot calibration, 2005). Drawn poses are within the joints'
-    limits, and what is seen from them is within the range of what was seen.
+    Each pose is selected from a few hundred random candidates. Given the poses before it, its
+    observation reduces the volume of the uncertainty ellipsoid most (Daney, Papegay, Madeline:
+    Choosing measurement poses for robot calibration, 2005). Candidates are within the joint limits,
+    and their view of the target is within the observed range.
 
     Returns:
-        ``poses`` with ``joints`` or ``flange`` and ``information`` (halvings of the uncertainty's
-        volume), and the standard deviation of predictions in the workspace now and with them.
+        ``poses`` with ``joints`` or ``flange`` and ``information`` (how often the observation
+        halves the volume of the uncertainty), and the standard deviation of predictions in the
+        workspace without and with these poses.
     """
     fit = found.fit
     problem, state = fit.problem, fit.state
@@ -96,7 +98,7 @@ def next_poses(found: Estimate) -> dict[str, Any]:
 
 
 def _drawn(problem: Problem) -> FloatArray:
-    """Joint readings or flange poses: some anywhere, some around those that were observed."""
+    """Random joint readings or flange poses, in the whole workspace and around observed ones."""
     draw = np.random.default_rng(3)
     some = draw.integers(len(problem.observations), size=_DRAWN)
     if problem.chain is None:
@@ -117,12 +119,12 @@ def _drawn(problem: Problem) -> FloatArray:
     if chain.limits is not None:
         low, high = (chain.limits.T - chain.offsets) / chain.signs
         near = np.clip(near, np.minimum(low, high), np.maximum(low, high))
-    # Alternately, so that the first that are visible are of both kinds.
+    # Both kinds alternate, so that the first visible candidates are of both kinds.
     return np.stack([near, wide[: len(near)]], axis=1).reshape(-1, len(chain.joints))
 
 
 def _visible(problem: Problem, candidates: Problem) -> np.ndarray:
-    """(rows,) whether distance, direction and tilt of the target are as they were before."""
+    """(rows,) True where distance, direction and tilt of the target are in the observed range."""
     pairs = [
         (one, drawn)
         for one, drawn in zip(problem.terms, candidates.terms, strict=False)
@@ -137,14 +139,14 @@ def _visible(problem: Problem, candidates: Problem) -> np.ndarray:
 
 
 def _view(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distance (m), angle from the optical axis and tilt of each target (rad)."""
+    """Distance (m), angle from the optical axis (rad) and tilt (rad) of each target."""
     distance = np.linalg.norm(poses[:, :3, 3], axis=1)
     towards = np.arccos(np.clip(poses[:, 2, 3] / np.maximum(distance, 1e-9), -1.0, 1.0))
     return distance, towards, np.arccos(np.clip(poses[:, 2, 2], -1.0, 1.0))
 
 
 def _by_row(problem: Problem, rows: FloatArray) -> FloatArray:
-    """(observations, width, count) whitened derivatives of each observation, zero where none."""
+    """(observations, width, count) whitened derivatives of each observation, padded with zeros."""
     count = len(problem.observations)
     width = sum(len(term.noise) for term in problem.terms)
     found = np.zeros((count, width, rows.shape[1]))

@@ -1,4 +1,4 @@
-"""Which directions of the unknowns the observations determine, and which they do not, in words."""
+"""Find directions of the unknowns that the observations do not determine, and describe them."""
 
 from __future__ import annotations
 
@@ -16,36 +16,37 @@ from pytest_twin.calibration.solve import Fit, whitened_jacobian
 from pytest_twin.calibration.workspace import drawn_flanges, drawn_joints, predicted_rows, spread
 
 UNDETERMINED_RAD = 0.05
-"""Standard deviation beyond which an angle counts as not determined: no robot task can use it."""
+"""Standard deviation of an angle above which it is not determined. No robot task could use it."""
 
 UNDETERMINED_M = 0.05
-"""The same for a position."""
+"""Standard deviation of a position above which it is not determined."""
 
 FEIGNED_FACTOR = 3.0
-"""The noise of n poses alone adds n to the information about a direction that they do not excite
-(Lu, Zhang, Xue: errors in variables). Information below the square of this factor times n is no
-evidence."""
+"""Noise of n poses alone adds n to the information about a direction that the poses do not excite
+(Lu, Zhang, Xue: errors in variables). Information below the square of this factor times n is
+therefore not counted."""
 
 UNSEEN_ERROR = {"translation": 1e-4, "rotation": 1e-3, "point": 1e-3}
-"""Errors that residuals do not show where all poses are alike, m and rad: an arm's zeros, its
-bending and a camera's distortion are then the same in each. A good arm has 1 mrad and 1 mm; of the
-position of a target in a camera 0.1 mm. Information is counted against at least these."""
+"""Smallest noise for computing the information, m and rad. If all poses are similar, errors from
+joint zeros, bending and lens distortion are the same in each pose and do not appear in the
+residuals. A good arm has errors of 1 mrad and 1 mm; the position of a target in a camera has 0.1
+mm."""
 
 LARGEST_NOISE = {"translation": 0.003, "rotation": 0.01, "point": 0.003}
-"""Noise that counts at most, m and rad: larger residuals come from a wrong model or wrong input and
-say nothing about the poses."""
+"""Largest noise for computing the information, m and rad. Larger residuals come from a wrong model
+or wrong input and tell nothing about the poses."""
 
 FAR_WIDER = 3.0
-"""The unknowns count as not determined where their uncertainty alone predicts other poses of the
-workspace this many times worse than the plan accepts. Poses in a part of the workspace, tilted by
-20 degrees, predict the rest twice as badly as themselves."""
+"""The unknowns are not determined if their uncertainty alone makes predictions in the workspace
+worse than the plan accepts by this factor. For comparison: from poses in a part of the workspace,
+tilted by 20 degrees, the other poses are predicted with twice the error."""
 
 STRUCTURAL = 1e-7
-"""Singular values below this part of the largest are zero up to rounding."""
+"""Fraction of the largest singular value below which a singular value is zero up to rounding."""
 
 AFFECTED = 0.02
-"""A coordinate takes part in a direction from this part of the direction's largest component on.
-Rounding leaves 1e-6."""
+"""Fraction of a direction's largest component above which a coordinate belongs to the direction.
+Rounding errors are about 1e-6."""
 
 _DRAWN_ROWS = 60
 _NOISE = {"translation": 1e-3, "rotation": 1e-3, "point": 1e-3, "pixel": 1.0}
@@ -53,7 +54,7 @@ _NOISE = {"translation": 1e-3, "rotation": 1e-3, "point": 1e-3, "pixel": 1.0}
 
 @dataclass(frozen=True)
 class Gauge:
-    """A joint's zero that another unknown can always replace, and that is therefore held.
+    """A joint zero that another unknown can always replace, and that is therefore fixed.
 
     Attributes:
         joint: index of the joint.
@@ -65,11 +66,11 @@ class Gauge:
 
 
 def hold_gauges(problem: Problem, state: State) -> tuple[Problem, tuple[Gauge, ...]]:
-    """The problem with the zeros held that no poses whatever could determine.
+    """Fix the joint zeros that no set of poses could determine (gauge freedoms).
 
-    A free base turns like the first joint, and a free camera on the flange like the last one. The
-    structure is looked at in drawn joint positions, so that poses that are merely alike do not
-    count here.
+    A rotation of a free base is equivalent to one of the first joint, and a rotation of a free
+    camera on the flange to one of the last joint. The structure is analysed at random joint
+    positions, so that similarity of the observed poses has no influence.
     """
     found: list[Gauge] = []
     while problem.layout.zeros and problem.chain is not None:
@@ -118,7 +119,7 @@ class Direction:
 
 
 def undetermined(fit: Fit) -> tuple[Direction, ...]:
-    """Directions of the unknowns that a fit's observations and priors do not determine."""
+    """Return directions of the unknowns that a fit's observations and priors do not determine."""
     layout = fit.problem.layout
     if layout.count == 0:
         return ()
@@ -131,11 +132,11 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
     full, right = _right_singular(jacobian * natural)
     rows = max(len({int(r) for t in fit.problem.terms for r in t.rows}), 1)
     has_poses = "rotation" in fit.noise
-    # A noise that few residuals tell may be larger.
+    # Noise that is estimated from few residuals may be larger.
     doubt = float(student.ppf(0.975, max(fit.degrees, 1.0)) / norm.ppf(0.975))
     least = np.full(layout.count, doubt / UNDETERMINED_RAD)
     if has_poses:
-        # What the design states is no information that noise feigns.
+        # Information from the priors is not caused by noise.
         priors = sum(parameter.prior is not None for parameter in layout.parameters)
         designed = jacobian[len(jacobian) - priors :] * natural @ right.T
         measured = np.sum(designed**2, axis=0) < full**2 / 2.0
@@ -154,12 +155,12 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
 
 
 def unsure(fit: Fit, covariance: FloatArray, quantile: float) -> tuple[Direction, ...]:
-    """Directions that make predictions in the workspace far worse than the plan accepts.
+    """Return directions that make predictions in the workspace far worse than the plan accepts.
 
-    Poses that are nearly alike predict one another well whatever the unknowns are.
+    Nearly equal poses predict each other well even with wrong unknowns.
 
     Args:
-        covariance: (count, count) of the unknowns, m and rad.
+        covariance: (count, count) covariance of the unknowns, m and rad.
         quantile: half width of a 95 % interval in standard deviations.
     """
     problem, accept = fit.problem, fit.problem.plan.accept
@@ -193,7 +194,7 @@ def unsure(fit: Fit, covariance: FloatArray, quantile: float) -> tuple[Direction
 
 
 def affected(layout: Layout, directions: Sequence[Direction]) -> np.ndarray:
-    """(count,) True for the unknowns that take part in a direction."""
+    """(count,) True for the unknowns that belong to a direction."""
     parts = np.zeros(layout.count, dtype=bool)
     for direction in directions:
         sizes = np.abs(direction.weights)
@@ -202,7 +203,7 @@ def affected(layout: Layout, directions: Sequence[Direction]) -> np.ndarray:
 
 
 def _right_singular(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(columns,) singular values, zero where rows are too few, and all their right vectors."""
+    """(columns,) singular values, padded with zeros if rows are too few, and all right vectors."""
     missing = max(matrix.shape[1] - matrix.shape[0], 0)
     padded = np.vstack([matrix, np.zeros((missing, matrix.shape[1]))])
     _, singular, right = np.linalg.svd(padded, full_matrices=False)
@@ -217,12 +218,12 @@ def _lever(noise: Mapping[str, float]) -> float:
 
 
 def natural_sizes(layout: Layout, length: float = 1.0) -> FloatArray:
-    """(count,) size of each unknown that counts alike: 1 rad, a factor of 1, and a length in m."""
+    """(count,) scale of each unknown: 1 rad, a factor of 1, or ``length`` in m."""
     return np.array([length if p.unit == "m" else 1.0 for p in layout.parameters])
 
 
 def _simple(null: FloatArray) -> list[FloatArray]:
-    """A basis of a null space in which each direction has few parts (Gauss-Jordan)."""
+    """Return a sparse basis of a null space (Gauss-Jordan)."""
     rows = null.copy()
     for at in range(len(rows)):
         pivot = int(np.argmax(np.abs(rows[at])))
@@ -234,7 +235,7 @@ def _simple(null: FloatArray) -> list[FloatArray]:
 
 
 def parts_in_words(problem: Problem, layout: Layout, direction: FloatArray) -> list[str]:
-    """What takes part in a direction, the largest part first."""
+    """Describe the components of a direction, the largest first."""
     size = float(np.abs(direction).max())
     found: list[tuple[float, str]] = []
     for block, place in layout.blocks.items():
@@ -248,7 +249,7 @@ def parts_in_words(problem: Problem, layout: Layout, direction: FloatArray) -> l
                 share = float(np.linalg.norm(part))
                 if share > AFFECTED * size:
                     found.append((share, f"{of} of {what} {_axis(part, of)}"))
-                    # A turn about an axis beside the origin moves the origin too.
+                    # A rotation about an axis off the origin moves the origin too.
                     break
         elif kind == "point":
             found.append((float(np.linalg.norm(values)), f"the position of {_point(name)}"))
@@ -274,7 +275,7 @@ def _point(name: str) -> str:
 
 
 def _axis(part: FloatArray, of: str) -> str:
-    """``about its z (roll)``, ``along x``; a direction where it is none of the axes."""
+    """Describe an axis: ``about its z (roll)``, ``along x``, or as a vector."""
     unit = part / np.linalg.norm(part)
     largest = int(np.argmax(np.abs(unit)))
     turning = of == "the rotation"

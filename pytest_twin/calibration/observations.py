@@ -15,7 +15,7 @@ from pytest_twin.errors import FormatError
 from pytest_twin.formats.observations import ObservationTable, read_observations
 
 SIDES = ("+", "-")
-"""How a pose was approached: with rising or with falling positions of the joints."""
+"""Approach direction of a pose: increasing or decreasing joint positions."""
 
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _POSES = ("flange", "camera_from_target")
@@ -30,20 +30,19 @@ class Observations:
     """Rows of observations; NaN where a row does not have a value.
 
     Attributes:
-        ids: of each row.
+        ids: id of each row.
         time: (rows,) s, or None.
         joints: joint -> (rows,) rad or m.
         flange: (rows, 4, 4) ``transform_base_to_flange``, m, or None.
-        camera_from_target: (rows, 4, 4) takes the target's coordinates to the camera's, m, or None.
-        points: marker -> (rows, 3) in the frame of what measures it, m.
+        camera_from_target: (rows, 4, 4) transform from the target's frame to the camera's, m, or
+            None.
+        points: marker -> (rows, 3) position in the frame of the measuring device, m.
         images: relative path of each row's image, or None.
-        pivots: name of the fixed point that the tool's tip stands in, ``""`` where it stands in
-            none; or None.
-        payloads: name of what the flange carried in each row, ``""`` where none is stated; or None.
-        poses: name of the pose that the robot returned to, ``""`` where none is stated; or None.
-        approaches: ``+`` or ``-``, the side from which it was approached, ``""`` where none is
-            stated; or None.
-        notes: columns that were left out.
+        pivots: name of the fixed point that holds the tool's tip, ``""`` for none; or None.
+        payloads: name of the payload in each row, ``""`` if not stated; or None.
+        poses: name of the pose that the robot returned to, ``""`` if not stated; or None.
+        approaches: approach direction of the pose, ``+`` or ``-``, ``""`` if not stated; or None.
+        notes: messages on columns that were ignored.
     """
 
     ids: tuple[str, ...]
@@ -63,7 +62,7 @@ class Observations:
         return len(self.ids)
 
     def rows(self, chosen: Sequence[int] | np.ndarray) -> Observations:
-        """The observations of some rows, in that order."""
+        """Return the observations of the chosen rows, in that order."""
         at = np.asarray(chosen, dtype=int)
 
         def cut(array: FloatArray | None) -> FloatArray | None:
@@ -93,13 +92,14 @@ def load_observations(path: Path) -> Observations:
 
     Raises:
         PathError, LimitError: as :func:`pytest_twin.formats.observations.read_observations`.
-        FormatError: an unusable cell, half a pose, or an id twice; with line and column.
+        FormatError: a cell is unusable, a pose is incomplete, or an id occurs twice. The error
+            names line and column.
     """
     return from_table(read_observations(path))
 
 
 def from_table(table: ObservationTable) -> Observations:
-    """The observations that a table holds."""
+    """Return the observations in a table."""
     names = set(table.header)
     ids = table.cells.get("id") or tuple(str(i) for i in range(len(table)))
     seen: dict[str, int] = {}

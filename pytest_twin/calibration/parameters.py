@@ -1,4 +1,4 @@
-"""The unknowns of a calibration: which there are, their values, and their places in one vector."""
+"""Unknowns of a calibration: names, values, and order in one vector."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ about its own axes (rad): ``R = R0 exp([rx, ry, rz])``, a right perturbation."""
 
 @dataclass(frozen=True)
 class State:
-    """Values of everything that the prediction of an observation needs.
+    """Values of all parameters of the prediction of an observation.
 
     Attributes:
         poses: name -> (4, 4).
         points: name -> (3,), m.
-        zeros: (joints,) added to the readings, rad or m.
-        links: (deviations,) m or rad.
-        scale: factor of the positions that a camera without a metric scale sees.
+        zeros: (joints,) values added to the readings, rad or m.
+        links: (deviations,) link deviations, m or rad.
+        scale: scale factor of the positions from a camera without metric scale.
     """
 
     poses: Mapping[str, FloatArray]
@@ -44,7 +44,7 @@ class Parameter:
 
     Attributes:
         block: ``pose:NAME``, ``point:NAME``, ``joint_zeros``, ``geometry`` or ``scale``.
-        label: coordinate, joint, or deviation of a link.
+        label: name of the coordinate, joint, or link deviation.
         unit: ``rad``, ``m`` or ``1``.
         prior: standard deviation about the nominal value, None for none.
     """
@@ -62,14 +62,14 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Layout:
-    """The order of the unknowns.
+    """Order of the unknowns in the parameter vector.
 
     Attributes:
-        poses, points: names of those that are free.
+        poses, points: names of the free poses and points.
         zeros: indices of the joints whose zero is free.
         joints: names of all joints.
-        revolute: whether each turns.
-        links: deviations of links that are free.
+        revolute: whether each joint is revolute.
+        links: free link deviations.
         zero_prior, offset_prior, tilt_prior: standard deviations, rad or m.
         scale: whether the scale of the camera's positions is free.
     """
@@ -87,7 +87,7 @@ class Layout:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Each unknown, in order."""
+        """All unknowns, in order."""
         found = [
             Parameter(f"pose:{name}", label, "m" if at < 3 else "rad")
             for name in self.poses
@@ -118,12 +118,12 @@ class Layout:
 
     @property
     def count(self) -> int:
-        """How many unknowns there are."""
+        """Number of unknowns."""
         return len(self.parameters)
 
     @cached_property
     def blocks(self) -> Mapping[str, slice]:
-        """Block -> its place in the vector."""
+        """Block -> its slice in the vector."""
         found: dict[str, slice] = {}
         for at, parameter in enumerate(self.parameters):
             start = found.get(parameter.block, slice(at, at)).start
@@ -131,11 +131,11 @@ class Layout:
         return found
 
     def without_zeros(self, held: set[int]) -> Layout:
-        """The same with the zeros of some joints held."""
+        """Return the layout with the zeros of some joints fixed."""
         return replace(self, zeros=tuple(at for at in self.zeros if at not in held))
 
     def moved(self, state: State, step: FloatArray) -> State:
-        """The state after a step in all unknowns."""
+        """Return the state after a step of all unknowns."""
         poses = dict(state.poses)
         points = dict(state.points)
         for name in self.poses:
@@ -157,7 +157,7 @@ class Layout:
 
 
 class Poses(Protocol):
-    """Named transforms, and the scale of what a camera sees, with derivatives."""
+    """Named transforms and the camera's scale, with derivatives."""
 
     @property
     def scale(self) -> tuple[float, FloatArray]:
@@ -171,12 +171,12 @@ class Poses(Protocol):
 
 @dataclass(frozen=True)
 class HeldPoses:
-    """Named transforms that no parameter moves.
+    """Named transforms that are fixed, with zero derivatives.
 
     Attributes:
         poses: name -> (4, 4).
-        factor: of the camera's positions.
-        width: how many parameters the derivatives, which are zero, have.
+        factor: scale factor of the camera's positions.
+        width: number of parameters of the derivatives.
     """
 
     poses: Mapping[str, FloatArray]
@@ -197,7 +197,7 @@ class HeldPoses:
 
 @dataclass(frozen=True)
 class Variables:
-    """A state and a step from it, as transforms and points with derivatives by the step."""
+    """Transforms and points at a state plus a step, with derivatives by the step."""
 
     layout: Layout
     state: State
@@ -205,11 +205,11 @@ class Variables:
 
     @cached_property
     def now(self) -> State:
-        """The state after the step."""
+        """Return the state after the step."""
         return self.layout.moved(self.state, self.step)
 
     def held(self, width: int) -> HeldPoses:
-        """The transforms as they are now, with ``width`` derivatives that are zero."""
+        """Return the current transforms as fixed ones, with ``width`` zero derivatives."""
         return HeldPoses(self.now.poses, self.now.scale, width)
 
     @property
@@ -240,14 +240,14 @@ class Variables:
         )
 
     def point(self, name: str, rows: int) -> tuple[FloatArray, FloatArray]:
-        """A named point, (rows, 3), and its derivatives, (rows, 3, count)."""
+        """(rows, 3) position of a named point, m, and its derivatives, (rows, 3, count)."""
         slope = np.zeros((3, self.layout.count))
         if name in self.layout.points:
             slope[:, self.layout.blocks[f"point:{name}"]] = np.eye(3)
         return np.tile(self.now.points[name], (rows, 1)), np.tile(slope, (rows, 1, 1))
 
     def chain(self) -> ChainParameters:
-        """Joint zeros and deviations of links."""
+        """Return joint zeros and link deviations."""
         columns = [-1] * len(self.layout.joints)
         if self.layout.zeros:
             start = self.layout.blocks["joint_zeros"].start

@@ -1,4 +1,4 @@
-"""What a calibration estimates, from which observations, and what it must reach."""
+"""Read calibration plans: what to estimate, from which observations, with which accuracy."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ from pytest_twin.metrics.pose import rotation_of
 Mount = Literal["hand", "world"]
 
 GEOMETRY_TRANSLATION_M = 0.002
-"""Prior standard deviation of a link's offset: what castings of a 1 m arm are machined to."""
+"""Prior standard deviation of a link's offset, the manufacturing tolerance of a 1 m arm."""
 
 GEOMETRY_ROTATION_RAD = 0.01
-"""Prior standard deviation of an axis' direction: 1 mm over a bearing seat of 0.1 m."""
+"""Prior standard deviation of an axis direction, 1 mm over a bearing seat of 0.1 m."""
 
 QUATERNION_TOLERANCE = 0.02
-"""A quaternion whose length is further from 1 is refused: four decimals keep it within 1e-3."""
+"""Largest deviation of a quaternion's length from 1. With four decimals it stays below 1e-3."""
 
 
 @dataclass(frozen=True, slots=True)
 class HoldOut:
-    """Which observations nothing is fitted on.
+    """Selection of held-out observations.
 
     Attributes:
-        fraction: part of the observations, drawn with ``seed``; not used where there are ``ids``.
-        ids: the observations themselves, or None.
+        fraction: fraction of the observations, drawn with ``seed``; ignored if ``ids`` are given.
+        seed: seed of the random draw.
+        ids: ids of the held-out observations, or None.
     """
 
     fraction: float = 0.25
@@ -44,12 +45,12 @@ class HoldOut:
 
 @dataclass(frozen=True, slots=True)
 class Accept:
-    """What the held-out root mean squares must stay below; None where nothing is asked.
+    """Largest accepted held-out RMS errors; None accepts any error.
 
     Attributes:
-        translation: m.
-        rotation: rad.
-        reprojection: px.
+        translation: position error, m.
+        rotation: angle error, rad.
+        reprojection: reprojection error, px.
     """
 
     translation: float | None = None
@@ -59,12 +60,12 @@ class Accept:
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """Standard deviations of the design about its nominal values.
+    """Prior standard deviations about the nominal design.
 
     Attributes:
-        geometry_translation: m, of each link's offset.
-        geometry_rotation: rad, of each axis' direction.
-        joint_zeros: rad or m, None for a free zero.
+        geometry_translation: of each link's offset, m.
+        geometry_rotation: of each axis direction, rad.
+        joint_zeros: of each joint zero, rad or m; None without prior.
     """
 
     geometry_translation: float = GEOMETRY_TRANSLATION_M
@@ -74,23 +75,26 @@ class Priors:
 
 @dataclass(frozen=True)
 class Plan:
-    """One calibration, as ``calibration.yaml`` states it.
+    """Content of a ``calibration.yaml``.
 
     Attributes:
-        id: of the record.
-        path: the file.
-        robot: URDF, MJCF or ``twin.yaml``, None where flange poses are given.
+        id: id of the record.
+        path: path of the file.
+        robot: URDF, MJCF or ``twin.yaml``; None if flange poses are given.
         flange: the robot's frame that carries camera, target, markers or tool.
         observations: files of observations.
         streams: ``hand`` and ``camera`` -> file of poses, each on its own clock.
-        estimate: what is free.
-        mount: ``hand`` where the camera moves with the flange, ``world`` where it stands still.
-        camera, target: as written.
-        points: marker -> (3,) place in the tool's frame, m, where that is known.
-        given: name of a record -> (4, 4) transform that is held.
+        estimate: names of the estimated quantities.
+        mount: ``hand`` for a camera on the flange, ``world`` for a fixed camera.
+        camera, target: fields of the plan, unchanged.
+        points: marker -> (3,) known position in the tool's frame, m.
+        given: name of a record -> (4, 4) known transform, m.
+        priors: standard deviations about the nominal design.
+        hold_out: selection of held-out observations.
+        accept: largest accepted held-out errors.
         references: pose -> joint -> its position at a hard stop or an index mark, rad or m.
-        topics, frames: of recordings: what is observed -> topic, or frame in ``/tf``.
-        lines: dotted field -> 1-based line.
+        topics, frames: for recordings: measured quantity -> topic, or frame in ``/tf``.
+        lines: dotted field -> 1-based line number.
     """
 
     id: str
@@ -115,11 +119,11 @@ class Plan:
 
     @property
     def has_free_scale(self) -> bool:
-        """Whether positions of the target are in a unit that the camera does not know."""
+        """Whether the scale of the camera's positions is unknown and estimated."""
         return self.camera.get("scale") == "estimate"
 
     def error(self, where: str, problem: str, **details: Any) -> SpecError:
-        """An error at a dotted field of the plan, with its line, to be raised."""
+        """Return an error for a dotted field of the plan, with its line number."""
         inner = where
         while inner and inner not in self.lines:
             inner = inner.rpartition(".")[0]
@@ -132,9 +136,9 @@ def load_plan(path: Path) -> Plan:
     """Read and check a ``calibration.yaml``.
 
     Raises:
-        FormatError: not strict YAML, or beyond its bounds.
-        SpecError: a field that is unknown, missing, or means nothing.
-        PathError: a file that is missing, a link, or outside the plan's folder.
+        FormatError: the file is no strict YAML or exceeds the limits on its size.
+        SpecError: a field is unknown, missing or invalid.
+        PathError: a file is missing, a link, or outside the plan's folder.
     """
     path = path.parent.resolve() / path.name
     document = yaml.load(path)

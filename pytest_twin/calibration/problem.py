@@ -1,4 +1,4 @@
-"""A plan and its observations as one least-squares problem."""
+"""Build the least-squares problem of a plan and its observations."""
 
 from __future__ import annotations
 
@@ -24,32 +24,33 @@ from pytest_twin.errors import FormatError
 from pytest_twin.realization.serial_chain import SerialChain
 
 MOUNTED, WORLD = "mounted", "world"
-"""The two poses of a measurement: of what the flange carries, in the flange; of what stands still,
-in the base."""
+"""The two poses of a measurement: of the body that the flange carries, in the flange, and of the
+fixed body, in the base."""
 
 TIP = "tip"
 MARKER, PIVOT = "marker.", "pivot."
-"""Names of points: the tip of a pivoting tool, a marker of the flange, a fixed point."""
+"""Names of points: the tip of a pivoting tool, a marker on the flange, a fixed point."""
 
 
 def marker_of(point: str) -> str:
-    """The marker's name in the file of observations."""
+    """Return the marker's name in the file of observations."""
     return point.removeprefix(MARKER)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Terms, unknowns and the robot that connects them.
+    """Least-squares problem: terms, unknowns and the robot's kinematics.
 
     Attributes:
-        plan: what was asked.
+        plan: the calibration plan.
         observations: the rows that the terms index.
-        chain: of the robot, None where flange poses are given.
-        terms: what is compared.
+        chain: kinematic chain of the robot; None if flange poses are given.
+        terms: residual terms.
         layout: the unknowns.
-        fixed: values of what is held.
-        notes: what was assumed, for people.
-        camera_unit: m of one unit of the camera's positions, where the scale is free: near it.
+        fixed: values of the fixed parameters.
+        notes: messages on assumptions.
+        camera_unit: length of one unit of the camera's positions, m; approximate if the scale is
+            estimated.
     """
 
     plan: Plan
@@ -73,33 +74,33 @@ class Problem:
 
     @property
     def readings(self) -> FloatArray:
-        """(rows, joints) rad or m."""
+        """(rows, joints) joint readings, rad or m."""
         assert self.chain is not None
         joints = [self.observations.joints[name] for name in self.chain.joints]
         return np.stack(joints, axis=1) if joints else np.zeros((len(self.observations), 0))
 
     def residuals(self, state: State, step: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Of each term: residuals (m, columns) and derivatives (m, columns, count)."""
+        """Return residuals (m, columns) and derivatives (m, columns, count) of each term."""
         variables = Variables(self.layout, state, step)
         flange = self.flange(variables)
         return [term.residuals(flange, variables) for term in self.terms]
 
     def on_rows(self, chosen: Sequence[int] | np.ndarray) -> Problem:
-        """The same problem on some rows of the observations."""
+        """Return the same problem on the chosen rows of the observations."""
         return self.with_observations(self.observations.rows(chosen))
 
     def with_observations(self, observations: Observations) -> Problem:
-        """The same problem on other observations of the same kinds."""
+        """Return the same problem on other observations of the same kinds."""
         terms = terms_of(self.plan, observations, self.chain is not None, self.camera_unit)
         return replace(self, observations=observations, terms=terms)
 
     def in_unit(self, camera_unit: float) -> Problem:
-        """The same problem with the camera's positions in another unit, m."""
+        """Return the same problem with another unit of the camera's positions, m."""
         return replace(self, camera_unit=camera_unit).with_observations(self.observations)
 
 
 def reported_flange(chain: SerialChain | None, observations: Observations) -> FloatArray | None:
-    """(rows, 4, 4) the flange as the robot reports it, m; None without robot and flange poses."""
+    """(rows, 4, 4) flange pose reported by the robot, m; None without robot and flange poses."""
     if observations.flange is not None:
         return observations.flange
     if chain is None or any(name not in observations.joints for name in chain.joints):
@@ -113,11 +114,11 @@ def reported_flange(chain: SerialChain | None, observations: Observations) -> Fl
 
 
 def make_problem(plan: Plan, observations: Observations, chain: SerialChain | None) -> Problem:
-    """The problem that a plan states.
+    """Build the least-squares problem of a plan.
 
     Raises:
-        SpecError: the plan asks for what the observations do not carry.
-        FormatError: a joint's column is missing, or a row without a value of it.
+        SpecError: the observations lack what the plan asks for.
+        FormatError: a joint's column is missing or has an empty cell.
     """
     if chain is not None and not _has_joints(plan, observations, chain):
         chain = None
@@ -199,10 +200,10 @@ def _check_terms(plan: Plan, terms: tuple[Term, ...]) -> None:
 
 
 def _has_joints(plan: Plan, observations: Observations, chain: SerialChain) -> bool:
-    """Whether the joints are to be used; flange poses are, where joints are missing.
+    """Whether joint readings are used. If they are missing, flange poses are used.
 
     Raises:
-        FormatError: a joint that is needed is missing.
+        FormatError: a required joint is missing.
     """
     needed = {"joint_zeros", "geometry"} & set(plan.estimate)
     if observations.flange is not None and not needed:
@@ -239,10 +240,10 @@ def _check_joints(plan: Plan, observations: Observations, chain: SerialChain) ->
 def terms_of(
     plan: Plan, observations: Observations, has_chain: bool, camera_unit: float = 1.0
 ) -> tuple[Term, ...]:
-    """What the observations measure, one term for each kind; the camera's positions are in m.
+    """Return one residual term for each kind of measurement; the camera's positions are in m.
 
     Raises:
-        SpecError: neither a robot nor flange poses.
+        SpecError: there is neither a robot nor flange poses.
     """
     usable = np.ones(len(observations), dtype=bool)
     if not has_chain:
@@ -273,7 +274,7 @@ def terms_of(
             mounted = "tracker.mounted" if name in known else None
             found.append(PointTerm(rows, values[rows], f"{MARKER}{name}", mounted))
     if "tcp" in plan.estimate:
-        # A row that measures nothing else says that the tip stands in a fixed point.
+        # A row without any other measurement states that the tip is at the fixed point.
         names = observations.pivots or ("",) * len(observations)
         only_pivots = not measured.any()
         for pivot in dict.fromkeys(names):
@@ -287,7 +288,7 @@ def terms_of(
 
 
 def records_of(role: str, family: str, mount: Mount) -> tuple[str, ...]:
-    """Names of the records that one pose of the chain is reported as."""
+    """Return the names of the records for one pose of the transform chain."""
     if family == "camera" and mount == "world":
         return ("tcp",) if role == MOUNTED else ("hand_eye", "base_world", "robot_world")
     if role == MOUNTED:
@@ -296,7 +297,8 @@ def records_of(role: str, family: str, mount: Mount) -> tuple[str, ...]:
 
 
 INVERTED_RECORDS = frozenset({"base_world"})
-"""Records of the base in the world; all others are of something in the base or the flange."""
+"""Records with the pose of the base in the world. All other records have poses in the base or
+flange."""
 
 _WORDS = {
     ("camera", "hand", MOUNTED): "the camera on the flange",
@@ -309,7 +311,7 @@ _WORDS = {
 
 
 def words_of(name: str, mount: Mount) -> str:
-    """What a pose of the chain is, in words."""
+    """Describe a pose of the transform chain, such as "the camera on the flange"."""
     family, _, role = name.partition(".")
     return _WORDS[family, mount if family == "camera" else "hand", role]
 
@@ -341,7 +343,7 @@ def _add_pose(
 
 
 def predicted_poses(problem: Problem, state: State) -> FloatArray:
-    """(rows, 4, 4) ``transform_base_to_flange`` at a state, m."""
+    """(rows, 4, 4) predicted ``transform_base_to_flange`` at a state, m."""
     nothing = np.zeros(problem.layout.count)
     flange = problem.flange(Variables(problem.layout, state, nothing))
     poses = np.tile(np.eye(4), (len(flange.position), 1, 1))

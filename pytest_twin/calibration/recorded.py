@@ -1,4 +1,4 @@
-"""A finished calibration's estimates as the state that predicts observations."""
+"""Predict observations with the estimates of a calibration record."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from pytest_twin.metrics.pose import rotation_of
 
 
 def recorded_state(problem: Problem, record: CalibrationRecord) -> State:
-    """The state of a problem with the transforms and points of a record.
+    """Return the state of a problem with the transforms and points of a record.
 
-    Joint zeros and geometry are left at the chain's own: they belong to the robot.
+    Joint zeros and geometry stay those of the chain, because they belong to the robot.
 
     Raises:
         SpecError: the record lacks a transform or a point that the observations need.
@@ -44,10 +44,10 @@ def recorded_state(problem: Problem, record: CalibrationRecord) -> State:
 
 
 def held_out_observations(observations: Observations, record: CalibrationRecord) -> Observations:
-    """The rows that a record held out, with the poses that it saw in their images.
+    """Return the held-out rows of a record, with the target poses that it found in their images.
 
     Raises:
-        SpecError: the record names no held-out observation, or one that is not there.
+        SpecError: the record names no held-out observation, or one that does not exist.
     """
     if not record.held_out_ids:
         raise SpecError(
@@ -80,10 +80,10 @@ def held_out_observations(observations: Observations, record: CalibrationRecord)
 
 
 def recorded_pose(plan: Plan, name: str, record: CalibrationRecord) -> FloatArray:
-    """(4, 4) of a pose of the chain, as ``camera.mounted``, from a record.
+    """(4, 4) pose of the transform chain, such as ``camera.mounted``, from a record, m.
 
     Raises:
-        SpecError: the record lacks it.
+        SpecError: the record lacks the pose.
     """
     family, _, role = name.partition(".")
     mount = plan.mount if family == "camera" else "hand"

@@ -1,4 +1,4 @@
-"""Estimates as ``calibration.json`` states them: values, covariance, 95 % intervals."""
+"""Estimates in the form of ``calibration.json``: values, covariance, 95 % intervals."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ NOT_ASKED = {
     ("tracker", "hand", "mounted"): "tool",
     ("tracker", "hand", "world"): "tracker",
 }
-"""Name of a pose that had to be estimated with the rest and was not asked for."""
+"""Record name of a pose that is estimated although the plan does not ask for it."""
 
 HELD_BY_PRIOR = 0.7
-"""A deviation whose standard deviation is more than this part of its prior's is the design's
-value rather than a measurement: the data carry less information than the drawing."""
+"""Fraction of the prior's standard deviation above which a deviation reflects the prior and not the
+data. The data then carry less information than the drawing."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fit and how sure it is.
+    """A fit with its uncertainty.
 
     Attributes:
         fit: the solution.
         covariance: (count, count) of the unknowns, m and rad; zero along ``directions``.
         quantile: half width of a 95 % interval in standard deviations.
         lost: (count,) True for unknowns that the observations do not determine.
-        directions: that they do not determine.
-        leave_one_out: root mean square of each kind of error of observations left out in turn.
+        directions: directions that the observations do not determine.
+        leave_one_out: RMS error of observations left out in turn, by kind of error.
     """
 
     fit: Fit
@@ -64,11 +64,12 @@ class Estimate:
 
 
 def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
-    """Covariance and intervals of a fit.
+    """Compute covariance and intervals of a fit.
 
-    The noise is estimated from the residuals, so that intervals use Student's distribution. Where
-    an observation holds several measurements, which share the error of the robot's pose, the
-    covariance is that of leaving out whole observations; for odometry, of whole stretches.
+    The noise is estimated from the residuals, so intervals use Student's distribution. If an
+    observation has several measurements, which share the error of the robot's pose, the covariance
+    is the jackknife over whole observations. For odometry it is the jackknife over blocks of
+    neighbouring observations.
     """
     layout = fit.problem.layout
     left_out = jackknife(fit)
@@ -91,20 +92,20 @@ def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
 
 
 def _whitened(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """(n, 6, count) and (n, 6): the poses that were fitted, divided by their noise."""
+    """(n, 6, count) Jacobian and (n, 6) residuals of the fitted poses, divided by their noise."""
     (term,), (kept,), (residuals,) = fit.problem.terms, fit.kept, fit.residuals
     slopes = fit.jacobian[: residuals.size].reshape(*residuals.shape, -1)
     return slopes[kept], residuals[kept] / [fit.noise[name] for name in term.noise]
 
 
 def with_directions(found: Estimate, directions: tuple[Direction, ...]) -> Estimate:
-    """The estimate without the unknowns that take part in some directions."""
+    """Return the estimate without the unknowns that belong to the given directions."""
     lost = affected(found.fit.problem.layout, directions)
     return replace(found, directions=directions, lost=lost)
 
 
 def records(found: Estimate) -> dict[str, Any]:
-    """The records that the plan asks for, and what had to be estimated with them."""
+    """Return the records that the plan asks for, and those that were estimated with them."""
     plan, layout = found.fit.problem.plan, found.fit.problem.layout
     made: dict[str, Any] = {}
     for name in layout.poses:
@@ -129,7 +130,7 @@ def records(found: Estimate) -> dict[str, Any]:
 def _frames(found: Estimate, name: str, record: str) -> tuple[str, str]:
     problem = found.fit.problem
     base = "base" if problem.chain is None else problem.chain.base
-    # Records call the fixed frame of the cell "world"; an MJCF gives its robot's base that name.
+    # Records call the fixed frame of the cell "world". In an MJCF the robot's base has that name.
     base = "base" if base == "world" else base
     role = name.rpartition(".")[2]
     if record == "base_world":
@@ -182,7 +183,7 @@ def _pose_record(found: Estimate, name: str, record: str, *, asked: bool) -> dic
 def inverse_with_covariance(
     pose: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The inverse of a (4, 4) pose, and the (6, 6) covariance of the same kind."""
+    """Return the inverse of a (4, 4) pose with its (6, 6) covariance, in the same convention."""
     back = inverse(pose)
     change = np.zeros((6, 6))
     change[:3, :3] = -back[:3, :3]
@@ -239,7 +240,7 @@ def _points(found: Estimate) -> dict[str, Any]:
 
 
 def _scalars(found: Estimate, block: str) -> list[tuple[int, float]]:
-    """Column and standard deviation of each unknown of a block that is determined."""
+    """Return column and standard deviation of each determined unknown of a block."""
     place = found.fit.problem.layout.blocks[block]
     spread = np.sqrt(np.diag(found.covariance))
     return [(at, float(spread[at])) for at in range(place.start, place.stop) if not found.lost[at]]
@@ -253,7 +254,7 @@ def _zeros(found: Estimate) -> dict[str, Any]:
     kept = _scalars(found, "joint_zeros")
     for at, spread in kept:
         joint = layout.zeros[at - place.start]
-        # Together with what twin.yaml already adds to the reading.
+        # The sum includes the offset that twin.yaml already adds to the reading.
         value = float(found.fit.state.zeros[joint] + chain.offsets[joint])
         width = found.quantile * spread
         values[layout.joints[joint]] = {
@@ -312,7 +313,7 @@ def _geometry(found: Estimate) -> dict[str, Any]:
 
 
 def full_covariance(found: Estimate) -> Mapping[str, Any]:
-    """Covariance of all unknowns together, as the fit has them."""
+    """Return the joint covariance of all unknowns."""
     names = [parameter.name for parameter in found.fit.problem.layout.parameters]
     kept = np.flatnonzero(~found.lost)
     return {

@@ -1,4 +1,4 @@
-"""Errors of a state on observations: how large, and where in the workspace."""
+"""Errors of predicted observations: size, and location in the workspace."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _REGIONS = ("near", "middle", "far")
 _LEAST_IN_REGION = 3
 
 LONGEST_STEP_S = 0.1
-"""Observations further apart in time than this are no samples of one motion."""
+"""Largest time between observations that are samples of one motion."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Errors:
     """Errors of one state on some observations.
 
     Attributes:
-        ids: of each measurement.
+        ids: id of each measurement.
         rows: (m,) row of the observations.
-        translation: (m, 3) vectors, m.
-        rotation: (m, 3) rotation vectors, rad; NaN where points are measured.
+        translation: (m, 3) position errors, m.
+        rotation: (m, 3) rotation vectors, rad; NaN for measured points.
         reach: (m,) distance of the flange from the base, m.
         in_base: (m, 3) ``translation`` in the axes of the base, m.
         rate: (m, 3) rate of the prediction in the axes of ``translation``, m/s; NaN where the
@@ -45,7 +45,7 @@ class Errors:
     rate: FloatArray
 
     def only(self, kept: np.ndarray) -> Errors:
-        """Those of some measurements, (m,) truth values."""
+        """Return the errors of the measurements where the (m,) mask is True."""
         ids = tuple(name for name, there in zip(self.ids, kept, strict=True) if there)
         return Errors(
             ids,
@@ -59,11 +59,11 @@ class Errors:
 
     @property
     def distance(self) -> FloatArray:
-        """(m,) m."""
+        """(m,) distances, m."""
         return np.asarray(np.linalg.norm(self.translation, axis=1))
 
     def summary(self) -> dict[str, Any]:
-        """Root mean squares over all coordinates, and of distances and angles."""
+        """Return root mean squares over all coordinates, and of distances and angles."""
         if len(self.ids) == 0:
             return {"count": 0}
         found: dict[str, Any] = {
@@ -79,7 +79,7 @@ class Errors:
         return found
 
     def worst(self) -> dict[str, Any]:
-        """The observation that is furthest off."""
+        """Return the observation with the largest error."""
         at = int(np.argmax(self.distance))
         found: dict[str, Any] = {"id": self.ids[at], "translation": float(self.distance[at])}
         angle = float(np.linalg.norm(self.rotation[at]))
@@ -88,19 +88,19 @@ class Errors:
         return found
 
     def regions(self) -> list[dict[str, Any]]:
-        """The same root mean squares for thirds of the workspace by reach."""
+        """Return the root mean squares for thirds of the workspace by reach."""
         return regions_of(self.reach, self.translation, self.rotation)
 
 
 def regions_of(
     reach: FloatArray, translation: FloatArray, rotation: FloatArray
 ) -> list[dict[str, Any]]:
-    """Root mean squares of coordinates for thirds of the workspace; none where it is one place.
+    """RMS of coordinates for thirds of the workspace; empty if the reach does not vary.
 
     Args:
         reach: (m,) distance of the flange from the base, m.
         translation: (m, k) coordinates of the errors, m.
-        rotation: (m, k) rad; NaN where points are measured.
+        rotation: (m, k) coordinates of the rotation errors, rad; NaN for measured points.
     """
     if len(reach) < _LEAST_IN_REGION * len(_REGIONS):
         return []
@@ -126,11 +126,11 @@ def regions_of(
 
 
 def errors_of(problem: Problem, state: State, kept: Sequence[np.ndarray] | None = None) -> Errors:
-    """Errors of all measurements, or of those that ``kept`` has for each term."""
+    """Return errors of all measurements, or of those that ``kept`` selects for each term."""
     found = problem.residuals(state, np.zeros(problem.layout.count))
     flange = predicted_poses(problem, state)
     ids: list[str] = []
-    # Empty arrays, for a problem without terms.
+    # The empty arrays are for a problem without terms.
     rows = [np.zeros(0, dtype=int)]
     translations, rotations, in_base, rates = ([np.zeros((0, 3))] for _ in range(4))
     for at, (term, (residual, _)) in enumerate(zip(problem.terms, found, strict=True)):
@@ -157,10 +157,10 @@ def errors_of(problem: Problem, state: State, kept: Sequence[np.ndarray] | None 
 
 
 def pattern(errors: Errors, payloads: Sequence[str] | None) -> dict[str, Any] | None:
-    """What the errors look like (:func:`pattern_of`), one vector for each observation.
+    """Return the pattern of the errors (:func:`pattern_of`), from one vector for each observation.
 
     Args:
-        errors: of some observations; several markers of one share the error of the arm's pose.
+        errors: errors of observations; markers of one observation share the error of the arm.
         payloads: name of each row's payload, or None.
     """
     rows, first, place = np.unique(errors.rows, return_index=True, return_inverse=True)
@@ -183,7 +183,7 @@ def pattern(errors: Errors, payloads: Sequence[str] | None) -> dict[str, Any] | 
 
 
 def _axes_in_base(term: Term, state: State, flange: FloatArray) -> FloatArray:
-    """(m, 3, 3) from the axes that a term's errors are in to those of the base."""
+    """(m, 3, 3) rotations from the axes of a term's errors to those of the base."""
     if isinstance(term, PoseTerm):
         if term.mount == "hand":
             return np.asarray(flange[term.rows, :3, :3] @ state.poses[term.mounted][:3, :3])
@@ -211,7 +211,7 @@ def _rates(term: Term, problem: Problem, state: State) -> FloatArray:
 
 
 def accepted(summary: Mapping[str, Any], bounds: Mapping[str, float | None]) -> list[str]:
-    """What is beyond its bound, in words; empty where all is accepted."""
+    """Return a sentence for each error beyond its bound; empty if all are accepted."""
     units = {"translation": ("mm", 1e3), "rotation": ("mrad", 1e3), "reprojection": ("px", 1.0)}
     found = []
     for name, bound in bounds.items():

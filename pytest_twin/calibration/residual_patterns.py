@@ -1,4 +1,4 @@
-"""What the errors of a calibration look like, and which part of the cell such errors point at."""
+"""Find patterns in the errors of a calibration, and the part of the cell that they point at."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from scipy import stats
 from pytest_twin.arrays import FloatArray
 
 CHANCE = 1e-3
-"""A pattern is named where errors without it would show it less often than this."""
+"""Significance level of a pattern."""
 
 CONSTANT_SHARE = 0.5
-"""Part of the squared error that one constant vector must explain to be called a bias."""
+"""Fraction of the squared error that a constant vector must explain to be reported as a bias."""
 
 LEAST_CORRELATION = 0.5
-"""Rank correlation between error and reach, or speed, from which a report says that errors grow."""
+"""Smallest rank correlation between error and reach, or speed, that is reported as growth."""
 
 ALONG_SHARE = 0.5
-"""Part of a squared vector that must lie along gravity, or along the motion, to point there."""
+"""Fraction of a vector's square that must be along gravity, or along the motion."""
 
 _FEWEST = 6
 _FEWEST_OF_PAYLOAD = 3
@@ -30,15 +30,15 @@ _FEWEST_OF_PAYLOAD = 3
 
 @dataclass(frozen=True)
 class Residuals:
-    """Errors of observations with what they may depend on.
+    """Errors of observations, with the quantities that they may depend on.
 
     Attributes:
-        error: (n, 3) predicted minus measured in the axes of what measures, m.
+        error: (n, 3) predicted minus measured, in the axes of the measuring device, m.
         in_base: (n, 3) the same in the axes of the base, whose z axis is up, m.
         reach: (n,) distance of the flange from the base, m.
         rate: (n, 3) rate of the prediction in the axes of ``error``, m/s; NaN where the
             observation is not part of a motion.
-        payloads: of each observation, ``""`` where none is stated.
+        payloads: payload of each observation, ``""`` if not stated.
     """
 
     error: FloatArray
@@ -49,10 +49,10 @@ class Residuals:
 
 
 def pattern_of(found: Residuals) -> dict[str, Any] | None:
-    """The most specific pattern of the errors; None where they have none.
+    """Return the most specific pattern of the errors; None if they have none.
 
-    In this order: payloads apart (elasticity), growth with speed (time offset or compliance), a
-    constant bias (frame), growth with reach (joint or link geometry).
+    The order of the tests is: difference between payloads (elasticity), growth with speed (time
+    offset or compliance), constant bias (frame), growth with reach (joint or link geometry).
     """
     if len(found.error) < _FEWEST:
         return None
@@ -65,7 +65,7 @@ def pattern_of(found: Residuals) -> dict[str, Any] | None:
 
 
 def _payloads_apart(found: Residuals) -> dict[str, Any] | None:
-    """Welch's test of the errors along gravity, for each pair of payloads (Bonferroni)."""
+    """Test the errors along gravity for differences between payloads (Welch, Bonferroni)."""
     payloads = np.array(found.payloads, dtype=str)
     names = [
         name
@@ -80,7 +80,7 @@ def _payloads_apart(found: Residuals) -> dict[str, Any] | None:
         if apart[2] ** 2 < ALONG_SHARE * float(apart @ apart):
             continue
         test = stats.ttest_ind(one[:, 2], other[:, 2], equal_var=False)
-        # Equal errors have no variance, and the test then no value.
+        # Equal errors have zero variance, and the test is then undefined.
         if not test.pvalue * len(pairs) < CHANCE:
             continue
         if best is not None and abs(apart[2]) <= abs(best["difference"]):
@@ -132,7 +132,7 @@ def _constant(error: FloatArray) -> dict[str, Any] | None:
     total = float(np.sum(error**2))
     explained = count * float(mean @ mean)
     share = explained / max(total, 1e-300)
-    # Sums of squares of independent errors without a bias: Fisher's distribution.
+    # Without a bias, the ratio of sums of squares of independent errors has an F distribution.
     ratio = (explained / 3.0) / max((total - explained) / (3.0 * (count - 1)), 1e-300)
     if share <= CONSTANT_SHARE or stats.f.sf(ratio, 3, 3 * (count - 1)) > CHANCE:
         return None
@@ -157,7 +157,7 @@ def _grows_with_reach(found: Residuals) -> dict[str, Any] | None:
 
 
 def _growth(cause: FloatArray, error: FloatArray) -> float | None:
-    """Spearman's rank correlation of distance and cause where it is beyond chance, else None."""
+    """Return Spearman's rank correlation of distance and cause if it is significant, else None."""
     if np.ptp(cause) < 1e-6:
         return None
     test = stats.spearmanr(cause, np.linalg.norm(error, axis=1), alternative="greater")

@@ -1,4 +1,4 @@
-"""One calibration from its files to ``calibration.json``."""
+"""Run one calibration, from its files to the content of ``calibration.json``."""
 
 from __future__ import annotations
 
@@ -44,20 +44,20 @@ from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
 GROSS_RATIO = 6.0
-"""A held-out observation is left out only where it is this many times as far off as the best third
-of the held-out ones: a target that was not seen does not test the calibration. Poor predictions
-raise the best third too and stay in."""
+"""A held-out observation is excluded only if its error exceeds that of the best third of the
+held-out ones by this factor. A target that was not detected correctly does not test the
+calibration. Poor predictions of the calibration raise the best third too and are kept."""
 
 
 @dataclass(frozen=True)
 class Solved:
-    """A problem solved on the observations to fit.
+    """Solution of a problem on the fitted observations.
 
     Attributes:
-        estimate: with covariance and directions that are not determined.
-        gauges: zeros that were held.
+        estimate: estimate with covariance and undetermined directions.
+        gauges: joint zeros that were fixed.
         candidates: algebraic solver -> its state.
-        sources: of error -> standard deviation, m and rad; empty where they cannot be
+        sources: error source -> standard deviation, m or rad; empty if the sources cannot be
             distinguished.
     """
 
@@ -70,15 +70,16 @@ class Solved:
 def calibrate_file(
     plan: str, progress: Callable[[float], None] | None = None, folder: str | None = None
 ) -> dict[str, Any]:
-    """The content of ``calibration.json`` for the plan in a file.
+    """Return the content of ``calibration.json`` for the plan in a file.
 
     Args:
         plan: path of the plan.
         progress: called with the fraction done, 0 to 1.
-        folder: where observations and images of recordings are kept; they are lost without one.
+        folder: folder that keeps observations and images of recordings; by default they are
+            deleted.
 
     Raises:
-        TwinError: input that cannot be used.
+        TwinError: the input cannot be used.
     """
     told = progress or (lambda fraction: None)
     found = load_plan(Path(plan))
@@ -135,7 +136,7 @@ def _read_files(plan: Plan, gathered: Gathered, folder: Path) -> list[Path]:
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    """The files themselves, and those in folders of bags."""
+    """Return the files, with folders of bags replaced by the files in them."""
     return [
         file
         for path in paths
@@ -144,7 +145,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
 
 
 def _inputs(plan: Plan, paths: Sequence[Path]) -> dict[str, Any]:
-    """Digest of each file, by its path from the plan's folder."""
+    """Return the digest of each file, by its path relative to the plan's folder."""
     folder = plan.path.parent
     return {
         str(path.relative_to(folder) if path.is_relative_to(folder) else path): {
@@ -162,18 +163,18 @@ def calibrate(
     images: Images | None = None,
     rejected: Sequence[LeftOut] = (),
 ) -> dict[str, Any]:
-    """The content of ``calibration.json`` for observations in memory.
+    """Return the content of ``calibration.json`` for observations in memory.
 
     Args:
-        plan: what to estimate.
-        observations: what was measured.
-        chain: of the robot, None where flange poses are given.
+        plan: the calibration plan.
+        observations: the measurements.
+        chain: kinematic chain of the robot; None if flange poses are given.
         progress: called with the fraction done, 0 to 1.
-        images: of the observations, where there are any.
-        rejected: images that are not usable.
+        images: images of the observations, if any.
+        rejected: unusable images.
 
     Raises:
-        TwinError: observations that cannot be used.
+        TwinError: the observations cannot be used.
     """
     if images is not None and plan.has_free_scale:
         raise plan.error(
@@ -210,7 +211,7 @@ def calibrate(
         "verdict": "degenerate",
         "records": records(solved.estimate),
     }
-    # Rates come from neighbours in time, whether or not those are held out.
+    # Rates are differences between neighbours in time, including held-out ones.
     everywhere = errors_of(problem, fit.state)
     of_all = everywhere.only(np.isin(everywhere.rows, held_rows))
     errors, gross = without_gross(of_all)
@@ -239,7 +240,7 @@ def calibrate(
     if doubtful(document["fitted"], fit.problem):
         suspected = suspects(fit)
     else:
-        # Errors that the plan accepts may still hide a camera without a metric scale.
+        # A camera without metric scale can go unnoticed even if the plan accepts the errors.
         scale = scale_beyond_chance(fit)
         suspected = () if scale is None else (scale,)
     document["suspected"] = [one.to_json() for one in suspected]
@@ -254,7 +255,7 @@ def calibrate(
     else:
         document["verdict"] = "rejected" if reasons or degenerate else "accepted"
     directions = [*(direction.words for direction in solved.estimate.directions), *lost]
-    # A mistake in the input makes directions seem undetermined, and other poses do not mend it.
+    # A mistake in the input makes directions seem undetermined; further poses would not help.
     document["reasons"] = reasons if suspected else [*directions, *reasons]
     seen_notes = () if seen is None else seen.notes
     document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
@@ -270,14 +271,15 @@ def calibrate(
 
 
 def solve_problem(problem: Problem) -> Solved:
-    """The best solution of a problem, from all starts.
+    """Return the best solution of a problem over all starts.
 
     Raises:
         SpecError: too few observations for any start.
     """
     candidates = starts(problem)
     if not candidates:
-        # Too few poses for an algebraic solver: the directions then say what is missing.
+        # With too few poses for an algebraic solver, the undetermined directions tell what is
+        # missing.
         candidates = {"nominal": problem.fixed}
     cost = {name: robust_cost(problem, state) for name, state in candidates.items()}
     best = candidates[min(cost, key=lambda name: cost[name])]
@@ -293,7 +295,7 @@ def solve_problem(problem: Problem) -> Solved:
 
 
 def without_gross(errors: Errors) -> tuple[Errors, tuple[LeftOut, ...]]:
-    """Errors on held-out observations, without those that measured something else."""
+    """Exclude gross errors from held-out ones; return the rest and what was excluded."""
     if len(errors.ids) < 4:
         return errors, ()
     angles = np.linalg.norm(errors.rotation, axis=1)

@@ -1,4 +1,4 @@
-"""What a picture of a calibration needs: the chain in one pose, and errors over the workspace."""
+"""Data for the figure of a calibration: the chain in one pose, and errors over the workspace."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ MOST_ARROWS = 400
 def scene(
     problem: Problem, state: State, errors: Mapping[str, tuple[Problem, Errors]]
 ) -> dict[str, Any]:
-    """The chain and the frames around it in the base, m, and the errors as arrows there.
+    """Return the chain, frames and error arrows in the base, m.
 
     Args:
-        problem: with the unknowns that were solved for.
+        problem: problem with its unknowns.
         state: the solution.
-        errors: ``held_out`` and ``fitted`` -> the problem on these observations, their errors.
+        errors: ``held_out`` and ``fitted`` -> problem on these observations, and their errors.
     """
     flange = predicted_poses(problem, state)
     there = np.flatnonzero(np.isfinite(flange).all(axis=(1, 2)))
     middle = flange[there, :3, 3].mean(axis=0)
-    # One pose is drawn: the one nearest to the middle of the workspace.
+    # The figure shows the pose nearest to the middle of the workspace.
     row = int(there[np.argmin(np.linalg.norm(flange[there, :3, 3] - middle, axis=1))])
     return {
         "observation": problem.observations.ids[row],
@@ -45,7 +45,7 @@ def scene(
 
 
 def _chain(problem: Problem, state: State, row: int) -> list[dict[str, Any]]:
-    """Name and place of the base, each joint and the flange."""
+    """Return name and position of the base, each joint and the flange."""
     chain = problem.chain
     assert chain is not None
     values = chain.signs * problem.readings[row] + chain.offsets + state.zeros
@@ -73,7 +73,7 @@ def _frames(problem: Problem, state: State, flange: FloatArray) -> list[dict[str
 
 
 def frame(name: str, pose: FloatArray, *, on_flange: bool = False) -> dict[str, Any]:
-    """Name, place (m) and axes of a (4, 4) pose in the base, and whether the flange carries it."""
+    """Return name, position (m) and axes of a (4, 4) pose in the base, and ``on_flange``."""
     return {
         "name": name,
         "xyz": pose[:3, 3].tolist(),
@@ -83,7 +83,7 @@ def frame(name: str, pose: FloatArray, *, on_flange: bool = False) -> dict[str, 
 
 
 def _arrows(kind: str, problem: Problem, state: State, errors: Errors) -> list[dict[str, Any]]:
-    """Where the flange was, and by how much the prediction was off in the base's axes, m."""
+    """Return flange positions and prediction errors in the base's axes, m."""
     flange = predicted_poses(problem, state)
     step = max(1, -(-len(errors.ids) // MOST_ARROWS))
     return [

@@ -1,4 +1,4 @@
-"""The least squares: weights from the noise that is found, outliers left out with their reason."""
+"""Robust weighted least squares: noise is estimated, outliers are excluded."""
 
 from __future__ import annotations
 
@@ -15,39 +15,38 @@ from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.problem import Problem
 
 STUDENT_DEGREES = 4.0
-"""Of the Student distribution whose weights the robust iterations use: at 4 an outlier counts
-little and good observations lose few per cent of their weight (Lange, Little, Taylor, 1989)."""
+"""Degrees of freedom of the Student distribution for the weights of the robust iterations. With 4,
+an outlier has little weight and inliers lose few per cent of theirs (Lange, Little, Taylor,
+1989)."""
 
 OUTLIER_PROBABILITY = 0.01
-"""Probability with which one good observation among all is left out (Bonferroni)."""
+"""Probability that any good observation is excluded (Bonferroni)."""
 
 LEAST_INLIERS = 0.35
-"""Part of the measurements that is taken for good whatever the rest is: outliers may be the
-majority as long as they do not agree with one another."""
+"""Fraction of the measurements that are assumed good. Outliers may be the majority as long as they
+do not agree with each other."""
 
 OUTLIER_RATIO = 3.5
-"""A measurement is left out only where it is this many times as far off as the best third.
-Errors of a real robot have heavier tails than the normal distribution, whose bound alone would
-leave out one pose in six of a good data set and keep only those that suit the model."""
+"""A measurement is excluded only if its error exceeds that of the best third by this factor. Errors
+of a real robot have heavier tails than the normal distribution. Its bound alone would exclude one
+pose in six of a good data set and bias the fit towards the model."""
 
 LEAST_ROWS = 8
-"""Observations below which none is called wrong: two or three poses always agree with one
-another."""
+"""Fewest observations for excluding outliers. Two or three poses always agree with each other."""
 
 MOST_UNKNOWN = 2 / 3
-"""Unknowns for each residual above which no observation is called wrong either."""
+"""Largest number of unknowns per residual for excluding outliers."""
 
 FEW_DEGREES = 10.0
-"""Residuals beyond the unknowns below which the noise of positions and of angles is estimated
-together: each by itself can vanish, and the weights then make it vanish."""
+"""Degrees of freedom below which the noise of positions and angles is estimated together. Separate
+estimates could converge to zero for one of them."""
 
 _LEVER_M = {"translation": 0.5, "rotation": 1.0}
-"""Noise of a position for 1 rad of noise of an angle, m, where both are estimated together: a
-camera that sees a target at half a metre."""
+"""Ratio of position noise to angle noise, m/rad, where both are estimated together. It fits a
+camera at half a metre from the target."""
 
 NOISE_FLOOR = {"translation": 1e-9, "rotation": 1e-9, "point": 1e-9, "pixel": 1e-6}
-"""Smallest standard deviation that residuals are divided by, m, rad, m and px: exact synthetic
-data have none."""
+"""Smallest standard deviation of residuals, m, rad, m and px, which exact synthetic data need."""
 
 _ROBUST_ITERATIONS = 20
 _ROBUST_STEPS = 4
@@ -58,17 +57,17 @@ _NORMAL_QUANTILE = float(halfnorm.ppf(LEAST_INLIERS))
 
 @dataclass(frozen=True)
 class Fit:
-    """A solution.
+    """Solution of a least-squares problem.
 
     Attributes:
-        problem: that was solved.
-        state: the solution.
-        noise: name of the noise -> standard deviation, m, rad or px.
-        kept: for each term, (m,) True where the measurement was fitted.
-        residuals: for each term, (m, columns), of all measurements.
-        jacobian: (rows, count) of the kept residuals and the priors, each divided by its
-            standard deviation.
-        degrees: residuals less unknowns, of the kind of noise that is known least.
+        problem: the problem.
+        state: values of the unknowns.
+        noise: kind of noise -> standard deviation, m, rad or px.
+        kept: for each term, (m,) True for inliers, which were fitted.
+        residuals: for each term, (m, columns) residuals of all measurements.
+        jacobian: (rows, count) derivatives of inlier residuals and priors, divided by their
+            standard deviations.
+        degrees: smallest degrees of freedom among the kinds of noise.
     """
 
     problem: Problem
@@ -80,15 +79,16 @@ class Fit:
     degrees: float
 
     def distances(self) -> list[FloatArray]:
-        """Of each term: (m,) squared residuals in units of the noise, summed over the columns."""
+        """Return (m,) squared residuals of each term, in units of the noise, summed over
+        columns."""
         return _distances(self.problem, self.residuals, self.noise)
 
 
 def robust_cost(problem: Problem, state: State) -> float:
-    """Size of the residuals of the best third at a state; for comparing starts.
+    """Return the size of the residuals of the best third at a state, to compare starts.
 
-    Each kind of noise is divided by a fixed size (1 mm, 1 mrad, 1 px), so that states are
-    comparable before the noise is known.
+    Residuals are divided by fixed sizes (1 mm, 1 mrad, 1 px), so that states can be compared before
+    the noise is known.
     """
     total = 0.0
     found = problem.residuals(state, np.zeros(problem.layout.count))
@@ -99,12 +99,12 @@ def robust_cost(problem: Problem, state: State) -> float:
 
 
 def solve(problem: Problem, start: State) -> Fit:
-    """The weighted least-squares solution from a start, without outliers."""
+    """Return the weighted least-squares solution from a start, with outliers excluded."""
     everything = tuple(np.ones(len(term.rows), dtype=bool) for term in problem.terms)
     state = start
     residuals, _ = _residuals(problem, state)
     noise = _spread(problem, residuals, everything)
-    # Robust: every measurement counts, those far from the others little.
+    # The robust iterations use every measurement; outliers have little weight.
     robust = _is_redundant(problem)
     for _ in range(_ROBUST_ITERATIONS if robust else 0):
         weights = [
@@ -136,7 +136,7 @@ def solve(problem: Problem, start: State) -> Fit:
 
 
 def _is_redundant(problem: Problem) -> bool:
-    """Whether there are enough observations to say that one of them is wrong."""
+    """Whether there are enough observations to detect outliers."""
     rows = {int(row) for term in problem.terms for row in term.rows}
     total = sum(len(term.rows) * len(term.noise) for term in problem.terms)
     return len(rows) >= LEAST_ROWS and problem.layout.count <= MOST_UNKNOWN * total
@@ -148,10 +148,10 @@ def whitened_jacobian(
     noise: Mapping[str, float],
     kept: tuple[np.ndarray, ...] | None = None,
 ) -> FloatArray:
-    """(rows, count) derivatives of residuals and priors, divided by their noise.
+    """(rows, count) derivatives of residuals and priors, divided by their standard deviations.
 
     Args:
-        kept: for each term, (m,) True where a measurement counts; all do by default.
+        kept: for each term, (m,) True where a measurement is used; by default all are.
     """
     slopes = _residuals(problem, state)[1]
     counted = kept or tuple(np.ones(len(term.rows), dtype=bool) for term in problem.terms)
@@ -181,7 +181,7 @@ def _names(problem: Problem) -> list[str]:
 
 
 def _columns(problem: Problem, values: list[FloatArray], name: str, kept: object) -> FloatArray:
-    """All residuals of one kind of noise."""
+    """Return all residuals of one kind of noise."""
     parts = []
     for at, term in enumerate(problem.terms):
         columns = [i for i, one in enumerate(term.noise) if one == name]
@@ -193,7 +193,7 @@ def _columns(problem: Problem, values: list[FloatArray], name: str, kept: object
 def _spread(
     problem: Problem, residuals: list[FloatArray], kept: tuple[np.ndarray, ...]
 ) -> dict[str, float]:
-    """Noise that outliers do not change: from the sizes of the smallest residuals."""
+    """Estimate the noise robustly, from the smallest residuals."""
     found = {}
     total = sum(residual.size for residual in residuals)
     share = max(1.0 - problem.layout.count / max(total, 1), 0.1)
@@ -212,7 +212,7 @@ def _noise(
     noise: Mapping[str, float],
     kept: tuple[np.ndarray, ...],
 ) -> dict[str, float]:
-    """Noise of each kind: squares over the residuals that the unknowns do not use up."""
+    """Estimate the noise of each kind: squared residuals over degrees of freedom."""
     jacobian = _whitened(problem, slopes, noise, [one.astype(float) for one in kept])
     left = np.linalg.svd(jacobian, full_matrices=False)
     rank = left[1] > 1e-10 * max(left[1].max(initial=0.0), 1e-300)
@@ -267,7 +267,7 @@ def _whitened(
 
 
 def at_state(fit: Fit, state: State) -> Fit:
-    """The fit with its residuals, noise and derivatives at another state."""
+    """Return the fit with residuals, noise and derivatives at another state."""
     residuals, slopes = _residuals(fit.problem, state)
     noise = _noise(fit.problem, residuals, slopes, fit.noise, fit.kept)
     jacobian = _whitened(fit.problem, slopes, noise, [one.astype(float) for one in fit.kept])
@@ -307,7 +307,7 @@ def _least_squares(
     known: dict[bytes, list[tuple[FloatArray, FloatArray]]] = {}
 
     def evaluated(step: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        # Residuals and derivatives come together; both are asked for at each step.
+        # Residuals and derivatives are computed together and both needed at each step.
         key = step.tobytes()
         if key not in known:
             known.clear()
@@ -325,7 +325,7 @@ def _least_squares(
         return _whitened(problem, [slope for _, slope in evaluated(step)], noise, weights)
 
     start = np.zeros(problem.layout.count)
-    # MINPACK's method is the fastest here and refuses fewer residuals than unknowns.
+    # MINPACK's method is the fastest here, but does not accept fewer residuals than unknowns.
     rows = sum(len(t.rows) * len(t.noise) for t in problem.terms) + len(priors)
     method: Literal["lm", "trf"] = "lm" if rows >= len(start) else "trf"
     found = least_squares(residuals, start, jacobian, method=method, x_scale="jac", max_nfev=steps)
@@ -333,7 +333,7 @@ def _least_squares(
 
 
 def _degrees(problem: Problem, jacobian: FloatArray, kept: tuple[np.ndarray, ...]) -> float:
-    """Residuals less what the unknowns use up, of the kind of noise that has the fewest."""
+    """Return the smallest degrees of freedom among the kinds of noise."""
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
     rank = singular > 1e-10 * max(singular.max(initial=0.0), 1e-300)
     leverage = np.sum(left[:, rank] ** 2, axis=1)

@@ -1,4 +1,4 @@
-"""Which observations are fitted and which are held out."""
+"""Split observations into fitted and held-out ones."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pytest_twin.calibration.plan import Plan
 
 
 def split(plan: Plan, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
-    """Rows to fit and rows to hold out, both ascending.
+    """Return the rows to fit and the rows to hold out, both ascending.
 
-    A fraction is drawn over the observations in the order of the file, so that one seed gives one
-    split.
+    A fraction is drawn from the observations in the order of the file, so a seed always gives the
+    same split.
 
     Raises:
-        SpecError: an id that no observation has, or nothing left to fit.
+        SpecError: an id does not exist, or no observation is left to fit.
     """
     count = len(observations)
     wanted = plan.hold_out

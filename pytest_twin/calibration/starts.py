@@ -1,8 +1,8 @@
-"""Start values from algebraic solvers: name -> function.
+"""Initial values from algebraic solvers.
 
-A solver of ``flange @ mounted = world @ seen`` is registered under its name. All that are there
-are tried, the least squares starts from the one with the smallest residuals, and each is reported
-with its error on held-out observations.
+Solvers of ``flange @ mounted = world @ seen`` are registered by name. All available solvers are
+tried. The least squares starts from the one with the smallest residuals, and each is reported with
+its error on held-out observations.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
 from pytest_twin.errors import SpecError
 
 HandEyeSolver = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
-"""From (n, 4, 4) ``flange`` and ``seen`` to (4, 4) ``mounted`` and ``world``, m."""
+"""Function from (n, 4, 4) ``flange`` and ``seen`` to (4, 4) ``mounted`` and ``world``, m."""
 
 HAND_EYE_SOLVERS: dict[str, HandEyeSolver] = {
     "park": closed_form.park,
@@ -31,8 +31,8 @@ HAND_EYE_SOLVERS: dict[str, HandEyeSolver] = {
 }
 
 SUBSETS = 60
-"""Random subsets of observations from which a start is taken too: with half of the poses wrong and
-3 in a subset, one in eight has none, so that all 60 fail once in 3000 calibrations."""
+"""Number of random subsets of observations that give further starts. If half of the poses are
+wrong, one subset of 3 in eight has no wrong pose, so all 60 fail once in 3000 calibrations."""
 
 _POSES_IN_SUBSET = 3
 _POINTS_IN_SUBSET = 6
@@ -40,11 +40,11 @@ _POSES_FOR_UNIT = 6
 
 
 def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
-    """Start states by the name of the solver that they come from.
+    """Return initial states by the name of their solver.
 
     Args:
         problem: the observations to fit.
-        subsets: random subsets of observations from which a start is taken too.
+        subsets: number of random subsets of observations that give further starts.
     """
     has_poses = any(isinstance(term, PoseTerm) for term in problem.terms)
     solvers = _hand_eye_solvers() if has_poses else {"closed_form": closed_form.park}
@@ -65,9 +65,10 @@ def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
 
 
 def camera_unit(problem: Problem) -> float | None:
-    """m of one unit of the camera's positions, from the robot's motion; None where none fits.
+    """Length of one unit of the camera's positions, m, from the robot's motion; None if none fits.
 
-    All poses and random subsets of them are tried, and the best third of the distances decides.
+    All poses and random subsets of them are tried; the best third of the residual distances
+    decides.
     """
     flange = predicted_poses(problem, problem.fixed)
     for term in problem.terms:
@@ -97,7 +98,7 @@ _SUBSET = "subset"
 
 
 def _hand_eye_solvers() -> dict[str, HandEyeSolver]:
-    """Our own solvers, and those of OpenCV where it is installed."""
+    """Return our own solvers, and those of OpenCV if it is installed."""
     try:
         opencv()
     except SpecError:
@@ -107,7 +108,7 @@ def _hand_eye_solvers() -> dict[str, HandEyeSolver]:
 
 
 def is_subset(name: str) -> bool:
-    """Whether a start comes from a few of the poses only."""
+    """Whether a start comes from a subset of the poses."""
     return name.startswith(_SUBSET)
 
 
@@ -117,7 +118,7 @@ def seen_poses(term: PoseTerm) -> FloatArray:
 
 
 def _start(problem: Problem, solver: HandEyeSolver) -> State | None:
-    """The state that a solver finds, or None where it finds none."""
+    """Return the state that a solver finds, or None if it fails."""
     state = _points(problem, problem.fixed)
     flange = predicted_poses(problem, state)
     poses = dict(state.poses)
@@ -143,7 +144,7 @@ def _start(problem: Problem, solver: HandEyeSolver) -> State | None:
 def _one_side(
     term: PoseTerm, state: State, flange: FloatArray, seen: FloatArray, free: list[bool]
 ) -> dict[str, FloatArray]:
-    """Where one of both poses is given: the mean of what each observation says of the other."""
+    """If one of both poses is given, return the mean over observations of the other."""
     if free[0]:
         each = closed_form.inverse(flange) @ state.poses[term.world] @ seen
         return {term.mounted: _middle(each)}
@@ -154,7 +155,7 @@ def _one_side(
 
 
 def _middle(poses: FloatArray) -> FloatArray:
-    """The pose in the middle of some: median position; the rotation nearest to all others."""
+    """Return a robust mean pose: median position, and the rotation nearest to all others."""
     rotations = poses[:, :3, :3]
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     best = int(np.argmax(np.median(traces, axis=1)))
@@ -189,7 +190,7 @@ def _points(problem: Problem, state: State) -> State:
 def _known_points(
     problem: Problem, state: State, terms: list[PointTerm], flange: FloatArray
 ) -> dict[str, FloatArray]:
-    """Markers whose places in the tool are known: the tool's pose in each row, then as poses."""
+    """Start from markers with known positions in the tool, via the tool's pose in each row."""
     world, mounted = terms[0].world, terms[0].mounted
     if mounted is None:
         if world not in problem.layout.poses:

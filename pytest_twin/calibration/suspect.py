@@ -1,4 +1,4 @@
-"""A mistake in the input that would explain the errors, as a report states it."""
+"""An input mistake that would explain the errors, for reports."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 FAR_BETTER = 1.0 / 3.0
-"""An alternative is named where it leaves less than this part of both the median position error
-and the median angle error. The errors of a real arm without its joint zeros fall by 2 at most when
-the sign of a joint is chosen wrongly for the right one."""
+"""An alternative is reported if it reduces both the median position error and the median angle
+error below this fraction. On a real arm without calibrated joint zeros, replacing a correct joint
+sign by a wrong one reduces the errors by a factor of 2 at most."""
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """A mistake that would explain the errors.
+    """An input mistake that would explain the errors.
 
     Attributes:
-        what: what seems to be wrong, in words.
-        mend: what to do.
-        translation, rotation: median errors with the mistake undone, m and rad (NaN for points).
-        factor: that positions of the target must be multiplied by, where that is the correction.
+        what: what seems to be wrong, as text.
+        mend: how to correct it, as text.
+        translation, rotation: median errors after the correction, m and rad (NaN for points).
+        factor: factor that corrects the target's positions, if this is the correction.
     """
 
     what: str
@@ -30,7 +30,7 @@ class Suspect:
     factor: float | None = None
 
     def to_json(self) -> dict[str, object]:
-        """As ``calibration.json`` has it."""
+        """Return the entry of ``calibration.json``."""
         made: dict[str, object] = {
             "what": self.what,
             "mend": self.mend,

@@ -1,4 +1,4 @@
-"""Whether positions are in another unit than m: a unit, a target's size, or a single camera."""
+"""Detect positions with a wrong scale: another unit, a wrong target size, or no metric scale."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from pytest_twin.calibration.terms import PointTerm, PoseTerm
 _SCALES = {0.001: "mm", 1000.0: "mm", 0.01: "cm", 100.0: "cm", 0.0254: "inches"}
 
 _LEAST_SCALE = 0.05
-"""A scale nearer to 1 than this is not told from a poor arm by significance alone: zeros that are
-off by 20 mrad change the size of an arm's motions by up to 2 %."""
+"""Smallest deviation of a scale from 1 that significance alone can prove. Joint zeros that are
+wrong by 20 mrad change the size of an arm's motions by up to 2 %."""
 
 _CHANCE = 1e-3
-"""Probability with which chance would give a scale, or its smaller errors."""
+"""Significance level of a scale and of its smaller errors."""
 
 _SUBSETS = 6
-"""Random subsets that a start is taken from where a scale is only tried."""
+"""Number of random subsets for starts when a scale is only tested."""
 
 
 def scale_of(problem: Problem, now: tuple[float, float]) -> Suspect | None:
-    """A factor of all measured positions: a unit, or the size of the target."""
+    """Return a scale factor of all measured positions: a unit, or the size of the target."""
     flange = predicted_poses(problem, problem.fixed)
     for term in problem.terms:
         if isinstance(term, PoseTerm) and len(term.rows) >= 4:
             mine, seen = flange[term.rows], seen_poses(term)
-            # The same errors with and without a factor: those of the fit are at the target.
+            # Both errors must be of the same kind; those of the fit are at the target.
             before = _median_gap(mine, seen, *closed_form.park(mine, seen))
             factor, mounted, world = closed_form.scale_of_seen(mine, seen)
             seen = seen.copy()
@@ -67,13 +67,14 @@ def scale_of(problem: Problem, now: tuple[float, float]) -> Suspect | None:
 def _median_gap(
     flange: FloatArray, seen: FloatArray, mounted: FloatArray, world: FloatArray
 ) -> float:
-    """Median distance between both ways to the place of what the flange carries, m."""
+    """Median distance between both predictions of the carried body's position, m."""
     gaps = (flange @ mounted)[:, :3, 3] - (world @ seen)[:, :3, 3]
     return float(np.median(np.linalg.norm(gaps, axis=1)))
 
 
 def scale_of_fit(fit: Fit) -> Suspect | None:
-    """A factor of the target's positions beside all unknowns of the fit, to first order."""
+    """Return a scale factor of the target's positions, estimated with all unknowns (first
+    order)."""
     at = 0
     column = np.zeros(len(fit.jacobian))
     residuals = np.zeros(len(fit.jacobian))
@@ -102,10 +103,10 @@ def scale_of_fit(fit: Fit) -> Suspect | None:
 
 
 def scale_beyond_chance(fit: Fit) -> Suspect | None:
-    """A factor of the camera's positions that chance does not explain.
+    """Return a statistically significant scale factor of the camera's positions.
 
-    The scale is an unknown beside all others. It must differ from 1 beyond its interval, and must
-    bring more of the observations nearer than chance would, each left out of the fit in turn.
+    The scale is estimated together with all other unknowns. It must differ from 1 beyond its
+    interval. It must also reduce the leave-one-out errors of more observations than chance would.
     """
     problem = fit.problem
     terms = problem.terms
@@ -124,7 +125,7 @@ def scale_beyond_chance(fit: Fit) -> Suspect | None:
     spread = _spread_of_scale(found)
     quantile = float(student.ppf(1.0 - _CHANCE / 2.0, max(found.degrees, 1.0)))
     scale = found.state.scale / unit
-    # Where errors of the robot repeat with the pose, the interval is narrower than the truth.
+    # If errors of the robot repeat with the pose, the interval is too narrow.
     bound = max(quantile * spread / unit, _LEAST_SCALE)
     errors, others = _left_out(found), _left_out(fit)
     nearer, compared = int(np.sum(errors < others)), len(errors)
@@ -147,14 +148,14 @@ def scale_beyond_chance(fit: Fit) -> Suspect | None:
 
 
 def _spread_of_scale(fit: Fit) -> float:
-    """Standard deviation of the scale."""
+    """Return the standard deviation of the scale."""
     _, singular, right = np.linalg.svd(fit.jacobian, full_matrices=False)
     at = fit.problem.layout.blocks["scale"].start
     return float(np.linalg.norm(right[:, at] / np.maximum(singular, 1e-300)))
 
 
 def _left_out(fit: Fit) -> FloatArray:
-    """(m,) distance of each observation that is left out of the fit in turn, m."""
+    """(m,) leave-one-out position error of each observation, m."""
     left_out, residual = jackknife(fit).residuals[0][:, :3], fit.residuals[0][:, :3]
     return np.asarray(np.linalg.norm(np.where(np.isfinite(left_out), left_out, residual), axis=1))
 

@@ -1,6 +1,6 @@
-"""Mistakes in the input that would explain large errors: units, directions, signs.
+"""Find input mistakes that would explain large errors: units, directions, signs.
 
-Each is tried on a copy of the observations by an algebraic solver. None is ever applied: a person
+Each is tested on a copy of the observations with an algebraic solver. None is applied; the user
 corrects the file.
 """
 
@@ -27,23 +27,23 @@ from pytest_twin.calibration.suspected_scale import (
 from pytest_twin.calibration.terms import PoseTerm
 
 DOUBTFUL_M = 0.003
-"""Root mean square of a fit beyond which mistakes are looked for where the plan accepts any error:
-half of the smallest error that a wrong unit, direction or sign makes on an arm of 0.3 m."""
+"""RMS error of a fit above which mistakes are searched for if the plan accepts any error. It is
+half of the smallest error that a wrong unit, direction or sign causes on an arm of 0.3 m."""
 
 DOUBTFUL_RAD = 0.01
 
 LEAST_ROWS = 6
-"""Observations below which nothing is suspected: a few poses fit any mistake."""
+"""Fewest observations for finding mistakes, because a few poses fit with any mistake."""
 
 FAR_AWAY_M = 20.0
-"""A flange, or a target, further away than this from what it is measured from is given in mm."""
+"""A flange or a target farther away than this is assumed to be given in mm."""
 
 _TURNS = 4 * np.pi
-"""A joint reading beyond two turns, rad: it may be in degrees."""
+"""A joint reading beyond two revolutions, rad, may be in degrees."""
 
 
 def doubtful(fitted: Mapping[str, float], problem: Problem) -> bool:
-    """Whether a fit is so poor that a mistake should be looked for."""
+    """Whether the errors of a fit are so large that mistakes should be searched for."""
     accept = problem.plan.accept
     translation = fitted.get("translation_rms", 0.0)
     rotation = fitted.get("rotation_rms", 0.0)
@@ -53,7 +53,7 @@ def doubtful(fitted: Mapping[str, float], problem: Problem) -> bool:
 
 
 def suspects(fit: Fit) -> tuple[Suspect, ...]:
-    """Mistakes that explain the observations far better than a fit does, the best first."""
+    """Return mistakes that explain the observations far better than a fit does, the best first."""
     problem = fit.problem
     rows = {int(row) for term in problem.terms for row in term.rows}
     if len(rows) < LEAST_ROWS or not problem.layout.poses:
@@ -86,7 +86,7 @@ def _far_better(one: Suspect, now: tuple[float, float]) -> bool:
 
 
 def _errors(problem: Problem) -> tuple[float, float]:
-    """Smallest median distance, m, and the angle with it, rad, over the algebraic solutions."""
+    """Return the smallest median distance (m) over algebraic solutions, and its angle (rad)."""
     best = (np.inf, np.inf)
     for state in starts(problem, subsets=6).values():
         found = problem.residuals(state, np.zeros(problem.layout.count))
@@ -172,11 +172,11 @@ def _joint_alternatives(
 
 
 def _reordered(poses: FloatArray) -> FloatArray:
-    """Poses whose quaternions were written x y z w under the headings w x y z."""
+    """Return poses with quaternions read as x y z w instead of w x y z."""
     changed = poses.copy()
     there = np.isfinite(poses).all(axis=(1, 2))
     xyzw = Rotation.from_matrix(poses[there, :3, :3]).as_quat()
-    # The columns held (w, x, y, z) = (read w, x, y, z); their meaning is (x, y, z, w).
+    # The columns named w, x, y, z contain x, y, z, w.
     changed[there, :3, :3] = Rotation.from_quat(np.roll(xyzw, 1, axis=1)).as_matrix()
     return changed
 

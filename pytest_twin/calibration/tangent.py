@@ -1,4 +1,4 @@
-"""Rigid transforms that carry their derivatives with them (forward mode).
+"""Rigid transforms with derivatives (forward-mode differentiation).
 
 A change of a transform ``(R, t)`` is written in its parent's axes: ``R' = exp(w) R``,
 ``t' = t + v``. The rules for products and inverses follow (Sola, Deray, Atchuthan: A micro Lie
@@ -18,13 +18,14 @@ _SMALL_RAD = 1e-6
 
 @dataclass(frozen=True)
 class Moving:
-    """Transforms and how each parameter moves them.
+    """Transforms with derivatives by the parameters.
 
     Attributes:
-        rotation: (n, 3, 3).
-        position: (n, 3), m.
-        turn: (n, 3, p) rotation vector in the parent's axes, rad for each unit of a parameter.
-        shift: (n, 3, p) change of the position, m for each unit of a parameter.
+        rotation: (n, 3, 3) rotation matrices.
+        position: (n, 3) positions, m.
+        turn: (n, 3, p) derivatives of the rotation, as rotation vectors in the parent's axes, rad
+            per unit of a parameter.
+        shift: (n, 3, p) derivatives of the position, m per unit of a parameter.
     """
 
     rotation: FloatArray
@@ -33,24 +34,24 @@ class Moving:
     shift: FloatArray
 
     def __matmul__(self, other: Moving) -> Moving:
-        """The product: ``other`` seen from this transform's parent."""
+        """Return the product: ``other`` in this transform's parent frame."""
         arm = np.einsum("nij,nj->ni", self.rotation, other.position)
         turn = self.turn + self.rotation @ other.turn
         shift = self.shift + crossed(self.turn, arm) + self.rotation @ other.shift
         return Moving(self.rotation @ other.rotation, self.position + arm, turn, shift)
 
     def inverse(self) -> Moving:
-        """The transform the other way."""
+        """Return the inverse transforms."""
         back = np.swapaxes(self.rotation, 1, 2)
         shift = -back @ (self.shift - crossed(self.turn, self.position))
         position = -np.einsum("nij,nj->ni", back, self.position)
         return Moving(back, position, -back @ self.turn, shift)
 
     def act(self, point: FloatArray, slope: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points in the parent's frame, (n, 3) m, and their derivatives, (n, 3, p).
+        """Return points in the parent's frame, (n, 3) m, and their derivatives, (n, 3, p).
 
         Args:
-            point: (n, 3) in this frame, m.
+            point: (n, 3) points in this frame, m.
             slope: (n, 3, p) derivatives of ``point``.
         """
         arm = np.einsum("nij,nj->ni", self.rotation, point)

@@ -1,7 +1,7 @@
-"""What is compared with what: a term predicts one kind of measurement and returns its residuals.
+"""Residual terms: each predicts one kind of measurement and returns its residuals.
 
-Each term names the poses and points that it needs. A new kind of measurement, such as the pixels
-of a board's corners, is one more class with the same four members.
+Each term names the poses and points that it needs. A new kind of measurement, such as corner pixels
+of a board, is a further class with the same four members.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Term(Protocol):
 
     @property
     def name(self) -> str:
-        """What people call it."""
+        """Name in reports."""
 
     @property
     def rows(self) -> np.ndarray:
@@ -31,7 +31,7 @@ class Term(Protocol):
 
     @property
     def noise(self) -> tuple[str, ...]:
-        """Name of the noise of each residual column."""
+        """Kind of noise of each residual column."""
 
     def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
         """Predicted minus measured, (m, columns), and its derivatives, (m, columns, count).
@@ -43,7 +43,7 @@ class Term(Protocol):
 
 
 def at_rows(moving: Moving, rows: np.ndarray) -> Moving:
-    """The transforms of some rows."""
+    """Return the transforms of the given rows."""
     return Moving(
         moving.rotation[rows], moving.position[rows], moving.turn[rows], moving.shift[rows]
     )
@@ -53,16 +53,16 @@ def at_rows(moving: Moving, rows: np.ndarray) -> Moving:
 class PoseTerm:
     """Poses of a target in a camera, or of a body in a tracker.
 
-    Where the camera rides on the flange, ``camera_from_target = inv(flange @ mounted) @ world``.
-    Where it stands still, ``camera_from_target = inv(world) @ flange @ mounted``.
-    Positions are multiplied by the camera's scale, which is 1 unless it is unknown.
+    For a camera on the flange, ``camera_from_target = inv(flange @ mounted) @ world``. For a fixed
+    camera, ``camera_from_target = inv(world) @ flange @ mounted``. Positions are multiplied by the
+    camera's scale, which is 1 unless it is unknown.
 
     Attributes:
         rows: (m,).
         measured: (m, 4, 4) ``camera_from_target``.
-        mount: where the camera is.
-        mounted: name of what the flange carries, in the flange.
-        world: name of what stands still, in the base.
+        mount: where the camera is mounted.
+        mounted: name of the carried body's pose in the flange.
+        world: name of the fixed body's pose in the base.
     """
 
     rows: np.ndarray
@@ -74,7 +74,7 @@ class PoseTerm:
     noise: tuple[str, ...] = ("translation",) * 3 + ("rotation",) * 3
 
     def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
-        """Translation in the camera's axes (m), rotation vector (rad)."""
+        """Return position errors in the camera's axes (m) and rotation vectors (rad)."""
         predicted = self._moving(flange, variables)
         back = np.swapaxes(self.measured[:, :3, :3], 1, 2)
         rotation = Rotation.from_matrix(back @ predicted.rotation).as_rotvec()
@@ -93,7 +93,7 @@ class PoseTerm:
         return poses
 
     def by_flange(self, flange: Moving, variables: Variables) -> FloatArray:
-        """(m, 6, 6) change of the residuals with the flange's position and rotation vector.
+        """(m, 6, 6) derivatives of the residuals by the flange's position and rotation vector.
 
         Both are in the flange's own axes, m and rad.
         """
@@ -123,14 +123,14 @@ class PoseTerm:
 
 @dataclass(frozen=True)
 class PointTerm:
-    """Places of one marker of the flange, or of its tip, in the frame of what measures it.
+    """Positions of a marker on the flange, or of the tool's tip, in the measuring frame.
 
     Attributes:
         rows: (m,).
         measured: (m, 3) m.
-        point: name of the marker, in the frame ``mounted``.
-        mounted: name of the tool's frame in the flange, None where markers are in the flange.
-        world: name of the measuring frame in the base.
+        point: name of the marker's position in the frame ``mounted``.
+        mounted: name of the tool's pose in the flange; None if markers are given in the flange.
+        world: name of the measuring frame's pose in the base.
     """
 
     rows: np.ndarray
@@ -142,16 +142,16 @@ class PointTerm:
 
     @property
     def name(self) -> str:
-        """``point.NAME``, as the column is headed."""
+        """``point.NAME``, the name of the column."""
         return f"point.{self.point.removeprefix('marker.')}"
 
     def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
-        """Offset in the axes of the measuring frame, m."""
+        """Return position errors in the axes of the measuring frame, m."""
         predicted, slope = self._moving(flange, variables)
         return predicted - self.measured, slope
 
     def predicted(self, flange: Moving, variables: Variables) -> FloatArray:
-        """(m, 3) in the measuring frame, m."""
+        """(m, 3) predicted positions in the measuring frame, m."""
         return self._moving(flange, variables)[0]
 
     def _moving(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
@@ -165,7 +165,7 @@ class PointTerm:
 
 @dataclass(frozen=True)
 class PivotTerm:
-    """A tip that stays in one fixed point while the flange turns about it.
+    """Positions of a tool's tip that stays at a fixed point while the flange rotates about it.
 
     Attributes:
         rows: (m,).
@@ -184,7 +184,7 @@ class PivotTerm:
         return "pivot"
 
     def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
-        """Offset of the tip from the fixed point in the base, m."""
+        """Return the offset of the tip from the fixed point, in the base, m."""
         count = len(self.rows)
         tip, slope = at_rows(flange, self.rows).act(*variables.point(self.tip, count))
         fixed, fixed_slope = variables.point(self.pivot, count)

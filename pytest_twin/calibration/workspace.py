@@ -1,4 +1,4 @@
-"""What a calibration would see in other poses of the robot, and how surely it predicts it."""
+"""Uncertainty of a calibration's predictions in other poses of the workspace."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from pytest_twin.calibration.terms import PointTerm, PoseTerm
 from pytest_twin.realization.serial_chain import SerialChain
 
 WIDEST_RAD, WIDEST_M = 2.0, 0.3
-"""Joint positions are drawn up to this far to either side, where the limits allow it: wide enough
-that no structure of an arm is hidden."""
+"""Half range of random joint positions, within the joint limits. It is wide enough to excite every
+parameter of an arm."""
 
 _KINDS = {"translation": "translation", "point": "translation", "rotation": "rotation"}
 
 
 def drawn_joints(chain: SerialChain, count: int, seed: int) -> FloatArray:
-    """(count, joints) readings of encoders within the joints' limits, rad or m."""
+    """(count, joints) random encoder readings within the joint limits, rad or m."""
     draw = np.random.default_rng(seed)
     widest = np.where(chain.revolute, WIDEST_RAD, WIDEST_M)
     low, high = -widest, widest
     if chain.limits is not None:
-        # A range that excludes the middle of the drawn one is drawn from where it is.
+        # If the limits exclude the middle of the range, positions are drawn around the limits'
+        # middle.
         lowest, highest = chain.limits.T
         low = np.clip(low, lowest, np.maximum(highest - 2.0 * widest, lowest))
         high = np.clip(high, np.minimum(lowest + 2.0 * widest, highest), highest)
@@ -35,7 +36,7 @@ def drawn_joints(chain: SerialChain, count: int, seed: int) -> FloatArray:
 
 
 def drawn_flanges(observed: FloatArray, count: int, seed: int) -> FloatArray:
-    """(count, 4, 4) flange poses of any orientation within the box of the observed positions, m."""
+    """(count, 4, 4) random flange poses within the box of the observed positions, m."""
     draw = np.random.default_rng(seed)
     places = observed[np.isfinite(observed).all(axis=(1, 2)), :3, 3]
     found = np.tile(np.eye(4), (count, 1, 1))
@@ -45,10 +46,10 @@ def drawn_flanges(observed: FloatArray, count: int, seed: int) -> FloatArray:
 
 
 def predicted_rows(problem: Problem, state: State, at: FloatArray) -> Problem:
-    """The same problem in other poses, with the measurements that ``state`` predicts.
+    """Return the same problem in other poses, with measurements predicted at ``state``.
 
     Args:
-        at: (rows, joints) readings, or (rows, 4, 4) flange poses where there is no chain.
+        at: (rows, joints) readings, or (rows, 4, 4) flange poses if there is no chain.
     """
     count = len(at)
     observations = problem.observations.rows(np.arange(count) % len(problem.observations))
@@ -81,12 +82,12 @@ def predicted_rows(problem: Problem, state: State, at: FloatArray) -> Problem:
 
 @dataclass(frozen=True)
 class Spread:
-    """How surely a calibration predicts what is measured in other poses.
+    """Uncertainty of predicted measurements in other poses.
 
     Attributes:
-        sizes: ``translation`` and, for poses, ``rotation``: standard deviation, root mean square
+        sizes: standard deviation of ``translation`` and, for poses, ``rotation``, root mean square
             over poses and coordinates, m and rad.
-        worst: for each of them, (count,) change of the unknowns that most of it comes from.
+        worst: for each of them, (count,) direction of the unknowns that contributes most.
     """
 
     sizes: dict[str, float]
@@ -94,7 +95,7 @@ class Spread:
 
 
 def spread(problem: Problem, state: State, covariance: FloatArray, at: FloatArray) -> Spread:
-    """Standard deviation of predictions from the covariance of the unknowns alone.
+    """Return the standard deviation of predictions that follows from the unknowns' covariance.
 
     Args:
         covariance: (count, count) of the unknowns, m and rad.

@@ -1,4 +1,4 @@
-"""Corners of a chessboard whose markers were too small to read."""
+"""Add chessboard corners of a ChArUco board whose markers were too small to be decoded."""
 
 from __future__ import annotations
 
@@ -11,26 +11,29 @@ from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.boards.target import Target
 
 _WINDOW = 0.16
-"""Half of the window of the refinement as a share of a square: markers stay outside."""
+"""Half width of the refinement window as a fraction of a square's edge. The window must not
+reach the markers."""
 _LEAST_WINDOW_PX, _MOST_WINDOW_PX = 2, 10
 _FARTHEST = 0.12
-"""How far a corner may be from where its neighbours say, as a share of a square: lens distortion
-moves it by less, the next edge is farther."""
+"""Largest distance of a refined corner from its predicted position, as a fraction of a square's
+edge. Lens distortion moves a corner by less; the next edge is farther away."""
 _PROBE = 0.17
-"""Where the four squares around a corner are looked at, as a share of a square from each edge:
-outside of the markers and of the blur."""
+"""Distance from each edge at which the four squares around a corner are sampled, as a fraction of a
+square's edge. The samples lie outside of the markers and of the blurred edge."""
 _LEAST_CONTRAST = 0.3
-"""Contrast of the four squares around a corner against that of the corners that were found."""
+"""Smallest contrast of the four squares around an added corner, as a fraction of the median
+contrast of the detected corners."""
 _FEWEST = 6
 
 
 def completed(
     image: Grey, target: Target, ids: np.ndarray, pixels: FloatArray
 ) -> tuple[np.ndarray, FloatArray]:
-    """Ids and pixels of the corners, with those added that the image shows where they belong.
+    """Return ids and pixels of the corners, detected and added ones, in the order of their ids.
 
-    The corners of the squares are there even where a marker is not read. Each missing one is
-    predicted from the others, refined, and kept if two dark and two bright squares meet there.
+    The corners of the squares are visible even where a marker cannot be decoded. The position of
+    each missing corner is predicted from the others and refined. The corner is added if two dark
+    and two bright squares meet there.
     """
     board = target.board_points()[:, :2]
     missing = np.setdiff1d(np.arange(target.corners), ids)
@@ -64,17 +67,17 @@ def completed(
 
 
 def refinement_window(edge_px: float) -> int:
-    """Half of the window of the refinement, px, for squares of an edge in px."""
+    """Half width of the refinement window, px, for squares with an edge of ``edge_px``."""
     return int(np.clip(_WINDOW * edge_px, _LEAST_WINDOW_PX, _MOST_WINDOW_PX))
 
 
 def refined_corners(image: Grey, pixels: FloatArray, window: int) -> FloatArray:
-    """Corners moved to where the edges around them meet, (n, 2) px.
+    """(n, 2) corners refined to the intersection of the edges around them, px.
 
     Args:
         image: (height, width).
         pixels: (n, 2) first guesses, px.
-        window: half of the edge of the window that is looked at, px.
+        window: half width of the refinement window, px.
     """
     cv2 = opencv()
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
@@ -86,7 +89,7 @@ def refined_corners(image: Grey, pixels: FloatArray, window: int) -> FloatArray:
 def square_contrast(
     image: Grey, homography: FloatArray, target: Target, ids: np.ndarray
 ) -> FloatArray:
-    """(n,) grey values between the two pairs of squares that meet in each corner.
+    """(n,) difference in grey value between the two pairs of squares that meet in each corner.
 
     The sign is the same for all corners of a chessboard: negative where its first square is dark.
     """

@@ -1,4 +1,4 @@
-"""Corners of a target in images, and why an image is not usable."""
+"""Detect the corners of a target in images, and give the reason where an image is not usable."""
 
 from __future__ import annotations
 
@@ -20,33 +20,37 @@ from pytest_twin.errors import LimitError, TwinError
 from pytest_twin.formats import limits
 
 LEAST_SHARE = 0.4
-"""Below this share of its corners a target is rejected: few corners determine the plane's tilt."""
+"""Smallest fraction of the target's corners that must be detected. Fewer corners determine the tilt
+of the plane poorly."""
 
 FEWEST_CORNERS = 6
-"""A pose needs four corners; two more show whether they fit."""
+"""A pose needs four corners; two more make it possible to check the fit."""
 
 MOST_BLUR = 0.06
-"""Standard deviation of the blur, as a share of a square's edge, above which corners are not
-usable. Sub-pixel refinement looks at a sixth of a square around a corner; above this it sees no
-edge. A sharp lens has 0.6 px, so squares of 10 px are the smallest."""
+"""Standard deviation of the blur, as a fraction of a square's edge, above which corners are not
+usable. The sub-pixel refinement uses a window of a sixth of a square around a corner and finds no
+edge above this blur. A sharp lens has a blur of 0.6 px, so the smallest usable squares have 10
+px."""
 
 BLUR_AGAINST_OTHERS = 3.0
-"""An image whose blur in px is this many times the median of all images was moving or out of
-focus."""
+"""An image is rejected as moving or out of focus if its blur in px exceeds the median of all images
+by this factor."""
 
 LEAST_BLUR_PX = 2.0
-"""Blur up to this standard deviation moves no corner, whatever the other images have."""
+"""Blur up to this standard deviation does not shift corners and is always accepted."""
 
 BLURRED_IMAGE_PX = 4.0
-"""Blur of the sharpest edges of a whole image above which it is called blurred: a lens in focus has
-below 1.5 px, and an image without fine detail up to 3 px."""
+"""Blur of the sharpest edges of a whole image above which the image is reported as blurred. A lens
+in focus has less than 1.5 px, an image without fine detail up to 3 px."""
 
 MOST_MISFIT = 0.06
-"""Median distance of corners to the board's plan, as a share of a square's edge, above which it
-is another board. Lens distortion of 20 % across the image bends a board by less."""
+"""Median distance between detected corners and the drawing of the board, as a fraction of a
+square's edge, above which the image shows another board. Lens distortion of 20 % across the image
+displaces the corners by less."""
 
 _COARSER = (2, 4)
-"""Reductions at which an image without a target is searched again, to say that it is blurred."""
+"""Factors by which an image without a target is reduced and searched again, to find out whether it
+is blurred."""
 
 _THREADS = 2
 
@@ -59,9 +63,9 @@ class Detection:
         image: name of the image.
         size: width and height, px.
         corner_ids: (n,) indices into ``Target.board_points()``.
-        pixels: (n, 2) places in the image, px; the centre of the first pixel is (0, 0).
-        board_points: (n, 3) places in the target's frame, m.
-        corners: how many corners the whole target has.
+        pixels: (n, 2) positions in the image, px; the centre of the first pixel is (0, 0).
+        board_points: (n, 3) positions in the target's frame, m.
+        corners: number of corners of the whole target.
         sharpness: standard deviation of the blur of the target's edges, px; NaN without a target.
         rejected: why the image is not usable; empty where it is.
     """
@@ -84,14 +88,14 @@ class Detection:
 def detect_files(
     paths: Sequence[Path], target: Target, names: Sequence[str] | None = None
 ) -> list[Detection]:
-    """Detections in image files, one each, in their order.
+    """Detect the target in image files; one detection for each file, in the same order.
 
-    A file that is missing or damaged is a rejected detection with the reader's words.
+    A missing or damaged file gives a rejected detection with the reader's error message.
 
     Args:
         paths: image files.
         target: what to look for.
-        names: of the detections; the file names where it is left out.
+        names: names of the detections; by default the file names.
 
     Raises:
         LimitError: more files than ``limits.IMAGES`` allows.
@@ -120,7 +124,7 @@ def detect_files(
 
 
 def detect(image: Grey, target: Target, name: str = "") -> Detection:
-    """The target in one image, judged without other images.
+    """Detect the target in one image, without comparison with other images.
 
     Args:
         image: (height, width) grey values.
@@ -140,7 +144,7 @@ def detect(image: Grey, target: Target, name: str = "") -> Detection:
 
 
 def compared(detections: Sequence[Detection]) -> list[Detection]:
-    """The detections, where those with far more blur than the others are rejected."""
+    """Return the detections; those with far more blur than the others are rejected."""
     blurs = [d.sharpness for d in detections if d.is_usable]
     if len(blurs) < 3:
         return list(detections)
@@ -159,7 +163,7 @@ def compared(detections: Sequence[Detection]) -> list[Detection]:
 
 
 def _why(detection: Detection, target: Target) -> str:
-    """Why a target that was found is not usable; empty where it is."""
+    """Reason why a detected target is not usable; empty where it is usable."""
     count, all_corners = len(detection.corner_ids), detection.corners
     if count < max(FEWEST_CORNERS, LEAST_SHARE * all_corners):
         why = f"target found in {count} of {all_corners} corners"
@@ -187,7 +191,7 @@ def _why(detection: Detection, target: Target) -> str:
 
 
 def square_px(homography: FloatArray, target: Target, at: FloatArray) -> float:
-    """Edge of a square in the image about one place of the board, px."""
+    """Edge length of a square in the image near a position on the board, px."""
     edge = target.marker if target.kind == "apriltag_grid" else target.square
     around = at + edge * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     origin, x, y = project(homography, around)
@@ -195,7 +199,7 @@ def square_px(homography: FloatArray, target: Target, at: FloatArray) -> float:
 
 
 def _why_nothing(image: Grey, target: Target, found: Found) -> str:
-    """Why no target was found: blur, or what the finder says."""
+    """Reason why no target was found: blur, or the finder's message."""
     if found.problem:
         return found.problem
     cv2 = opencv()

@@ -1,4 +1,4 @@
-"""One finder for each kind of target."""
+"""Find the corners of each kind of target in an image."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.boards.target import Target
 
 _FEWEST_MARKERS = 3
-"""From this many markers of the dictionary on, a board is there even if its corners are not."""
+"""With at least this many decoded markers the image shows a board, even if no corners were
+found."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a finder saw.
+    """Corners that a finder found in an image.
 
     Attributes:
         ids: (n,) indices of corners.
         pixels: (n, 2) px.
-        problem: why it is no usable target; empty where it may be one.
+        problem: reason why the corners are no usable target; empty if they may be one.
     """
 
     ids: np.ndarray
@@ -89,7 +90,7 @@ def _find_chessboard(image: Grey, target: Target) -> Found:
 
 
 def _turned(image: Grey, target: Target, pixels: FloatArray) -> Found:
-    """Corners in the order that has the first square dark and x most to the right of the image."""
+    """Order the corners so that the first square is dark and x points to the right of the image."""
     columns, rows = target.squares[0] - 1, target.squares[1] - 1
     grid = pixels.reshape(rows, columns, 2)
     across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
@@ -130,7 +131,7 @@ def _find_apriltag_grid(image: Grey, target: Target) -> Found:
 
 
 def _arranged(target: Target, tags: np.ndarray, quads: FloatArray) -> Found:
-    """Corners of tags in the target's order.
+    """Order the corners of tags as the target does.
 
     A tag's corners are found clockwise on the page, from the corner that its dictionary calls the
     first. How the tag was turned when it was printed, and whether rows go up or down the page, is

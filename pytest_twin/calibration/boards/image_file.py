@@ -1,4 +1,4 @@
-"""Image files, read within bounds."""
+"""Read image files within limits on their size."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP")
 
 
 def read_grey(path: Path) -> Grey:
-    """(height, width) grey values of an image file, as the sensor has them (EXIF is not applied).
+    """(height, width) grey values of an image file in the sensor's orientation (EXIF is ignored).
 
     Raises:
-        PathError: missing, a link, or no regular file.
-        LimitError: more bytes or pixels than ``limits.IMAGES`` allows.
+        PathError: the file is missing, a link, or no regular file.
+        LimitError: the file has more bytes or pixels than ``limits.IMAGES`` allows.
         FormatError: not an image of a known format, or a damaged one.
     """
     from PIL import Image
@@ -49,7 +49,7 @@ def read_grey(path: Path) -> Grey:
 
 
 def _grey(image: object) -> Grey:
-    """Grey values, 16 bits scaled to the range that the image uses."""
+    """Convert to 8-bit grey values; 16-bit values are scaled by the range that the image uses."""
     from PIL import Image
 
     assert isinstance(image, Image.Image)

@@ -1,4 +1,4 @@
-"""OpenCV, loaded when the first image needs it."""
+"""Import OpenCV when the first image is read."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def opencv() -> Any:
     """The module ``cv2``.
 
     Raises:
-        SpecError: OpenCV is missing, or has no ArUco markers or no hand-eye solvers; says what to
-            install.
+        SpecError: OpenCV is missing, or has no ArUco markers or no hand-eye solvers; the message
+            names the package to install.
     """
     try:
         import cv2
@@ -30,6 +30,6 @@ def opencv() -> Any:
             value=cv2.__version__,
             expected=f"opencv-contrib-python-headless 4.10 to 4.x: {_INSTALL}",
         )
-    # Failures are reported by whoever calls; OpenCV would print its own lines between.
+    # Callers report failures; OpenCV would print its own messages in between.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     return cv2

@@ -1,4 +1,4 @@
-"""How sharp an image is, as the standard deviation of the blur of its edges."""
+"""Measure the sharpness of an image: the standard deviation of the blur of its edges."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from pytest_twin.calibration.boards.target import Target
 
 _SAMPLES = 97
 _REACH = 0.45
-"""How far a profile goes to either side of an edge, as a share of the edge's length."""
+"""Length of a grey-value profile on either side of an edge, as a fraction of the edge's length."""
 _BLURRED_SHARE = 80.0
-"""Percentile over the edges: a motion blurs the edges of one direction only."""
+"""Percentile of the blur over the edges. It is above the median because motion blurs edges of one
+direction only."""
 _LEAST_CONTRAST = 12.0
-"""Grey values between the two sides of an edge, below which it is no edge."""
+"""Smallest difference in grey value between the two sides of an edge."""
 
 
 def blur_px(image: Grey, target: Target, ids: np.ndarray, pixels: FloatArray) -> float:
-    """Standard deviation of the blur across the target's edges, px; NaN where none can be seen.
+    """Standard deviation of the blur across the target's edges, px; NaN if no edge is visible.
 
-    Each edge between two neighbouring corners is crossed in its middle. A step blurred by a
-    Gaussian has its steepest slope at height / (sigma sqrt(2 pi)).
+    A grey-value profile is taken across the middle of each edge between two neighbouring corners. A
+    step blurred by a Gaussian has the steepest slope height / (sigma sqrt(2 pi)).
     """
     starts, ends = _edges(target, ids, pixels)
     if not len(starts):
@@ -71,7 +72,7 @@ def image_blur_px(image: Grey) -> float:
 
 
 def _edges(target: Target, ids: np.ndarray, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(edges, 2) both ends of the edges whose two corners were found."""
+    """(edges, 2) both ends of the edges whose two corners were detected, px."""
     place = np.full((target.corners, 2), np.nan)
     place[ids] = pixels
     if target.kind == "apriltag_grid":

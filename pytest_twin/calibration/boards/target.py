@@ -1,4 +1,4 @@
-"""Calibration targets with a printed pattern: their fields and the places of their corners."""
+"""Calibration targets with a printed pattern: their fields and the positions of their corners."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pytest_twin.errors import SpecError
 Kind = Literal["charuco", "chessboard", "apriltag_grid"]
 
 KINDS: tuple[Kind, ...] = ("charuco", "chessboard", "apriltag_grid")
-"""Targets that are found in images."""
+"""Kinds of targets that can be detected in images."""
 
 _MOST_SQUARES = 100
 _FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -27,7 +27,7 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A flat board.
+    """A flat calibration board.
 
     The board's frame has its origin at the outer corner of the first square or tag, x along the
     first row and y towards the next row. The corners of a ``charuco`` and a ``chessboard`` are
@@ -35,15 +35,16 @@ class Target:
     as OpenCV has them. The corners of an ``apriltag_grid`` are the four of each tag.
 
     The first square of a ``chessboard`` is dark. Where a half turn leaves its colours unchanged
-    (columns and rows both even or both odd), x is taken to point to the right of the image.
-    Where a robot says how it turned, ``cameras.half_turn`` corrects that for boards turned further.
+    (columns and rows both even or both odd), x is assumed to point to the right of the image. Where
+    robot poses are known, ``cameras.half_turn`` corrects this for boards that are turned by more
+    than 90 degrees.
 
     Tags of an ``apriltag_grid`` are numbered from 0 along the rows. Whether the rows go down the
     page (OpenCV's ``GridBoard``) or up (Kalibr's AprilGrid), and how the tags are turned on the
     page, is found from the image. With rows that go up, y points up the page and z out of it.
 
     Attributes:
-        kind: how the board is made.
+        kind: type of the board.
         squares: columns and rows of squares (of tags for an ``apriltag_grid``).
         square: edge of a square, m; for an ``apriltag_grid`` the distance from one tag to the
             next, which is the tag's edge and the gap together.
@@ -59,14 +60,15 @@ class Target:
 
     @property
     def corners(self) -> int:
-        """How many corners the board has."""
+        """Number of corners of the board."""
         columns, rows = self.squares
         return 4 * columns * rows if self.kind == "apriltag_grid" else (columns - 1) * (rows - 1)
 
     def board_points(self) -> FloatArray:
-        """(corners, 3) places in the board's frame, m; corner ids are the indices.
+        """(corners, 3) positions in the board's frame, m; corner ids are the indices.
 
-        The corners of a tag follow one another: origin side first, then along x, then around.
+        The four corners of a tag are consecutive: first the one nearest to the origin, then the one
+        along x, then the others in the same sense of rotation.
         """
         columns, rows = self.squares
         if self.kind == "apriltag_grid":
@@ -79,13 +81,13 @@ class Target:
 
 
 def _grid(columns: int, rows: int) -> FloatArray:
-    """(columns * rows, 2) column and row of each place, row by row."""
+    """(columns * rows, 2) column and row of each grid position, row by row."""
     y, x = np.mgrid[:rows, :columns]
     return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float64)
 
 
 def make_target(data: Mapping[str, Any]) -> Target:
-    """The target that ``target:`` of a plan states.
+    """Build the target that the field ``target:`` of a plan describes.
 
     Raises:
         SpecError: a field is missing or does not describe a board that can be found in images.

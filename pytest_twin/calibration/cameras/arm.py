@@ -1,4 +1,4 @@
-"""The robot's own parameters beside a camera's: joint zeros and links under their priors."""
+"""Joint zeros and link geometry as unknowns of a camera calibration, with their priors."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from pytest_twin.calibration.problem import Problem
 
 @dataclass(frozen=True)
 class Arm:
-    """The flange's poses as functions of joint zeros and deviations of links.
+    """Flange poses as functions of joint zeros and link deviations.
 
     Attributes:
-        problem: with the rows that have images, and a layout of the arm's unknowns only.
-        state: where the unknowns are 0: zeros and links.
+        problem: the calibration problem on the rows that have images, with only the arm's unknowns
+            free.
+        state: joint zeros and link deviations at which the steps are 0.
     """
 
     problem: Problem
@@ -25,7 +26,7 @@ class Arm:
 
     @property
     def count(self) -> int:
-        """How many unknowns there are."""
+        """Number of unknowns."""
         return self.problem.layout.count
 
     @property
@@ -35,7 +36,7 @@ class Arm:
         return np.array([0.0 if prior is None else prior**-2 for prior in priors])
 
     def values(self, step: FloatArray) -> FloatArray:
-        """(count,) deviations from the design, which the priors are about, rad and m."""
+        """(count,) deviations from the nominal design, the mean of the priors, rad and m."""
         layout, moved = self.problem.layout, self.moved(step)
         return np.concatenate([moved.zeros[list(layout.zeros)], moved.links])
 
@@ -52,7 +53,7 @@ class Arm:
 
 
 def arm_of(problem: Problem, rows: np.ndarray, state: State) -> Arm | None:
-    """The arm's unknowns in a problem; None where it has none."""
+    """Return the arm's unknowns of a problem; None if it has none."""
     layout = problem.layout
     if not layout.zeros and not layout.links:
         return None

@@ -1,10 +1,10 @@
-"""Camera and hand-eye calibration by least squares on reprojection.
+"""Camera and hand-eye calibration by least squares on reprojection errors (bundle adjustment).
 
-Unknown are some intrinsics, the pose of the target in each image, the places of the board's
-corners, and, with a robot, the two transforms around it. The residuals are the reprojection errors
-of the corners, the differences between the flange poses that the robot reports and those that the
-unknowns give, and the deviations of the board from its drawing. A robot or a board that is held
-exact would put its error into the intrinsics.
+The unknowns are the free intrinsics, the pose of the target in each image and the positions of the
+board's corners. With a robot, the hand-eye and robot-world transforms are unknowns too. The
+residuals are the reprojection errors of the corners, the differences between the reported and the
+predicted flange poses, and the deviations of the board from its drawing. If robot or board were
+assumed exact, their errors would bias the intrinsics.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from pytest_twin.calibration.cameras.reprojection import corners_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, Mount
 
 FEWEST_IMAGES_FOR_BOARD = 8
-"""Images from which on the board's own deviations are estimated: with fewer, noise of the corners
-would be taken for the print."""
+"""Smallest number of images for which the board's deviations from its drawing are estimated. With
+fewer images, noise of the corners would be attributed to the board."""
 
 _STEPS, _ROUNDS = 60, 30
 _SETTLED, _ROUND_SETTLED = 1e-6, 0.03
@@ -40,23 +40,23 @@ _SETTLED, _ROUND_SETTLED = 1e-6, 0.03
 
 @dataclass(frozen=True)
 class Bundle:
-    """What was found.
+    """Result of the bundle adjustment.
 
     Attributes:
-        solved: the two transforms around the robot; those of the start where there is no robot.
+        solved: hand-eye and robot-world transforms; without a robot those of the start.
         intrinsics: (16,) in the order of ``NAMES``.
         free: names of the intrinsics that were estimated.
         camera_from_target: (n, 4, 4) pose of the target in each image, m.
-        board: (corners, 3) places of the corners in the target's frame, m.
-        covariance: of the 12 coordinates of hand-eye and robot-world (each x, y, z, then the
-            rotation vector, in the axes of the parent; left out without a robot), of the arm's
+        board: (corners, 3) positions of the corners in the target's frame, m.
+        covariance: covariance of the 12 coordinates of hand-eye and robot-world (each x, y, z, then
+            the rotation vector, in the axes of the parent; absent without a robot), of the arm's
             own parameters, then of the free intrinsics.
-        degrees: degrees of freedom of the estimate of the noise.
-        noise: of corners, robot and board.
-        residuals: (m, 2) px.
-        image: (m,) image of each corner.
-        robot: (n, 6) how far the robot's pose is off, in the flange's axes: m, then rad.
-        weights: (n,) weight of each robot pose, 1 for one that fits.
+        degrees: degrees of freedom of the noise estimate.
+        noise: standard deviations of corners, robot and board.
+        residuals: (m, 2) predicted minus detected corners, px.
+        image: (m,) index of the image of each corner.
+        robot: (n, 6) error of the robot's pose in the flange's axes: m, then rad.
+        weights: (n,) robust weight of each robot pose; 1 for an inlier.
         is_board_estimated: whether the board's corners were estimated.
         arm: (k,) steps of the arm's own parameters, rad and m.
     """
@@ -82,13 +82,13 @@ class Bundle:
         return float(np.sqrt(np.mean(self.residuals**2)))
 
     def on_board(self, detection: Detection) -> Detection:
-        """A detection whose corners are where the board has them, rather than its drawing."""
+        """Return a detection with the estimated positions of the corners on the board."""
         return replace(detection, board_points=self.board[detection.corner_ids])
 
 
 @dataclass(frozen=True, slots=True)
 class KnownNoise:
-    """Standard deviations: ``exact``, or where their estimation starts."""
+    """Noise that is held (``is_exact``) or that the estimation of the noise starts from."""
 
     value: Noise
     is_exact: bool = True
@@ -104,21 +104,21 @@ def bundle(
     noise: KnownNoise | None = None,
     arm: Arm | None = None,
 ) -> Bundle:
-    """The least-squares estimate from images and, where there is one, the robot's poses.
+    """Return the least-squares estimate from images and, with a robot, from its flange poses.
 
     Args:
         base_from_flange: (n, 4, 4) as the robot reports them, m; None without a robot.
         detections: (n) usable detections.
-        start: where the search starts; its board is the drawing.
+        start: initial camera; its board is the drawing.
         mount: what the flange carries.
         free: intrinsics that are estimated.
-        noise: standard deviations that are known; estimated where it is left out.
-        arm: whose zeros or links are estimated with the rest.
+        noise: known standard deviations; by default they are estimated.
+        arm: robot arm whose joint zeros or link deviations are estimated too.
 
     Raises:
         numpy.linalg.LinAlgError: the images and poses do not determine the unknowns.
     """
-    # With few images the board is held to its drawing.
+    # With few images the board is fixed at its drawing.
     exact_board = len(detections) < FEWEST_IMAGES_FOR_BOARD
     model = Model(
         base_from_flange,
@@ -162,7 +162,7 @@ def bundle(
 
 
 def _degrees(model: Model) -> float:
-    """Degrees of freedom of the kind of residual that decides: of the robot where there is one."""
+    """Degrees of freedom of the residuals that limit the accuracy: the robot's if there is one."""
     if model.base_from_flange is not None:
         return float(max(6 * len(model.base_from_flange) - 12 - len(model.own), 1))
     corners = 2 * len(model.corners.pixels) - 6 * model.corners.images - len(model.free)
@@ -170,7 +170,7 @@ def _degrees(model: Model) -> float:
 
 
 def _minimized(model: Model, unknowns: Unknowns, noise: Noise) -> Unknowns:
-    """The unknowns of least cost near where they are (Levenberg-Marquardt)."""
+    """Return the unknowns at the nearest local minimum of the cost (Levenberg-Marquardt)."""
     equations: Equations = linearized(model, unknowns, noise)
     damping = 1e-6
     for _ in range(_STEPS):

@@ -1,4 +1,4 @@
-"""Intrinsics from images of a target alone."""
+"""Calibrate the intrinsics of a camera from images of a target, without robot poses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MODELS = (
     (*PINHOLE, "k1", "k2", "p1", "p2"),
     (*PINHOLE, "k1", "k2", "p1", "p2", "k3"),
 )
-"""Distortion models that are compared, each with one more term of the same expansion."""
+"""Distortion models that are compared. Each model extends the one before it."""
 
 FEWEST_IMAGES = 3
 
@@ -35,13 +35,13 @@ class Camera:
     """A camera and the board that it was calibrated with.
 
     Attributes:
-        intrinsics: of the camera.
-        board: (corners, 3) places of the board's corners in its frame, m.
+        intrinsics: estimated or given intrinsics.
+        board: (corners, 3) positions of the board's corners in its frame, m.
         free: names of the intrinsics that were estimated.
-        covariance: (free, free) of them.
+        covariance: (free, free) covariance of the free intrinsics.
         pixel_noise: standard deviation of a corner's coordinate, px.
-        board_noise: standard deviation of a corner's place on the board against its drawing, m; 0
-            where the board was taken as drawn.
+        board_noise: standard deviation of a corner's position on the board against its drawing, m;
+            0 if the drawing was assumed exact.
     """
 
     intrinsics: Intrinsics
@@ -55,14 +55,14 @@ class Camera:
 def calibrate_camera(
     detections: Sequence[Detection], board: FloatArray, start: Intrinsics | None
 ) -> Camera:
-    """The camera that the images show, with the distortion that they bear.
+    """Estimate the camera from images, with the distortion model that the images support.
 
-    Of ``MODELS`` the one with the least Bayesian information criterion counts.
+    The model of ``MODELS`` with the smallest Bayesian information criterion is selected.
 
     Args:
         detections: usable detections of one camera.
-        board: (corners, 3) the board as it is drawn, m.
-        start: intrinsics to start from; found from the images where they are left out.
+        board: (corners, 3) corners of the board's drawing, m.
+        start: initial intrinsics; by default they are estimated from the images.
 
     Raises:
         SpecError: too few images, images of different sizes, or views that do not determine the
@@ -103,14 +103,14 @@ def fixed_or_free(
     free: Sequence[str],
     before: Bundle | None = None,
 ) -> Bundle:
-    """Least squares on the images alone with some intrinsics free, the others held.
+    """Fit the images alone with some intrinsics free and the others fixed.
 
     Args:
         detections: usable detections of one camera.
-        board: (corners, 3) the board as it is drawn, m.
-        intrinsics: where the free ones start, and the others stay.
+        board: (corners, 3) corners of the board's drawing, m.
+        intrinsics: initial values of the free intrinsics and values of the fixed ones.
         free: names of the free intrinsics.
-        before: a bundle of the same images to start from.
+        before: earlier result of the same images to start from.
 
     Raises:
         ValueError: an image in which no pose of the target is found.
@@ -129,7 +129,7 @@ def fixed_or_free(
 
 
 def camera_of(found: Bundle) -> Camera:
-    """The camera and board of a bundle."""
+    """Return the camera and board of a bundle adjustment."""
     return Camera(
         Intrinsics(found.intrinsics),
         found.board,

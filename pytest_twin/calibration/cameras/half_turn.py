@@ -1,4 +1,4 @@
-"""Which way round a board lies that looks the same after a half turn."""
+"""Resolve the orientation of boards whose print is unchanged by a half turn."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pytest_twin.calibration.cameras.observed import Images
 
 
 def looks_alike(target: Target) -> bool:
-    """Whether a half turn leaves a board's print unchanged."""
+    """Whether a half turn leaves the print of a board unchanged."""
     columns, rows = target.squares
     return target.kind == "chessboard" and (columns + rows) % 2 == 0
 
@@ -22,15 +22,16 @@ def looks_alike(target: Target) -> bool:
 def with_one_way_round(
     images: Images, ids: tuple[str, ...], flange: FloatArray
 ) -> tuple[Images, str]:
-    """The images with the board the same way round in all, and a note; "" where none changes.
+    """Return the images with the same board orientation in all, and a note ("" if none changed).
 
-    The flange and what it carries turn by the same angle between two poses, whatever hand-eye is
-    (screw congruence; Chen: A screw motion approach to uniqueness analysis of head-eye geometry,
-    1991). A half turn of the board changes this angle. The first image decides which way is meant.
+    Between two poses, the flange and a body on it turn by the same angle, independent of the
+    hand-eye transform (screw congruence; Chen: A screw motion approach to uniqueness analysis of
+    head-eye geometry, 1991). A half turn of the board changes this angle. The orientation in the
+    first image is taken as the right one.
 
     Args:
-        images: of the observations.
-        ids: of the observations.
+        images: images of the observations.
+        ids: ids of the observations.
         flange: (rows, 4, 4) as the robot reports it.
     """
     if not looks_alike(images.target):
@@ -69,7 +70,7 @@ def with_one_way_round(
 
 
 def _misfit(known: list[tuple[Rotation, Rotation]], robot: Rotation, seen: Rotation) -> float:
-    """Sum of squared differences between both angles to the poses that are known, rad^2."""
+    """Sum of squared differences between robot and board angles to known poses, rad^2."""
     return sum(
         float((before.inv() * robot).magnitude() - (view.inv() * seen).magnitude()) ** 2
         for before, view in known
@@ -77,7 +78,7 @@ def _misfit(known: list[tuple[Rotation, Rotation]], robot: Rotation, seen: Rotat
 
 
 def _half_turned(images: Images, name: str) -> Detection:
-    """The same corners, named from the other end of the board."""
+    """Return the detection with corner ids counted from the opposite end of the board."""
     detection = images.detections[name]
     ids = images.target.corners - 1 - detection.corner_ids
     order = np.argsort(ids)

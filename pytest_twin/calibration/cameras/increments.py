@@ -1,4 +1,4 @@
-"""Small changes of rigid transforms.
+"""Jacobians of small changes of rigid transforms.
 
 A change of a transform ``parent_from_child`` is (6,): ``v`` (m), then ``w`` (rad), both in the
 parent's axes: ``t' = t + v``, ``R' = exp(w) R``. Matrices here take the change of one transform to
@@ -41,7 +41,7 @@ def changed(transforms: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 def by_first(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(..., 6, 6): change of ``first @ second`` for a change of ``first``."""
+    """(..., 6, 6) Jacobian of ``first @ second`` with respect to ``first``."""
     arm = np.einsum("...ij,...j->...i", first[..., :3, :3], second[..., :3, 3])
     found = np.zeros((*arm.shape[:-1], 6, 6))
     found[...] = np.eye(6)
@@ -50,12 +50,12 @@ def by_first(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def by_second(first: FloatArray) -> FloatArray:
-    """(..., 6, 6): change of ``first @ second`` for a change of ``second``."""
+    """(..., 6, 6) Jacobian of ``first @ second`` with respect to ``second``."""
     return _twice(first[..., :3, :3])
 
 
 def by_inverse(transforms: FloatArray) -> FloatArray:
-    """(..., 6, 6): change of the inverses for a change of the transforms."""
+    """(..., 6, 6) Jacobian of the inverses with respect to the transforms."""
     back = np.swapaxes(transforms[..., :3, :3], -1, -2)
     found = -_twice(back)
     found[..., :3, 3:] = -back @ skew(transforms[..., :3, 3])
@@ -63,7 +63,7 @@ def by_inverse(transforms: FloatArray) -> FloatArray:
 
 
 def difference(measured: FloatArray, predicted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``inv(measured) @ predicted`` as (..., 6), and its (..., 6, 6) slope by ``predicted``."""
+    """``inv(measured) @ predicted`` as (..., 6), and its (..., 6, 6) Jacobian by ``predicted``."""
     back = np.swapaxes(measured[..., :3, :3], -1, -2)
     shift = np.einsum("...ij,...j->...i", back, predicted[..., :3, 3] - measured[..., :3, 3])
     turn = Rotation.from_matrix((back @ predicted[..., :3, :3]).reshape(-1, 3, 3)).as_rotvec()
@@ -74,7 +74,7 @@ def difference(measured: FloatArray, predicted: FloatArray) -> tuple[FloatArray,
 
 
 def by_measured(measured: FloatArray, predicted: FloatArray, slope: FloatArray) -> FloatArray:
-    """(..., 6, 6) slope of ``difference`` by ``measured``, from that by ``predicted``."""
+    """(..., 6, 6) Jacobian of ``difference`` by ``measured``, from that by ``predicted``."""
     lever = np.zeros_like(slope)
     lever[...] = np.eye(6)
     lever[..., :3, 3:] = -skew(predicted[..., :3, 3] - measured[..., :3, 3])
@@ -85,7 +85,7 @@ def _inverse_left_jacobian(turn: FloatArray) -> FloatArray:
     """(..., 3, 3) ``J`` with ``log(exp(d) exp(turn)) = turn + J d`` to first order."""
     angle = np.linalg.norm(turn, axis=-1)[..., None, None]
     half = np.maximum(angle, 1e-3) / 2.0
-    # Below 1 mrad the factor is 1/12 to seven digits.
+    # Below 1 mrad the factor equals 1/12 to seven digits.
     factor = (1.0 - half / np.tan(half)) / np.maximum(angle, 1e-3) ** 2
     cross = skew(turn)
     return np.asarray(np.eye(3) - 0.5 * cross + factor * (cross @ cross), dtype=np.float64)

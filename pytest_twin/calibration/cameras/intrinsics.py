@@ -1,4 +1,4 @@
-"""Intrinsics of a camera, and its projection with derivatives."""
+"""Intrinsics of a camera, and projection with derivatives."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ NAMES = (
     *("fx", "fy", "cx", "cy"),
     *("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4"),
 )
-"""The intrinsics in the order of a vector: pinhole (px), then distortion as OpenCV orders it."""
+"""Order of the intrinsics in a vector: pinhole parameters (px), then distortion in OpenCV's
+order."""
 
 COUNT = len(NAMES)
 
@@ -43,11 +44,11 @@ class Intrinsics:
 
 
 def make_intrinsics(data: Mapping[str, Any]) -> Intrinsics:
-    """The intrinsics that ``camera.intrinsics`` of a plan states.
+    """Read the intrinsics in ``camera.intrinsics`` of a plan.
 
     Raises:
-        SpecError: a field is missing, no positive focal length, or a tilted sensor, which is not
-            supported.
+        SpecError: a field is missing, a focal length is not positive, or the sensor is tilted,
+            which is not supported.
     """
     where = "camera.intrinsics"
     for name in NAMES[:4]:
@@ -78,14 +79,15 @@ def make_intrinsics(data: Mapping[str, Any]) -> Intrinsics:
 
 
 def project(points: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pixels of points in the camera's frame, with derivatives.
+    """Project points in the camera's frame to pixels, with derivatives.
 
     Args:
         points: (n, 3) in the camera's frame (z forward), m.
         vector: (16,) intrinsics in the order of ``NAMES``.
 
     Returns:
-        (n, 2) px, (n, 2, 3) px/m, and (n, 2, 16) px for each unit of an intrinsic.
+        (n, 2) pixels, px; (n, 2, 3) derivatives by the points, px/m; (n, 2, 16) derivatives by the
+        intrinsics, px per unit.
     """
     fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = vector
     depth = points[:, 2]
@@ -98,7 +100,7 @@ def project(points: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatAr
     yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + s3 * r2 + s4 * r4
     pixels = np.stack([fx * xd + cx, fy * yd + cy], axis=1)
 
-    # Slope of the distortion by r2, then by x and y.
+    # Derivatives of the distortion by r2, then by x and y.
     d_up, d_down = k1 + 2.0 * k2 * r2 + 3.0 * k3 * r4, k4 + 2.0 * k5 * r2 + 3.0 * k6 * r4
     d_radial = (d_up - radial * d_down) / down
     prism_x, prism_y = s1 + 2.0 * s2 * r2, s3 + 2.0 * s4 * r2

@@ -1,8 +1,8 @@
-"""Normal equations of a camera, its images, its board and a robot, and the noise of each.
+"""Normal equations of a bundle adjustment with camera, board and robot, and their noise.
 
-How much each kind of residual weighs is not known beforehand. The noise of corners, robot and
-board is estimated from the residuals of each kind over its redundancy (Foerstner 1979, variance
-components).
+The weights of the kinds of residuals are not known beforehand. The variances of corners, robot and
+board are estimated from the squared residuals of each kind, divided by its redundancy (variance
+components, Foerstner 1979).
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from pytest_twin.calibration.cameras.reprojection import Corners, reprojection_r
 from pytest_twin.calibration.solvers.algebraic import Mount
 
 _HUBER = 2.5
-"""Residuals beyond this many standard deviations count linearly. Huber's 1.345 is for a tenth of
+"""Residuals beyond this many standard deviations enter the cost linearly. Huber's 1.345 is for 10 %
 outliers; corners and robots have fewer."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations. The defaults are those of a usual camera, robot and printed board.
+    """Standard deviations of the measurements; the defaults are typical values.
 
     Attributes:
-        pixel: of a corner's coordinate, px.
+        pixel: of each coordinate of a corner in the image, px.
         position: of each coordinate of the flange's position, m.
         orientation: of each coordinate of the flange's rotation vector, rad.
-        board: of each coordinate of a corner's place on the board, m.
+        board: of each coordinate of a corner's position on the board, m.
     """
 
     pixel: float = 0.3
@@ -48,24 +48,24 @@ class Noise:
 
     @property
     def vector(self) -> FloatArray:
-        """(4,) the values in this order."""
+        """(4,) the values in the order of the attributes."""
         return np.array([self.pixel, self.position, self.orientation, self.board])
 
 
 LEAST_NOISE = Noise(0.01, 5e-6, 5e-6, 1e-5)
-"""Below this nothing is measured; data without noise need a limit."""
+"""Lower bounds of the estimated noise, which exact synthetic data need."""
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Values of what is estimated.
+    """Values of the unknowns.
 
     Attributes:
         hand_eye, robot_world: (4, 4), see ``HandEye``, m.
         intrinsics: (16,) in the order of ``NAMES``.
         camera_from_target: (n, 4, 4), m.
-        board: (corners, 3) places of the target's corners, m.
-        arm: (k,) steps of joint zeros and links from where the arm has them, rad and m.
+        board: (corners, 3) positions of the corners in the target's frame, m.
+        arm: (k,) steps of joint zeros and link deviations from the arm's state, rad and m.
     """
 
     hand_eye: FloatArray
@@ -78,19 +78,19 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class Model:
-    """What was measured, and what is free.
+    """Measurements and free parameters of a bundle adjustment.
 
-    The globals, which all images share, are in this order: free intrinsics, hand-eye and
-    robot-world where there is a robot, the arm's own parameters, the board's coordinates where
-    it is free.
+    The globals are the unknowns that all images share. Their order is: free intrinsics, hand-eye
+    and robot-world (with a robot), the arm's own parameters, the board's coordinates (if the board
+    is free).
 
     Attributes:
         base_from_flange: (n, 4, 4) m, or None.
-        corners: of all images.
-        mount: what the flange carries.
+        corners: corners of all images.
+        mount: where the camera is mounted.
         free: indices of the free intrinsics.
-        drawing: (corners, 3) the board as it was drawn, m; None where it is exact.
-        arm: the robot whose zeros or links are free; None where ``base_from_flange`` is given.
+        drawing: (corners, 3) corners of the board's drawing, m; None if the board is exact.
+        arm: robot arm whose joint zeros or links are free; None if ``base_from_flange`` is given.
     """
 
     base_from_flange: FloatArray | None
@@ -102,33 +102,33 @@ class Model:
 
     @property
     def intrinsics(self) -> np.ndarray:
-        """Places of the free intrinsics among the globals."""
+        """Indices of the free intrinsics among the globals."""
         return np.arange(len(self.free))
 
     @property
     def transforms(self) -> np.ndarray:
-        """Places of hand-eye and robot-world among the globals."""
+        """Indices of hand-eye and robot-world among the globals."""
         return len(self.free) + np.arange(0 if self.base_from_flange is None else 12)
 
     @property
     def own(self) -> np.ndarray:
-        """Places of the arm's own parameters among the globals."""
+        """Indices of the arm's own parameters among the globals."""
         before = len(self.free) + len(self.transforms)
         return before + np.arange(0 if self.arm is None else self.arm.count)
 
     @property
     def board(self) -> np.ndarray:
-        """Places of the board's coordinates among the globals."""
+        """Indices of the board's coordinates among the globals."""
         before = len(self.free) + len(self.transforms) + len(self.own)
         return before + np.arange(0 if self.drawing is None else self.drawing.size)
 
     @property
     def count(self) -> int:
-        """How many globals there are."""
+        """Number of globals."""
         return len(self.free) + len(self.transforms) + len(self.own) + len(self.board)
 
     def robot(self, unknowns: Unknowns) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(k, 6) residuals of the robot's poses; slopes by transforms and arm, by target poses."""
+        """(k, 6) residuals of the robot's poses, and Jacobians by globals and by target poses."""
         if self.base_from_flange is None:
             return np.zeros((0, 6)), np.zeros((0, 6, 0)), np.zeros((0, 6, 6))
         seen, by_pose = unknowns.camera_from_target, np.eye(6)
@@ -151,16 +151,19 @@ class Model:
 
 @dataclass(frozen=True)
 class Equations:
-    """Normal equations at one place, the poses of the target eliminated (Schur complement).
+    """Normal equations at given unknowns, with the target poses eliminated (Schur complement).
 
     Attributes:
         cost: robust sum of squares.
-        pixels: (m, 2) px; ``robot``: (k, 6) m, rad; ``deviation``: (corners, 3) m.
-        pixel_weights, robot_weights: (m,), (k,) of Huber's function.
-        pixel_slopes: (m, 2, 6) by the target's pose and (m, 2, count) by the globals, whitened.
-        robot_slopes: (k, 6, 6) and (k, 6, count), whitened.
-        schur, right: (count, count), (count,) for the globals.
-        coupling: (n, count, 6); ``pose_block``: (n, 6, 6); ``pose_right``: (n, 6).
+        pixels, robot, deviation: residuals of corners (m, 2), px, of robot poses (k, 6), m and rad,
+            and of the board (corners, 3), m.
+        pixel_weights, robot_weights: (m,) and (k,) weights of Huber's function.
+        pixel_slopes: (m, 2, 6) Jacobian by the target's pose and (m, 2, count) by the globals,
+            divided by the noise.
+        robot_slopes: the same of the robot residuals, (k, 6, 6) and (k, 6, count).
+        schur, right: (count, count) matrix and (count,) right side for the globals.
+        coupling, pose_block, pose_right: (n, count, 6), (n, 6, 6) and (n, 6) blocks of the target
+            poses, from which their step follows.
     """
 
     cost: float
@@ -178,9 +181,10 @@ class Equations:
     pose_right: FloatArray
 
     def step(self, damping: float) -> tuple[FloatArray, FloatArray]:
-        """(count,) change of the globals and (n, 6) of the target's poses.
+        """(count,) step of the globals and (n, 6) steps of the target's poses.
 
-        Damping is on the globals: a pose of the target is determined by its own corners.
+        Only the globals are damped, because the corners of an image determine the pose of its
+        target.
         """
         schur = self.schur + damping * np.diag(np.diag(self.schur))
         move = -np.linalg.solve(schur, self.right)
@@ -190,7 +194,7 @@ class Equations:
 
 
 def linearized(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
-    """The weighted normal equations at some values of the unknowns."""
+    """Return the weighted normal equations at given values of the unknowns."""
     corners = replace(model.corners, points=unknowns.board[model.corners.ids])
     pixels, by_pose, by_intrinsics = reprojection_residuals(
         unknowns.intrinsics, unknowns.camera_from_target, corners
@@ -210,7 +214,7 @@ def linearized(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
     prior = np.zeros(0) if model.arm is None else model.arm.precision
     values = np.zeros(0) if model.arm is None else model.arm.values(unknowns.arm)
 
-    # Two coordinates of a corner, or six of a pose, are an outlier together.
+    # The two coordinates of a corner, or the six of a pose, get one common weight.
     scale = np.repeat([1.0 / noise.position, 1.0 / noise.orientation], 3)
     pixel_cost, pixel_weight = _huber(np.mean((pixels / noise.pixel) ** 2, axis=1))
     robot_cost, robot_weight = _huber(np.mean((robot * scale) ** 2, axis=1))
@@ -250,7 +254,7 @@ def linearized(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
 
 
 def moved(model: Model, at: Unknowns, move: FloatArray, poses: FloatArray) -> Unknowns:
-    """The unknowns after a step of the globals and of the target's poses."""
+    """Return the unknowns after a step of the globals and of the target's poses."""
     intrinsics = at.intrinsics.copy()
     intrinsics[model.free] += move[model.intrinsics]
     found = replace(
@@ -271,17 +275,17 @@ def moved(model: Model, at: Unknowns, move: FloatArray, poses: FloatArray) -> Un
 
 
 def noise_of(model: Model, unknowns: Unknowns, noise: Noise) -> Noise:
-    """The noise that the residuals show: their squares over their redundancy, each kind apart."""
+    """Estimate the noise of each kind of residual from its squares and its redundancy."""
     equations = linearized(model, unknowns, noise)
     covariance = np.linalg.inv(equations.schur)
     inner = np.linalg.inv(equations.pose_block)
-    # Covariance of the globals with each pose, and of each pose.
+    # Covariance between the globals and each pose, and of each pose.
     gain = equations.coupling @ inner
     cross = -covariance @ gain
     poses = inner - np.swapaxes(gain, 1, 2) @ cross
 
     def used(by_pose: FloatArray, by_globals: FloatArray, image: np.ndarray) -> FloatArray:
-        """(rows, coordinates) share of each whitened residual that the unknowns take up."""
+        """(rows, coordinates) leverage of each whitened residual."""
         return np.asarray(
             np.einsum("mci,mci->mc", by_pose @ poses[image], by_pose)
             + np.einsum("mcg,mcg->mc", by_globals @ covariance, by_globals)
@@ -319,7 +323,7 @@ def _squared(slopes: FloatArray) -> FloatArray:
 
 
 def _huber(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Costs and weights of squared residuals in standard deviations."""
+    """Costs and weights by Huber's function, from squared residuals in standard deviations."""
     size = np.asarray(np.sqrt(squares), dtype=np.float64)
     far = size > _HUBER
     cost = np.where(far, 2.0 * _HUBER * size - _HUBER**2, squares)

@@ -1,4 +1,4 @@
-"""Images of a calibration's observations: from files to poses of the target."""
+"""Images of a calibration's observations, from files to target poses."""
 
 from __future__ import annotations
 
@@ -30,22 +30,23 @@ from pytest_twin.formats.paths import Roots
 from pytest_twin.metrics.pose import pose_vector
 
 MISFIT_RATIO = 1.5
-"""Estimated intrinsics that reduce the reprojection error by this factor say that the given ones
-are wrong. Overfitting nine intrinsics to five images of 24 corners gains less than 1.1."""
+"""The given intrinsics are reported as wrong if estimated ones reduce the reprojection error by
+this factor. Overfitting nine intrinsics to five images of 24 corners reduces it by less than
+1.1."""
 
 
 @dataclass(frozen=True)
 class Images:
-    """What the images of a plan's observations show.
+    """Detections of the target in the images of a plan's observations.
 
     Attributes:
-        target: that was looked for.
+        target: target that was searched for.
         detections: id of an observation -> its usable detection.
-        rejected: those that are not usable.
+        rejected: detections that are not usable.
         files: id of an observation -> its image, relative to the table of observations.
         given: intrinsics of the plan, or None.
         estimated: whether the intrinsics are to be estimated.
-        paths: of the images that are there.
+        paths: paths of the existing images.
     """
 
     target: Target
@@ -57,7 +58,7 @@ class Images:
     paths: tuple[Path, ...] = ()
 
     def camera(self, ids: Sequence[str]) -> Camera:
-        """The camera from the images of some observations, or as given.
+        """Estimate the camera from the images of some observations, or return the given one.
 
         Raises:
             SpecError: the intrinsics are to be estimated, and the images do not determine them.
@@ -72,7 +73,7 @@ class Images:
             return Camera(self.given, board, (), np.zeros((0, 0)), 0.3, 0.0)
 
     def misfit(self, ids: Sequence[str], camera: Camera) -> str:
-        """That the given intrinsics do not fit the images, in words; empty where they do."""
+        """Message that the given intrinsics do not fit the images; empty if they do."""
         if self.estimated or self.given is None or len(ids) < 5:
             return ""
         found = [self.detections[one] for one in ids if one in self.detections]
@@ -90,7 +91,7 @@ class Images:
         )
 
     def posed(self, observations: Observations, camera: Camera) -> tuple[Observations, list[str]]:
-        """The observations with the pose of the target in each image, and notes."""
+        """Return the observations with the pose of the target in each image, and notes."""
         poses = np.full((len(observations), 4, 4), np.nan)
         if observations.camera_from_target is not None:
             poses = observations.camera_from_target.copy()
@@ -112,13 +113,13 @@ class Images:
         return replace(observations, camera_from_target=poses), notes
 
     def pose(self, name: str, camera: Camera) -> TargetPose | None:
-        """The pose of the target in one observation's image."""
+        """Return the pose of the target in the image of one observation."""
         detection = self.detections[name]
         on_board = replace(detection, board_points=camera.board[detection.corner_ids])
         return target_pose(on_board, camera.intrinsics)
 
     def detected(self, ids: Sequence[str], camera: Camera) -> dict[str, Any]:
-        """What was detected in each image, for ``calibration.json`` and its report."""
+        """Return the detections in each image for ``calibration.json`` and its report."""
         found = {}
         for one in ids:
             pose = self.pose(one, camera) if one in self.detections else None
@@ -142,7 +143,7 @@ class Images:
         return found
 
     def reprojection_rms(self, ids: Sequence[str], camera: Camera) -> float:
-        """Reprojection error with the pose of each image free, px."""
+        """RMS reprojection error, px, with the target pose of each image estimated."""
         squares, count = 0.0, 0
         for one in ids:
             pose = self.pose(one, camera) if one in self.detections else None
@@ -155,15 +156,14 @@ class Images:
 def read_images(
     plan: Plan, observations: Observations, folder: Path | None = None
 ) -> tuple[Observations, Images | None, tuple[LeftOut, ...]]:
-    """The target in the images of the observations; None where the plan has no images.
+    """Detect the target in the images of the observations; None if the plan has no images.
 
-    Images lie in the plan's folder, or in ``folder`` where those of recordings are.
-
-    Observations whose image is not usable, and that hold no other measurement, are left out.
+    Images are read from the plan's folder, or from ``folder`` for images extracted from recordings.
+    Observations without a usable image and without another measurement are left out.
 
     Raises:
-        SpecError: target or intrinsics are missing or mean nothing; no image is usable.
-        PathError: a path that leaves the plan's folder.
+        SpecError: target or intrinsics are missing or invalid, or no image is usable.
+        PathError: a path leaves the plan's folder.
     """
     kind = plan.target.get("kind")
     if observations.images is None or not any(observations.images):
@@ -207,7 +207,7 @@ def read_images(
 
 
 def _paths(plan: Plan, observations: Observations, folder: Path | None) -> list[Path]:
-    """Files of the images; one that is missing is found out by its reader."""
+    """Paths of the images; the reader reports a missing file."""
     roots = Roots(plan.path.parent, () if folder is None else (folder,))
     table = plan.observations[0] if plan.observations else plan.path
     found = []
@@ -224,7 +224,7 @@ def _paths(plan: Plan, observations: Observations, folder: Path | None) -> list[
 
 
 def _measured(observations: Observations) -> FloatArray:
-    """(rows,) whether a row holds a measurement beside its image."""
+    """(rows,) True where a row has another measurement than its image."""
     found = np.zeros(len(observations), dtype=bool)
     if observations.camera_from_target is not None:
         found |= np.isfinite(observations.camera_from_target).all(axis=(1, 2))

@@ -1,4 +1,4 @@
-"""The pose of a target from one image."""
+"""Estimate the pose of a target from one image."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from pytest_twin.calibration.cameras.reprojection import corners_of, reprojectio
 _STEPS = 20
 _SETTLED = 1e-10
 AMBIGUOUS = 1.5
-"""A second pose whose reprojection error is less than this many times that of the first may be the
-right one: a flat target that is seen from far or from the front looks the same in both."""
+"""Ratio of reprojection errors below which the second-best pose may be the right one. A flat target
+that is far away or parallel to the image looks the same in both poses."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,11 @@ class TargetPose:
     """Pose of a target in one image.
 
     Attributes:
-        camera_from_target: (4, 4) takes the target's coordinates to the camera's, m.
+        camera_from_target: (4, 4) transform from the target's frame to the camera's, m.
         information: (6, 6) inverse covariance for a pixel noise of 1 px: x, y, z, then the
-            rotation vector, both in the camera's axes; divide by the variance in px^2.
+            rotation vector, both in the camera's axes. Divide by the actual variance in px^2.
         rms: reprojection error, px, root mean square over coordinates.
-        ambiguity: error of the second-best pose divided by ``rms``; infinite where there is none.
+        ambiguity: RMS error of the second-best pose divided by ``rms``; infinite without one.
     """
 
     camera_from_target: FloatArray
@@ -41,10 +41,10 @@ class TargetPose:
 
 
 def target_pose(detection: Detection, intrinsics: Intrinsics) -> TargetPose | None:
-    """The pose that reprojects the corners best; None where none is found.
+    """Return the pose with the smallest reprojection error; None if none is found.
 
-    A flat target has two poses that look alike (Collins, Bartoli: Infinitesimal plane-based pose
-    estimation, 2014). Both are refined, and the better one counts.
+    A flat target has two poses with similar images (Collins, Bartoli: Infinitesimal plane-based
+    pose estimation, 2014). Both are refined, and the better one is returned.
     """
     cv2 = opencv()
     try:
@@ -79,7 +79,7 @@ def target_pose(detection: Detection, intrinsics: Intrinsics) -> TargetPose | No
 def refined_pose(
     detection: Detection, intrinsics: Intrinsics, start: FloatArray
 ) -> TargetPose | None:
-    """The pose of least reprojection error near ``start``; None where the search fails."""
+    """Return the pose of least reprojection error near ``start``; None if the search fails."""
     corners = corners_of([detection])
     pose, damping = start[None], 1e-6
     residual, by_pose, _ = reprojection_residuals(intrinsics.vector, pose, corners)
@@ -112,9 +112,9 @@ def refined_pose(
 
 
 def pixel_noise(detections: Sequence[Detection], poses: Sequence[TargetPose]) -> float:
-    """Standard deviation of the corners, px, from what poses of single images leave.
+    """Standard deviation of the corners, px, from the residuals of the poses of single images.
 
-    Each pose takes up six of an image's coordinates.
+    Each pose uses six degrees of freedom.
     """
     squares = sum(2 * len(d.corner_ids) * p.rms**2 for d, p in zip(detections, poses, strict=True))
     freedom = sum(2 * len(d.corner_ids) - 6 for d in detections)

@@ -1,4 +1,4 @@
-"""A fit on poses, improved by least squares on reprojection."""
+"""Refine a fit on target poses by least squares on reprojection errors."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from pytest_twin.calibration.terms import PoseTerm
 def refined(
     found: Estimate, images: Images, camera: Camera
 ) -> tuple[Estimate, Camera, Bundle] | None:
-    """The estimate, the camera and the bundle with the images' corners in place of poses.
+    """Return estimate, camera and bundle, fitted to the corners in the images instead of to poses.
 
-    Joint zeros and links are unknowns too where the plan asks for them. None where the images are
-    not all that is measured, or do not determine the unknowns: the fit on poses then stands.
+    Joint zeros and links are unknowns too if the plan asks for them. Returns None if other things
+    than images were measured, or if the images do not determine the unknowns. The fit on poses is
+    then used.
     """
     problem = found.fit.problem
     terms = problem.terms
@@ -89,7 +90,7 @@ def refined(
 
 
 def intrinsics_record(camera: Camera, quantile: float = 1.96) -> dict[str, Any]:
-    """The record ``intrinsics`` of ``calibration.json``."""
+    """Return the record ``intrinsics`` of ``calibration.json``."""
     spread = np.sqrt(np.diag(camera.covariance))
     vector = camera.intrinsics.vector
     values = {}
@@ -114,7 +115,7 @@ def intrinsics_record(camera: Camera, quantile: float = 1.96) -> dict[str, Any]:
 
 
 def _own_axes(pose: FloatArray) -> FloatArray:
-    """(6, 6) from a change in the parent's axes to one that turns about the child's own axes."""
+    """(6, 6) matrix from a change in the parent's axes to one with rotation in the child's axes."""
     found = np.eye(6)
     found[3:, 3:] = pose[:3, :3].T
     return found

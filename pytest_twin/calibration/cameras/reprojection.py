@@ -15,14 +15,14 @@ from pytest_twin.calibration.cameras.intrinsics import project
 
 @dataclass(frozen=True)
 class Corners:
-    """The corners of several images, one after another.
+    """Detected corners of several images in one table.
 
     Attributes:
-        image: (m,) index of the image that each corner is in, ascending.
-        pixels: (m, 2) px.
-        points: (m, 3) in the target's frame, m.
+        image: (m,) index of the image of each corner, ascending.
+        pixels: (m, 2) detected positions, px.
+        points: (m, 3) positions in the target's frame, m.
         ids: (m,) index of each corner on the target.
-        images: how many images there are; each has corners.
+        images: number of images; each has corners.
     """
 
     image: np.ndarray
@@ -38,7 +38,7 @@ class Corners:
 
 
 def corners_of(detections: Sequence[Detection]) -> Corners:
-    """The corners of some detections, which must all be usable."""
+    """Collect the corners of detections, which must all be usable."""
     counts = [len(d.corner_ids) for d in detections]
     return Corners(
         np.repeat(np.arange(len(counts)), counts),
@@ -57,11 +57,12 @@ def reprojection_residuals(
     Args:
         intrinsics: (16,) in the order of ``intrinsics.NAMES``.
         camera_from_target: (images, 4, 4), m.
-        corners: what was detected.
+        corners: detected corners.
 
     Returns:
-        (m, 2) px; (m, 2, 6) by a change of the corner's own ``camera_from_target`` (see
-        ``increments``: m, then rad, in the camera's axes); (m, 2, 16) by the intrinsics.
+        (m, 2) residuals, px; (m, 2, 6) derivatives by a change of the image's
+        ``camera_from_target`` (see ``increments``: m, then rad, in the camera's axes); (m, 2, 16)
+        derivatives by the intrinsics.
     """
     poses = camera_from_target[corners.image]
     arms = np.einsum("nij,nj->ni", poses[:, :3, :3], corners.points)

@@ -1,4 +1,4 @@
-"""The part that images play in a calibration, from poses to its record."""
+"""Use of images in a calibration: target poses, refinement on corners, and the record."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from pytest_twin.calibration.residual_errors import accepted
 from pytest_twin.calibration.split import split
 
 MOST_FOCAL_SPREAD = 0.02
-"""Relative standard deviation of a focal length above which the views do not determine it: at 1 m
-it is 20 mm of distance."""
+"""Relative standard deviation of a focal length above which the views do not determine it. It
+corresponds to 20 mm of distance at 1 m."""
 
 
 class Seen:
-    """Images while one calibration runs: the camera that they show, and the estimate from them.
+    """Images of one calibration with the current camera and the estimate refined on their corners.
 
     Args:
-        images: of the observations.
+        images: images of the observations.
         observations: rows that the images belong to.
-        fitted: rows that the camera may be estimated from.
+        fitted: indices of the rows from which the camera is estimated.
     """
 
     def __init__(self, images: Images, observations: Observations, fitted: np.ndarray) -> None:
@@ -45,18 +45,18 @@ class Seen:
 
     @property
     def estimate(self) -> Estimate:
-        """The refined estimate; only after ``refine`` was True."""
+        """The refined estimate. Valid only after ``refine`` returned True."""
         assert self._estimate is not None
         return self._estimate
 
     def posed(self, observations: Observations) -> Observations:
-        """The observations with the poses of the target that the present camera sees."""
+        """Return the observations with target poses from the current camera."""
         found, notes = self._images.posed(observations, self.camera)
         self.notes += [note for note in notes if note not in self.notes]
         return found
 
     def refine(self, found: Estimate) -> bool:
-        """Improve an estimate on poses by the corners; whether that was possible."""
+        """Refine an estimate on poses with the corners in images; False if that is impossible."""
         better = refined(found, self._images, self.camera)
         if better is None:
             return False
@@ -64,10 +64,10 @@ class Seen:
         return True
 
     def complete(self, document: dict[str, Any], held_out: np.ndarray) -> list[str]:
-        """Add the intrinsics and the reprojection errors to ``calibration.json``.
+        """Add the intrinsics and the reprojection errors to the document ``calibration.json``.
 
         Returns:
-            What the images do not determine, in words.
+            Sentences that name what the images do not determine.
         """
         held = [self._ids[row] for row in held_out]
         _add_errors(document, self._images, self, self._fitted, held)
@@ -79,7 +79,7 @@ class Seen:
 def calibrate_intrinsics(
     plan: Plan, observations: Observations, images: Images, rejected: Sequence[LeftOut]
 ) -> dict[str, Any]:
-    """The content of ``calibration.json`` where only the intrinsics are asked for.
+    """Return the content of ``calibration.json`` for a plan that asks for the intrinsics only.
 
     Raises:
         SpecError: the images do not determine the intrinsics.
@@ -129,7 +129,7 @@ def _add_errors(
 
 
 def _add_intrinsics(document: dict[str, Any], seen: Seen, quantile: float) -> list[str]:
-    """What the images do not determine, in words; adds the record where they determine it."""
+    """Add the intrinsics' record; return sentences on what the images do not determine."""
     camera = seen.camera
     if not camera.free:
         return []

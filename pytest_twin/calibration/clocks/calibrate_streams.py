@@ -1,4 +1,4 @@
-"""``calibration.json`` of two pose streams on two clocks."""
+"""Calibrate the time offset and hand-eye transform of two pose streams on two clocks."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ MOST_POSITION_SPREAD_M = 0.05
 """Standard deviation of a transform's position above which it is not determined."""
 
 SURE_DRIFT = 1.5
-"""Half widths of its 95 % interval from which on a drift is taken as real: one set of data in a
-thousand without a drift shows one."""
+"""Smallest drift that is accepted as real, in half widths of its 95 % interval. One data set in a
+thousand without a drift exceeds it."""
 
 _STRETCHES = 12
 _MOST_POSES = 100
@@ -50,12 +50,12 @@ _LABELS = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True)
 class Start:
-    """Where the least squares starts.
+    """Initial values of the least squares.
 
     Attributes:
         solver: name of the best algebraic solver.
-        solved: what each solver found.
-        is_inverted: whether the camera's stream is read the other way round.
+        solved: result of each solver.
+        is_inverted: whether the poses of the camera's stream are inverted.
     """
 
     solver: str
@@ -64,7 +64,7 @@ class Start:
 
 
 def calibrate_streams(plan: Plan) -> dict[str, Any]:
-    """Offset of the clocks, and hand-eye, with held-out errors.
+    """Return the content of ``calibration.json``: clock offset and hand-eye, with held-out errors.
 
     Raises:
         TwinError: a stream that cannot be used.
@@ -98,7 +98,8 @@ def calibrate_streams(plan: Plan) -> dict[str, Any]:
         document["unobservable"] = [problem]
     if document["unobservable"]:
         document["records"] = {}
-        # A mistake in a stream makes directions seem undetermined; another motion is no help.
+        # A mistake in a stream makes directions seem undetermined; recording another motion would
+        # not help.
         if not document["suspected"]:
             document["reasons"] = [*document["unobservable"], *document["reasons"]]
             document["verdict"] = "degenerate"
@@ -112,13 +113,14 @@ def streams_of(plan: Plan) -> tuple[PoseStream, PoseStream]:
         TwinError: a stream that cannot be used.
     """
     hand, camera = (read_stream(plan.streams[name]) for name in ("hand", "camera"))
-    # A camera that stands still is carried by the base, as the flange sees it. Errors are then at
-    # the target, which is measured, and not at the camera, where angles add to them.
+    # For a fixed camera, the poses of the flange are inverted: seen from the flange, the base
+    # carries the camera. The errors are then those of the target's position, which is measured, and
+    # not those of the camera's position, to which errors of angles add.
     return replace(hand, inverted=plan.mount == "world"), camera
 
 
 def _unclear(found: Correlated) -> str:
-    """Why the angular speeds do not show an offset; empty where they do."""
+    """Reason why the angular speeds do not determine an offset; empty if they do."""
     if found.correlation < LEAST_CORRELATION:
         return (
             f"the time offset: the angular speeds of both streams have a correlation of "
@@ -134,7 +136,7 @@ def _unclear(found: Correlated) -> str:
 
 
 def stretches(camera: PoseStream, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Poses to fit and to hold out: whole stretches of time, as neighbours have the same errors."""
+    """Rows to fit and to hold out, by whole time segments, since neighbours share their errors."""
     blocks = np.array_split(np.arange(len(camera.time)), _STRETCHES)
     number = min(round(plan.hold_out.fraction * _STRETCHES), _STRETCHES - 2)
     drawn = np.random.default_rng(plan.hold_out.seed).permutation(_STRETCHES)[:number]
@@ -205,7 +207,7 @@ def _solve(
 
 
 def _start(hand: PoseStream, camera: PoseStream, offset: float) -> Start:
-    """The best algebraic solution, with the camera's stream read in both directions."""
+    """Return the best algebraic solution, of the camera's poses and of their inverses."""
     time = camera.time + offset
     inside = np.flatnonzero((time > hand.time[0]) & (time < hand.time[-1]))
     if len(inside) < 20:
@@ -219,7 +221,7 @@ def _start(hand: PoseStream, camera: PoseStream, offset: float) -> Start:
         for name, one in solved.items():
             if one.failed:
                 continue
-            # Distances of the target's poses are in the camera's units both ways.
+            # Distances of the target's poses are in the camera's units in both directions.
             poses = flange @ one.hand_eye @ inverse(seen)
             error = float(
                 np.median(np.linalg.norm(poses[:, :3, 3] - one.robot_world[:3, 3], axis=1))
@@ -237,9 +239,9 @@ def seen_in(camera: PoseStream, *, inverted: bool) -> FloatArray:
 
 
 def _around(plan: Plan, fit: ClockFit) -> dict[str, tuple[slice, FloatArray]]:
-    """Place in the covariance, and (4, 4) pose, of what is mounted on the flange and of the world.
+    """Slice in the covariance and (4, 4) pose of what the flange carries, and of the world.
 
-    A camera that stands still was fitted with the flange's poses inverted.
+    The fit of a fixed camera uses the inverted flange poses.
     """
     eye, world = (slice(2, 8), fit.solved.hand_eye), (slice(8, 14), fit.solved.robot_world)
     mounted, standing = (eye, world) if plan.mount == "hand" else (world, eye)
@@ -265,18 +267,18 @@ def _undetermined(plan: Plan, fit: ClockFit) -> list[str]:
 
 
 def _drift(drifting: ClockFit, fit: ClockFit, camera: PoseStream) -> dict[str, Any]:
-    """The drift with its interval, or why the motion does not show one.
+    """Return the drift with its interval, or the reason why the motion does not determine it.
 
-    What matters of a drift is how much the offset changes from one end of the stream to the
-    other. Where the interval of this change is wider than the camera's sampling period and than
-    the offset's own interval, a drift within it cannot be distinguished from none, nor from one
-    that shifts samples against one another. A drift that is larger than its interval is shown.
+    The effect of a drift is the change of the offset from one end of the stream to the other. If
+    the interval of this change is wider than both the camera's sampling period and the interval of
+    the offset, a drift within the interval cannot be distinguished from no drift, nor from one that
+    shifts samples against each other. A drift that is larger than its interval is reported.
     """
     span = float(camera.time[-1] - camera.time[0])
     period = float(np.median(np.diff(camera.time)))
     width = drifting.interval(1)
     change, useful = 2.0 * width * span, max(period, 2.0 * fit.interval(0))
-    # Not a number, where the fit is singular, is refused too.
+    # The comparison also rejects NaN, which a singular fit gives.
     if not (change <= useful or abs(drifting.drift) > SURE_DRIFT * width):
         return {
             "value": None,
@@ -320,7 +322,7 @@ def _records(plan: Plan, fit: ClockFit, drift: dict[str, Any], found: Correlated
 
 
 def _together(plan: Plan, fit: ClockFit) -> dict[str, Any]:
-    """Covariance of the offset and both poses together, rotations about the child's axes."""
+    """Joint covariance of the offset and both poses, with rotations about the child's axes."""
     around = _around(plan, fit)
     kept = [0, *(at for place, _ in around.values() for at in range(place.start, place.stop))]
     turn = np.eye(len(kept))
@@ -331,7 +333,7 @@ def _together(plan: Plan, fit: ClockFit) -> dict[str, Any]:
 
 
 def _about_child(pose: FloatArray) -> FloatArray:
-    """(6, 6) a change in the parent's axes as one with its rotation in the child's."""
+    """(6, 6) matrix from a change in the parent's axes to one with rotation in the child's axes."""
     turn = np.eye(6)
     turn[3:, 3:] = pose[:3, :3].T
     return turn
@@ -353,7 +355,7 @@ def _pose(
         pose, covariance = inverse_with_covariance(pose, covariance)
         parent, child = "world", parent
     middle = [*pose[:3, 3], 0.0, 0.0, 0.0]
-    # The pose's axes are turned: the widest of its quantiles holds for each of them.
+    # The axes are rotated, so the widest of the quantiles is used for each of them.
     width = fit.quantile[place].max() * np.sqrt(np.diag(covariance))
     return {
         "parent": parent,
@@ -379,17 +381,17 @@ def _regions(
     middle: float,
     errors: tuple[FloatArray, FloatArray],
 ) -> list[dict[str, Any]]:
-    """Errors of thirds of the workspace; ``errors`` are those that ``errors_at`` gives."""
+    """Errors in thirds of the workspace; ``errors`` is the result of ``errors_at``."""
     time = hand_times(camera, fit.offset, fit.drift, middle)
     inside = (time >= hand.time[0]) & (time <= hand.time[-1])
     reach = np.linalg.norm(hand.at(time[inside])[:, :3, 3], axis=1)
-    # Of three coordinates, one has the root mean square of the distance by the root of three.
+    # The RMS of one coordinate is that of the distance divided by the square root of three.
     translation, rotation = (one[:, None] / np.sqrt(3.0) for one in errors)
     return regions_of(reach, translation, rotation)
 
 
 def _summary(translation: FloatArray, rotation: FloatArray) -> dict[str, Any]:
-    """Root mean squares over coordinates (``_rms``) and of distances and angles."""
+    """Root mean squares over coordinates (keys ending in ``_rms``) and of distances and angles."""
     if not len(translation):
         return {"count": 0}
     distance = float(np.sqrt(np.mean(translation**2)))

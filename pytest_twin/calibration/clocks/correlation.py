@@ -1,4 +1,4 @@
-"""Time offset of two pose streams from their angular speeds."""
+"""Estimate the time offset of two pose streams by cross-correlation of their angular speeds."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.metrics.lag import best_lag
 
 LEAST_CORRELATION = 0.5
-"""Correlation of the angular speeds below which the streams do not show the same motion. Streams of
-one motion with a few millimetres of noise have above 0.8, of two motions below 0.4."""
+"""Smallest correlation of the angular speeds of streams of the same motion. Streams of one motion
+with a few millimetres of noise have more than 0.8, streams of two motions less than 0.4."""
 
 MOST_RIVAL = 0.95
-"""A second offset whose correlation is above this part of the best one may be the right one: the
-motion repeats itself."""
+"""Fraction of the largest correlation above which a second peak may be the right offset. It occurs
+if the motion is periodic."""
 
 _WINDOW_S = 0.1
-"""Over which a turn is measured: shorter windows measure the noise of the orientation."""
+"""Time over which the angular speed is measured. Shorter windows measure the noise of the
+orientation."""
 _STEP_S = 0.01
 _MOST_SAMPLES = 2_000_000
 
 
 @dataclass(frozen=True)
 class Correlated:
-    """What the angular speeds say.
+    """Result of the cross-correlation of angular speeds.
 
     Attributes:
-        offset: s; a stamp of the camera's clock plus this is a time of the hand's clock.
-        correlation: of the angular speeds there, -1 to 1.
-        rival: the largest correlation at another peak, divided by ``correlation``.
+        offset: time of the hand's clock minus the same time of the camera's clock, s.
+        correlation: correlation of the angular speeds at this offset, -1 to 1.
+        rival: largest correlation at another peak, divided by ``correlation``.
     """
 
     offset: float
@@ -41,10 +42,10 @@ class Correlated:
 
 
 def correlate_speeds(hand: PoseStream, camera: PoseStream) -> Correlated:
-    """The offset at which the angular speeds of both streams are most alike.
+    """Return the offset with the largest correlation of the angular speeds.
 
-    The speed of a rigid body's rotation is the same wherever it is measured, so that it needs no
-    hand-eye transform.
+    The angular speed of a rigid body is the same at each point and in each frame, so no hand-eye
+    transform is needed.
     """
     span = max(stream.time[-1] - stream.time[0] for stream in (hand, camera))
     step = max(_STEP_S, 2.0 * span / _MOST_SAMPLES)
@@ -60,7 +61,7 @@ def _speed(stream: PoseStream, step: float) -> FloatArray:
 
 
 def angular_speed(stream: PoseStream, time: FloatArray) -> FloatArray:
-    """(n,) angular speed over 0.1 s around some times, rad/s."""
+    """(n,) mean angular speed over 0.1 s around the given times, rad/s."""
     before = Rotation.from_matrix(stream.at(time - _WINDOW_S / 2)[:, :3, :3])
     after = Rotation.from_matrix(stream.at(time + _WINDOW_S / 2)[:, :3, :3])
     return np.asarray((before.inv() * after).magnitude() / _WINDOW_S, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Mistakes in two streams that would explain their errors: units, sizes, directions."""
+"""Find input mistakes that would explain the errors of two streams: units, sizes, directions."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from pytest_twin.calibration.suspected_scale import scale_beyond_chance
 from pytest_twin.calibration.suspects import doubtful, suspects
 
 _POSES = 60
-"""Of the streams: neighbouring ones have the same errors."""
+"""Number of poses used. Neighbouring poses have the same errors, so more add nothing."""
 _WORDS = {
     "flange.*": "the hand's stream",
     "camera_from_target": "the camera's stream",
     "declare camera": "give poses at stamps of one clock (observations:) and declare camera",
 }
-"""Words for a table of observations, and those for streams."""
+"""Terms for columns of a table of observations, and the terms for streams that replace them."""
 
 
 def mistakes(
@@ -36,15 +36,16 @@ def mistakes(
     fit: ClockFit,
     middle: float,
 ) -> tuple[Suspect, ...]:
-    """Mistakes that explain the streams far better, found as among poses on one clock.
+    """Return mistakes that explain the streams far better, with the checks for poses on one clock.
 
-    None where the offset is not determined: poses that are not of one time cannot be compared.
+    The result is empty if the offset is not determined, because poses of different times cannot be
+    compared.
 
     Args:
-        plan: with what is accepted.
+        plan: plan with the accepted errors.
         hand, camera: the streams.
-        seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
-        fit: with the offset.
+        seen: (n, 4, 4) poses of the camera stream in ``hand @ hand_eye = robot_world @ seen``, m.
+        fit: fit with the offset.
         middle: time of the camera's clock at which the offset holds, s.
     """
     if not fit.interval(0) < MOST_OFFSET_SPREAD_S:

@@ -1,4 +1,4 @@
-"""Time offset, drift and hand-eye of two pose streams by one least squares."""
+"""Estimate time offset, drift and hand-eye of two pose streams in one least-squares problem."""
 
 from __future__ import annotations
 
@@ -21,32 +21,33 @@ from pytest_twin.calibration.solvers.algebraic import HandEye
 
 _STEPS = 40
 SLOPE_S = 0.05
-"""Half of the span over which the hand's motion at a stamp is measured. Noise of 0.4 mm over a span
-of 0.02 s is a speed of 28 mm/s, and a hand at rest then seems to show the offset."""
+"""Half of the time span over which the hand's velocity at a stamp is measured. With a span of 0.02
+s, position noise of 0.4 mm would look like a speed of 28 mm/s, and a hand at rest would seem to
+determine the offset."""
 _CUT = 3.0
-"""Poses beyond this many standard deviations weigh less (Huber's function)."""
+"""Number of standard deviations beyond which a pose gets less weight (Huber's function)."""
 BLOCKS = 20
-"""Stretches that the data are cut into for the covariance. Errors of neighbouring poses are
-correlated, those of stretches of a second or more hardly are."""
+"""Number of time segments for the covariance. Errors of neighbouring poses are correlated; those of
+segments of a second or more are nearly independent."""
 
 MOST_OFFSET_SPREAD_S = 0.05
-"""Half width of the offset's interval above which the motion does not show it: at a hand's 0.5 m/s
-it is 25 mm."""
+"""Half width of the offset's 95 % interval above which the motion does not determine it. It
+corresponds to 25 mm at a speed of 0.5 m/s."""
 
 
 @dataclass(frozen=True)
 class ClockFit:
-    """Offset, drift and the transforms around the robot.
+    """Estimated offset, drift, hand-eye and robot-world transforms.
 
     Attributes:
-        offset: s; a stamp of the camera's clock plus this is a time of the hand's clock, in the
+        offset: time of the hand's clock minus the same time of the camera's clock, s, in the
             middle of the recording.
-        drift: s/s by which the offset grows.
-        solved: of ``hand @ hand_eye = robot_world @ seen``.
+        drift: rate of the offset, s/s.
+        solved: transforms of ``hand @ hand_eye = robot_world @ seen``.
         covariance: (14, 14) of offset, drift, hand-eye and robot-world (each x, y, z, rotation
-            vector in the parent's axes); zero for a drift that is held.
+            vector in the parent's axes); zero for a fixed drift.
         quantile: (14,) half widths of 95 % intervals in standard deviations.
-        translation, rotation: (n,) errors of the poses that were fitted, m, rad.
+        translation, rotation: (n,) errors of the fitted poses, m and rad.
     """
 
     offset: float
@@ -70,7 +71,7 @@ def hand_times(camera: PoseStream, offset: float, drift: float, middle: float) -
 def spread_rows(
     hand: PoseStream, camera: PoseStream, fit: ClockFit, middle: float, most: int
 ) -> tuple[np.ndarray, FloatArray]:
-    """Rows of the camera's stream, evenly over what the hand's covers, and their hand times, s.
+    """Rows of the camera's stream, evenly over the hand's time range, and their hand times, s.
 
     Args:
         hand, camera: the streams.
@@ -87,7 +88,7 @@ def spread_rows(
 def errors_at(
     hand: PoseStream, camera: PoseStream, seen: FloatArray, fit: ClockFit, middle: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(n,) translation (m) and rotation (rad) errors of camera poses that the hand's stream covers.
+    """(n,) translation (m) and rotation (rad) errors of camera poses in the hand's time range.
 
     Args:
         hand, camera: the streams.
@@ -113,15 +114,15 @@ def fit_clocks(
     *,
     with_drift: bool,
 ) -> ClockFit:
-    """Least squares on all poses of the camera, against the hand's interpolated poses.
+    """Fit all poses of the camera to the hand's interpolated poses by least squares.
 
     Args:
         hand, camera: the streams.
         seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
-        offset: where the search starts, s.
-        start: where the search starts.
+        offset: initial offset, s.
+        start: initial transforms.
         middle: time of the camera's clock at which the offset holds, s.
-        with_drift: whether the drift is free.
+        with_drift: whether the drift is estimated; otherwise it is 0.
 
     Raises:
         numpy.linalg.LinAlgError: the motion does not determine the unknowns.
@@ -142,7 +143,7 @@ def fit_clocks(
         move = np.zeros(14)
         move[free] = step
         at = _moved(at, move)
-        # Steps of a microsecond, a micrometre and a microradian change nothing.
+        # Steps below a microsecond, a micrometre and a microradian are negligible.
         if np.abs(move).max() < 1e-7:
             break
     residual, slopes = _linearized(hand, camera, seen, at, middle)
@@ -152,13 +153,14 @@ def fit_clocks(
     gradient = np.einsum("nci,nc->ni", rows, scale * residual)
     flat = rows.reshape(-1, len(free))
     bread = np.linalg.inv(flat.T @ flat)
-    # Errors of neighbouring poses are correlated: the gradient is summed over stretches of time.
+    # Errors of neighbouring poses are correlated, so the gradient is summed over time segments.
     blocks = np.array_split(np.arange(len(gradient)), BLOCKS)
     sums = np.array([gradient[block].sum(axis=0) for block in blocks])
     covariance = np.zeros((14, 14))
     covariance[np.ix_(free, free)] = bread @ (sums.T @ sums) @ bread * BLOCKS / (BLOCKS - 1)
-    # Stretches in which the hand moves little say little: the degrees of freedom of each variance
-    # are those of Satterthwaite, 19 where all stretches say as much and 1 where one says all.
+    # Segments in which the hand hardly moves carry little information. The degrees of freedom of
+    # each variance follow from Satterthwaite: 19 if all segments carry the same information, 1 if
+    # one segment carries all.
     by_row = np.einsum("ij,ncj->nci", bread, rows) ** 2
     parts = np.array([by_row[block].sum(axis=(0, 1)) for block in blocks])
     degrees = np.full(14, BLOCKS - 1.0)
@@ -175,7 +177,7 @@ def fit_clocks(
 def _linearized(
     hand: PoseStream, camera: PoseStream, seen: FloatArray, at: ClockFit, middle: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 6) residuals and (n, 6, 14) slopes of the poses that the hand's stream covers."""
+    """(n, 6) residuals and (n, 6, 14) Jacobian of the poses in the hand's time range."""
     time = hand_times(camera, at.offset, at.drift, middle)
     inside = (time - SLOPE_S >= hand.time[0]) & (time + SLOPE_S <= hand.time[-1])
     if inside.sum() < 2 * BLOCKS:
@@ -190,14 +192,14 @@ def _linearized(
     eye, world = at.solved.hand_eye, at.solved.robot_world
     carried = flange @ eye
     back = inverse(mine)
-    # robot_world as the hand sees it, against the estimate: errors are at the target.
+    # The residual compares robot_world from the hand's pose with the estimate, at the target.
     predicted = carried @ back
     residual, slope = difference(np.broadcast_to(world, predicted.shape), predicted)
     by_carried = slope @ by_first(carried, back)
     by_flange = by_carried @ by_first(flange, np.broadcast_to(eye, flange.shape))
     by_time = np.einsum("nij,nj->ni", by_flange, speed)
     by_eye = by_carried @ by_second(flange)
-    # Moving ``world`` is moving ``predicted`` the other way, about the origin of the base.
+    # A change of ``world`` equals the opposite change of ``predicted``, about the base's origin.
     to_world = -slope
     apart = skew(predicted[:, :3, 3] - world[:3, 3])
     to_world[:, :3, 3:] += world[:3, :3].T @ apart
@@ -207,9 +209,9 @@ def _linearized(
 
 
 def _weights(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Robust sizes of translation (m) and rotation (rad), and the weight of each pose."""
+    """Robust standard deviations of translation (m) and rotation (rad), and each pose's weight."""
     squares = np.stack([residual[:, :3], residual[:, 3:]], axis=1) ** 2
-    # The median of a chi-square with three degrees of freedom is 2.366.
+    # The median of a chi-squared variable with three degrees of freedom is 2.366.
     sizes = np.sqrt(np.median(squares.sum(axis=2), axis=0) / 2.366)
     sizes = np.maximum(sizes, 1e-9)
     distance = np.sqrt((squares.sum(axis=2) / sizes**2).sum(axis=1) / 6.0)

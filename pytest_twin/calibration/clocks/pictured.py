@@ -1,4 +1,4 @@
-"""What pictures of two streams need: their motion on one clock, and errors over the workspace."""
+"""Data for figures of two streams: their motion on one clock, and errors over the workspace."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from pytest_twin.calibration.problem import words_of
 from pytest_twin.calibration.scene import frame
 
 _SHOWN_S, _STEP_S = 20.0, 0.05
-"""Of the angular speeds: a stretch, and the time between its samples."""
+"""Length of the plotted time segment of the angular speeds, and the time between samples."""
 _ARROWS = 100
-"""Neighbouring poses have the same errors, so that more arrows hide one another."""
+"""Largest number of arrows. Neighbouring poses have the same errors, so more arrows would
+overlap."""
 
 
 def angular_speeds(
     hand: PoseStream, camera: PoseStream, fit: ClockFit, middle: float, correlation: float
 ) -> dict[str, Any]:
-    """Angular speeds of both streams on the hand's clock, rad/s, where the hand's changes most.
+    """Angular speeds of both streams, rad/s, in the segment where the hand's speed varies most.
 
-    Times are from the beginning of the hand's stream.
+    Times count from the beginning of the hand's stream, on the hand's clock.
 
     Args:
         hand, camera: the streams.
-        fit: with the offset.
+        fit: fit with the offset.
         middle: time of the camera's clock at which the offset holds, s.
-        correlation: of the angular speeds over the whole streams.
+        correlation: correlation of the angular speeds over the whole streams.
     """
     shifted = PoseStream(hand_times(camera, fit.offset, fit.drift, middle), camera.poses)
     low = max(hand.time[0], shifted.time[0])
@@ -62,15 +63,15 @@ def scene_of_streams(
     middle: float,
     held_out: np.ndarray,
 ) -> dict[str, Any]:
-    """The frames at one time, and errors as arrows in the base, m, as ``calibration.scene`` has.
+    """Frames at one time and errors as arrows in the base, m, in the format of ``scene``.
 
     Args:
-        plan: with the camera's mount.
+        plan: plan with the camera's mount.
         hand, camera: the streams.
         seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
         fit: offset and transforms.
         middle: time of the camera's clock at which the offset holds, s.
-        held_out: rows of the camera's stream that nothing was fitted on.
+        held_out: rows of the camera's stream that were held out.
     """
     rows, time = spread_rows(hand, camera, fit, middle, _ARROWS)
     carried = hand.at(time)

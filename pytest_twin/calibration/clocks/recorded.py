@@ -1,4 +1,4 @@
-"""Errors of two streams with the offset and the transforms of a finished calibration."""
+"""Errors of two streams under the offset and transforms of a calibration record."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from pytest_twin.formats.calibration_record import CalibrationRecord
 
 
 def held_out_errors(plan: Plan, record: CalibrationRecord) -> tuple[FloatArray, FloatArray]:
-    """(n,) translation (m) and rotation (rad) errors of the poses that a record held out.
+    """(n,) translation (m) and rotation (rad) errors of the record's held-out poses.
 
     Args:
-        plan: that the record was made from, with the streams to predict.
-        record: of a calibration from streams.
+        plan: plan of the calibration, with the streams to predict.
+        record: record of a calibration from streams.
 
     Raises:
-        SpecError: the record lacks a transform or the offset, or held nothing out.
-        TwinError: a stream that cannot be used.
+        SpecError: the record lacks a transform, the offset or held-out poses.
+        TwinError: a stream cannot be used.
     """
     if record.time_offset is None:
         raise SpecError(
@@ -51,7 +51,7 @@ def held_out_errors(plan: Plan, record: CalibrationRecord) -> tuple[FloatArray, 
     )  # fmt: skip
     middle = float(camera.time.mean())
     part = camera.rows(held)
-    # The record does not say in which direction the camera's stream was read: the nearer one.
+    # The record does not state whether the camera's poses were inverted; the better one is used.
     both = (
         errors_at(hand, part, seen_in(part, inverted=inverted), fit, middle)
         for inverted in (False, True)

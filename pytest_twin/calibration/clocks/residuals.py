@@ -1,4 +1,4 @@
-"""Errors of two streams with what they may depend on: speed and reach."""
+"""Errors of two streams, with the speed and reach that they may depend on."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.residual_patterns import Residuals
 
 _APART_S = 1.0
-"""Errors of poses nearer in time than this are correlated; one of them is used."""
+"""Time between the poses used. Errors of poses closer in time are correlated."""
 
 
 def residuals_of(
     hand: PoseStream, camera: PoseStream, seen: FloatArray, fit: ClockFit, middle: float
 ) -> Residuals:
-    """Errors of the target's position, one a second: in the base, or in the flange that carries it.
+    """Errors of the target's position, one per second, in the frame that the target is fixed to.
 
     Args:
         hand, camera: the streams.

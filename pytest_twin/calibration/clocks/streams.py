@@ -1,4 +1,4 @@
-"""Pose streams: files of stamped poses, and poses between their stamps."""
+"""Pose streams: read files of stamped poses, and interpolate between the stamps."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _FEWEST = 20
 _QUATERNION_TOLERANCE = 0.02
 _MOST_BACK_S = 1.0
-"""Messages of several threads or a network overtake one another by less; a clock that was set
-jumps by more."""
+"""Largest step back of a stamp. Messages from several threads or over a network arrive out of order
+by less; a clock that was adjusted jumps by more."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class PoseStream:
     """Poses with stamps of one clock.
 
     Attributes:
-        time: (n,) s, ascending.
-        poses: (n, 4, 4) m, as the file has them.
-        inverted: whether ``at`` gives the inverse of the interpolated poses.
+        time: (n,) stamps, s, ascending.
+        poses: (n, 4, 4) poses as in the file, m.
+        inverted: whether ``at`` returns the inverse of the interpolated poses.
     """
 
     time: FloatArray
@@ -45,7 +45,7 @@ class PoseStream:
         return Slerp(self.time, Rotation.from_matrix(self.poses[:, :3, :3]))
 
     def at(self, time: FloatArray) -> FloatArray:
-        """(m, 4, 4) poses at some times within the stream: linear and spherical interpolation."""
+        """(m, 4, 4) poses at times within the stream, by linear and spherical interpolation."""
         found = np.tile(np.eye(4), (len(time), 1, 1))
         inside = np.clip(time, self.time[0], self.time[-1])
         found[:, :3, :3] = self._turning(inside).as_matrix()
@@ -54,20 +54,21 @@ class PoseStream:
         return inverse(found) if self.inverted else found
 
     def rows(self, chosen: np.ndarray) -> PoseStream:
-        """Some of the poses."""
+        """Return the stream with the chosen poses only."""
         return replace(self, time=self.time[chosen], poses=self.poses[chosen])
 
 
 def read_stream(path: Path) -> PoseStream:
-    """The poses of a CSV file (or CSV in gzip): t x y z qx qy qz qw, with or without a header.
+    """Read poses from a CSV file (plain or gzip): t x y z qx qy qz qw, header optional.
 
-    Poses are put in the order of their stamps, and those that repeat a stamp are left out: loggers
-    write a sample twice, and messages overtake one another.
+    Poses are sorted by their stamps, since messages may arrive out of order. Poses that repeat a
+    stamp are left out, since some loggers write a sample twice.
 
     Raises:
         PathError, LimitError: as every reader.
-        FormatError: no numbers, other columns, stamps that go back, no unit quaternion, or fewer
-            than 20 poses; with the line.
+        FormatError: a cell is no number, columns are missing, a stamp goes back by more than 1 s, a
+            quaternion has no unit length, or there are fewer than 20 poses. The error names the
+            line.
     """
     data = read_bytes(path, limits.OBSERVATIONS.file_bytes)
     if data[:2] == b"\x1f\x8b":

@@ -1,4 +1,4 @@
-"""Which of some stamps fall into moments in which a robot stands still."""
+"""Find the stamps at which a robot stood still."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 
 WINDOW_S = 0.1
-"""The robot must stand still this long before and after a stamp: exposure, transport and the stamps
-of two drivers differ by up to some tens of milliseconds."""
+"""Time before and after a stamp during which the robot must stand still. Exposure, transport and
+the clocks of two drivers differ by up to some tens of milliseconds."""
 
 STILL_RAD, STILL_M = 2e-3, 5e-4
-"""Motion within the window up to which the robot counts as still: one count of an encoder with
-4096 counts a turn is 1.5 mrad."""
+"""Largest motion within the window of a robot that stands still. One count of an encoder with 4096
+counts per revolution is 1.5 mrad."""
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Stamps taken while the robot stood in one place.
+    """Stamps at which the robot stood still in one pose.
 
     Attributes:
-        rows: which stamps, ascending.
+        rows: indices of the stamps, ascending.
     """
 
     rows: tuple[int, ...]
@@ -39,8 +39,8 @@ class Moving:
     """Consecutive stamps at which the robot was not still.
 
     Attributes:
-        rows: which stamps, ascending.
-        why: in words.
+        rows: indices of the stamps, ascending.
+        why: reason, as text.
     """
 
     rows: tuple[int, ...]
@@ -55,14 +55,14 @@ def rests(
     names: Sequence[str],
     units: Sequence[str],
 ) -> tuple[list[Rest], list[Moving]]:
-    """Stamps at rest, by the place where the robot stood, and those in motion.
+    """Return the stamps at rest, grouped by pose of the robot, and the stamps in motion.
 
     Args:
-        stamps: (m,) s, ascending, of images or poses.
-        time: (n,) s, ascending, of the robot's states on the same clock.
+        stamps: (m,) stamps of images or poses, s, ascending.
+        time: (n,) stamps of the robot's states on the same clock, s, ascending.
         values: (n, k) positions of its joints, or of its flange.
-        still: (k,) motion of each within the window that counts as standing still.
-        names, units: of the columns.
+        still: (k,) largest motion within the window of a robot that stands still.
+        names, units: names and units of the columns.
     """
     found: list[Rest] = []
     moving: list[Moving] = []
@@ -91,7 +91,7 @@ def _at(
     names: Sequence[str],
     units: Sequence[str],
 ) -> tuple[str, FloatArray]:
-    """Why a stamp is not usable, empty where it is; and where the robot was."""
+    """Return the reason why a stamp is unusable (else empty), and the robot's positions."""
     place = interpolated(np.array([stamp]), time, values)[0]
     if stamp < time[0] or stamp > time[-1]:
         return "no state of the robot at its stamp", place
@@ -116,5 +116,5 @@ def _at(
 
 
 def interpolated(stamps: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
-    """(m, k) values at some stamps, linear between the states; the ends are held."""
+    """(m, k) values at stamps, interpolated linearly; constant beyond the ends."""
     return np.stack([np.interp(stamps, time, column) for column in values.T], axis=1)

@@ -1,4 +1,4 @@
-"""A recording as a folder of observations: ``observations.csv`` and its images."""
+"""Extract observations from a recording: ``observations.csv`` and its images."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 @dataclass(frozen=True)
 class Extracted:
-    """What one recording gives.
+    """Observations from one recording.
 
     Attributes:
-        rows: of observations, heading -> text.
-        left_out: frames that are not usable, with the reason.
-        notes: for people.
+        rows: one mapping column -> text for each observation.
+        left_out: unusable frames, with the reason.
+        notes: messages.
     """
 
     rows: tuple[Mapping[str, str], ...]
@@ -50,7 +50,7 @@ class Extracted:
 
 @dataclass(frozen=True)
 class _Robot:
-    """States of the robot: joints, or the flange where there are no joints."""
+    """States of the robot: joints, or the flange if there are no joints."""
 
     time: FloatArray
     values: FloatArray
@@ -60,7 +60,7 @@ class _Robot:
     flange: PoseStream | None
 
     def cells(self, stamp: float) -> dict[str, str]:
-        """The robot at a stamp as columns of ``observations.csv``."""
+        """Return the robot's state at a stamp as columns of ``observations.csv``."""
         if self.flange is not None:
             return pose_cells("flange", self.flange.at(np.array([stamp]))[0])
         values = interpolated(np.array([stamp]), self.time, self.values)[0]
@@ -68,7 +68,7 @@ class _Robot:
 
 
 def pose_cells(prefix: str, pose: FloatArray) -> dict[str, str]:
-    """A (4, 4) pose as columns of ``observations.csv``, m."""
+    """Return a (4, 4) pose as columns of ``observations.csv``, m."""
     quaternion = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)
     return {
         f"{prefix}.{part}": repr(float(value))
@@ -77,18 +77,18 @@ def pose_cells(prefix: str, pose: FloatArray) -> dict[str, str]:
 
 
 def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
-    """Observations of the moments at which the robot stood still, one for each.
+    """Return one observation for each time interval in which the robot stood still.
 
-    Joint states, or the flange's pose, are interpolated to the stamp of the image or pose.
+    Joint states, or the flange pose, are interpolated at the stamp of the image or target pose.
 
     Args:
-        plan: which topics and frames.
-        path: the recording.
-        folder: where images are written, as ``images/NAME``.
+        plan: plan that names topics and frames.
+        path: path of the recording.
+        folder: folder where images are written, as ``images/NAME``.
 
     Raises:
-        TwinError: a recording that cannot be read, lacks what the plan needs, or leaves open which
-            topic is meant; or its role is ``final``.
+        TwinError: the recording cannot be read, lacks what the plan needs, has several topics that
+            could be meant, or has the role ``final``.
     """
     state = {"state": plan.topics.get("state", TOPICS["state"])}
     bag = gather_sensors(SensorGatherer(path, state))
@@ -147,7 +147,7 @@ def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
 
 
 def write_table(rows: Sequence[Mapping[str, str]], path: Path) -> None:
-    """Write rows of observations as a CSV file, whole or not at all."""
+    """Write observations as a CSV file, atomically."""
     header = list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, header, restval="", lineterminator="\n")
@@ -170,7 +170,7 @@ def _robot(plan: Plan, bag: SensorGatherer, joints: JointSeries | None, zero: in
             )  # fmt: skip
     _, flange = poses_asked(plan, bag, "flange", ("base", "flange"), zero)
     turns = Rotation.from_matrix(flange.poses[:, :3, :3])
-    # Small turns from pose to pose, summed: a measure of motion, not an orientation.
+    # The sum of rotations from pose to pose measures motion; it is no orientation.
     steps = np.cumsum(np.vstack([np.zeros(3), (turns[:-1].inv() * turns[1:]).as_rotvec()]), axis=0)
     return _Robot(
         flange.time,
@@ -201,7 +201,7 @@ def _image_topic(plan: Plan, bag: SensorGatherer) -> str:
 def _write_images(
     bag: SensorGatherer, topic: str, chosen: Sequence[int], folder: Path
 ) -> dict[int, str]:
-    """Decode some images and write them; number -> path relative to the folder."""
+    """Decode the chosen images and write them; return number -> path relative to the folder."""
     if len(chosen) > limits.IMAGES.files_count:
         raise LimitError(
             "too many images at rest", path=bag.path, value=len(chosen),

@@ -1,4 +1,4 @@
-"""All observations of a plan: tables and recordings, one or several."""
+"""Read all observations of a plan from its tables and recordings."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ TABLE = "observations.csv"
 
 @dataclass(frozen=True)
 class Gathered:
-    """What a plan's files hold.
+    """Observations in the files of a plan.
 
     Attributes:
-        observations: of all files, one after another.
-        left_out: frames of recordings that are not usable.
-        tables: the CSV files that they were read from; those of recordings were written.
+        observations: observations of all files, concatenated.
+        left_out: unusable frames of recordings.
+        tables: CSV files of the observations; those of recordings were written here.
     """
 
     observations: Observations
@@ -37,12 +37,11 @@ def gather(plan: Plan, folder: Path) -> Gathered:
     """Read the observations of a plan.
 
     Args:
-        plan: names the files.
-        folder: where tables and images of recordings are written, each recording in its own
-            folder.
+        plan: plan that names the files.
+        folder: folder for tables and images of recordings; each recording has its own subfolder.
 
     Raises:
-        TwinError: a file that cannot be used.
+        TwinError: a file cannot be used.
     """
     parts: list[Observations] = []
     left_out: list[LeftOut] = []
@@ -67,9 +66,9 @@ def gather(plan: Plan, folder: Path) -> Gathered:
 
 
 def joined(parts: Sequence[Observations], tables: Sequence[Path]) -> Observations:
-    """Observations of several tables, one after another.
+    """Concatenate the observations of several tables.
 
-    Ids that occur in several tables are preceded by the table's number.
+    Ids that occur in several tables get the table's number as prefix.
     """
     if len(parts) == 1:
         return parts[0]

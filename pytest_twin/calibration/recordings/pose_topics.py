@@ -1,4 +1,4 @@
-"""Poses of a recording: of a topic, or between two frames of ``/tf``."""
+"""Read poses of a recording from a topic, or between two frames of ``/tf``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ TF = ("/tf", "/tf_static")
 
 
 def first_stamp(bag: SensorGatherer, joints: JointSeries | None) -> int:
-    """The first stamp of a bag, ns: a float of seconds since 1970 has 0.2 us of resolution."""
+    """Return the first stamp of a bag, ns.
+
+    Times count from it, because seconds since 1970 as a float have a resolution of 0.2 us only."""
     first = [min(stamps) for stamps in bag.stamps.values() if stamps]
     first += [min(one.stamp for one in poses) for name, poses in bag.poses.items()
               if poses and name != TF[1]]  # fmt: skip
@@ -32,22 +34,22 @@ def first_stamp(bag: SensorGatherer, joints: JointSeries | None) -> int:
 
 
 def seconds(stamps: Integers, zero: int) -> FloatArray:
-    """Stamps in ns as s since ``zero``."""
+    """Convert stamps in ns to seconds since ``zero``."""
     return np.asarray((stamps - zero) * 1e-9, dtype=np.float64)
 
 
 def poses_asked(
     plan: Plan, bag: SensorGatherer, what: str, frames: tuple[str, str], zero: int
 ) -> tuple[str, PoseStream]:
-    """Topic and poses of what a plan asks for.
+    """Return topic and poses that a plan asks for.
 
     Args:
         what: ``camera_from_target`` or ``flange``, a key of ``recordings.topics``.
         frames: keys of ``recordings.frames`` that name parent and child in ``/tf``.
-        zero: ns that times count from.
+        zero: stamp from which times count, ns.
 
     Raises:
-        RecordingError: no such poses, or several topics that could be meant.
+        RecordingError: there are no such poses, or several topics could be meant.
     """
     names = [plan.frames.get(one) for one in frames]
     topics = sorted(set(bag.poses) - set(TF) - set(plan.topics.values()))
@@ -68,7 +70,7 @@ def poses_asked(
 
 
 def _stream(poses: Sequence[Stamped], zero: int) -> PoseStream:
-    """Poses by their stamps, without those that repeat one."""
+    """Return the poses sorted by stamp, without repeated stamps."""
     stamps = np.array([one.stamp for one in poses], dtype=np.int64)
     _, rows = np.unique(stamps, return_index=True)
     values = np.array([poses[row].values for row in rows])
@@ -79,9 +81,10 @@ def _stream(poses: Sequence[Stamped], zero: int) -> PoseStream:
 
 
 def _between(bag: SensorGatherer, parent: str, child: str, zero: int) -> PoseStream:
-    """The child's poses in the parent at the stamps of the edge that is sent least often.
+    """Return the child's poses in the parent at the stamps of the edge with the fewest messages.
 
-    A frame of a target is sent when it is seen; the robot's frames are sent all the time.
+    The frame of a target is published only when the target is detected; the robot's frames are
+    published continuously.
     """
     edges: dict[tuple[str, str], list[Stamped]] = defaultdict(list)
     fixed: set[tuple[str, str]] = set()
@@ -128,7 +131,7 @@ def _poses_at(stream: PoseStream, time: FloatArray, *, held: bool) -> FloatArray
 def _path(
     edges: Sequence[tuple[str, str]], parent: str, child: str
 ) -> list[tuple[tuple[str, str], bool]] | None:
-    """Edges from one frame to another, each with whether it is passed from parent to child."""
+    """Return the edges between two frames, each with True if it leads from parent to child."""
     known: dict[str, list[tuple[tuple[str, str], bool]]] = {parent: []}
     waiting = deque([parent])
     while waiting:

@@ -1,1 +1,1 @@
-"""Algebraic solvers of hand-eye and robot-world calibration, and how to compare them."""
+"""Algebraic solvers of hand-eye and robot-world calibration, and their comparison."""

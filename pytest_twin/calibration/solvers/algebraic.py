@@ -16,7 +16,7 @@ from pytest_twin.calibration.cameras.increments import inverse
 Mount = Literal["hand", "world"]
 
 HAND_EYE = ("tsai", "park", "horaud", "andreff", "daniilidis")
-"""Solvers of AX = XB: they find one transform, the other is the mean of what follows from it."""
+"""Solvers of AX = XB. They find one transform; the other is a mean over the poses."""
 
 ROBOT_WORLD = ("shah", "li")
 """Solvers of AX = ZB: they find both transforms."""
@@ -24,23 +24,23 @@ ROBOT_WORLD = ("shah", "li")
 FEWEST_POSES = 3
 
 MOST_POSES = 120
-"""OpenCV pairs each pose with each other: 400 poses take it 2 s. Of more poses than this, as many
-are taken at even steps."""
+"""Largest number of poses for a solver; from more, an evenly spaced subset is used. OpenCV combines
+each pose with each other, which takes 2 s for 400 poses."""
 
 _NOT_A_ROTATION = 1e-3
-"""How far from orthonormal a rotation may be; OpenCV's are orthonormal to 1e-6 or fail by far."""
+"""Largest deviation of a rotation from orthonormality. OpenCV's are below 1e-6, or far above."""
 
 
 @dataclass(frozen=True)
 class HandEye:
-    """The two transforms around the robot, or why there are none.
+    """Hand-eye and robot-world transforms, or the reason why there are none.
 
     Attributes:
-        hand_eye: (4, 4) pose, in the flange, of what the flange carries: the camera (mount
+        hand_eye: (4, 4) pose in the flange of the body that it carries: the camera (mount
             ``hand``) or the target (``world``), m.
-        robot_world: (4, 4) pose, in the base, of what stands still: the target (``hand``) or the
+        robot_world: (4, 4) pose in the base of the fixed body: the target (``hand``) or the
             camera (``world``), m.
-        failed: why the solver found nothing; empty where it did.
+        failed: reason why the solver failed; empty if it did not.
     """
 
     hand_eye: FloatArray
@@ -51,15 +51,15 @@ class HandEye:
 def solve_all(
     base_from_flange: FloatArray, camera_from_target: FloatArray, mount: Mount
 ) -> Mapping[str, HandEye]:
-    """What each algebraic solver finds, by its name.
+    """Return the result of each algebraic solver, by its name.
 
     Args:
         base_from_flange: (n, 4, 4) m.
-        camera_from_target: (n, 4, 4) takes the target's coordinates to the camera's, m.
+        camera_from_target: (n, 4, 4) transform from the target's frame to the camera's, m.
         mount: ``hand`` where the flange carries the camera, ``world`` where it carries the target.
     """
-    # With the camera standing still the same equation holds for the inverse poses of the flange,
-    # with the two unknowns exchanged.
+    # For a fixed camera the same equation holds for the inverse poses of the flange, with the two
+    # unknowns exchanged.
     flange = base_from_flange if mount == "hand" else inverse(base_from_flange)
     found = {}
     for name in (*HAND_EYE, *ROBOT_WORLD):
@@ -72,10 +72,10 @@ def solve_all(
 
 
 def solver_of_poses(name: str) -> Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """A solver of ``flange @ mounted = world @ seen`` by its name.
+    """Return a solver of ``flange @ mounted = world @ seen`` by its name.
 
-    It takes (n, 4, 4) ``flange`` and ``seen`` and returns (4, 4) ``mounted`` and ``world``, m; it
-    raises ``ValueError`` where it finds none.
+    It takes (n, 4, 4) ``flange`` and ``seen`` and returns (4, 4) ``mounted`` and ``world``, m. It
+    raises ``ValueError`` if it finds no solution.
     """
 
     def solve(flange: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -89,7 +89,7 @@ def solver_of_poses(name: str) -> Callable[[FloatArray, FloatArray], tuple[Float
 
 
 def _solve(name: str, flange: FloatArray, camera_from_target: FloatArray) -> HandEye:
-    """One solver's transforms for a camera on the flange."""
+    """Return one solver's transforms for a camera on the flange."""
     nothing = np.full((4, 4), np.nan)
     if len(flange) < FEWEST_POSES:
         return HandEye(nothing, nothing, f"needs {FEWEST_POSES} poses")
@@ -125,7 +125,7 @@ def _solve(name: str, flange: FloatArray, camera_from_target: FloatArray) -> Han
 
 
 def mean_pose(poses: FloatArray) -> FloatArray:
-    """(4, 4) mean position and chordal mean of the rotation of (n, 4, 4) poses."""
+    """(4, 4) mean of (n, 4, 4) poses: mean position and chordal mean rotation."""
     found = np.eye(4)
     found[:3, :3] = Rotation.from_matrix(poses[:, :3, :3]).mean().as_matrix()
     found[:3, 3] = poses[:, :3, 3].mean(axis=0)
@@ -144,7 +144,7 @@ def _transform(rotation: Any, position: Any) -> FloatArray:
 
 
 def _not_rigid(transform: FloatArray) -> str:
-    """Why a matrix is no rigid transform; empty where it is one."""
+    """Reason why a matrix is no rigid transform; empty if it is one."""
     if not np.isfinite(transform).all():
         return "the solver returned numbers that are not finite"
     rotation = transform[:3, :3]

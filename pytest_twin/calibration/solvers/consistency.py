@@ -1,4 +1,4 @@
-"""How well a hand-eye calibration agrees with poses that it was not made from."""
+"""Consistency of a hand-eye calibration with held-out poses."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from pytest_twin.calibration.solvers.algebraic import HandEye, Mount, mean_pose,
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of the target in the frame that it is fixed to.
+    """Scatter of the target's pose in the frame that it is fixed to.
 
     Attributes:
-        translation: (n,) distances from the mean, m.
-        rotation: (n,) angles from the mean, rad.
+        translation: (n,) distances from the mean position, m.
+        rotation: (n,) angles from the mean rotation, rad.
     """
 
     translation: FloatArray
@@ -27,21 +27,21 @@ class Scatter:
 
     @property
     def translation_rms(self) -> float:
-        """Root mean square, m."""
+        """Root mean square of the distances, m."""
         return float(np.sqrt(np.mean(self.translation**2)))
 
     @property
     def rotation_rms(self) -> float:
-        """Root mean square, rad."""
+        """Root mean square of the angles, rad."""
         return float(np.sqrt(np.mean(self.rotation**2)))
 
 
 def scatter(
     base_from_flange: FloatArray, camera_from_target: FloatArray, solved: HandEye, mount: Mount
 ) -> Scatter:
-    """Scatter of the target: in the base (mount ``hand``) or on the flange (``world``).
+    """Scatter of the target's pose in the base (mount ``hand``) or on the flange (``world``).
 
-    It depends on the camera's place alone: the mean takes the target's place off.
+    It depends on the camera's pose only, because the mean is subtracted.
     """
     poses = target_poses(base_from_flange, camera_from_target, solved, mount)
     mean = mean_pose(poses)
@@ -66,14 +66,14 @@ def held_out_scatter(
     held_out: np.ndarray,
     solve: Callable[[FloatArray, FloatArray, Mount], Mapping[str, HandEye]] = solve_all,
 ) -> Mapping[str, Scatter | str]:
-    """Each solver's scatter on poses that it did not see, or why it failed.
+    """Return each solver's scatter on held-out poses, or the reason why it failed.
 
     Args:
         base_from_flange: (n, 4, 4) m.
         camera_from_target: (n, 4, 4) m.
-        mount: what the flange carries.
-        held_out: indices of the poses that no solver sees.
-        solve: gives a solution for each name.
+        mount: where the camera is mounted.
+        held_out: indices of the poses that are held out.
+        solve: function that returns a solution for each solver name.
     """
     seen = np.setdiff1d(np.arange(len(base_from_flange)), held_out)
     solved = solve(base_from_flange[seen], camera_from_target[seen], mount)
