@@ -1,4 +1,4 @@
-"""How rows are divided among batches and cores."""
+"""Division of simulation rows among batches and processor cores."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _counts = st.integers(1, 60)
 
 
 @given(st.data(), _counts, st.integers(0, 5), st.integers(1, 7), st.integers(1, 5))
-def test_every_row_is_in_one_part_with_rows_of_its_length_and_kind(
+def test_each_row_is_in_exactly_one_part_with_rows_of_similar_length_and_kind(
     data: st.DataObject, count: int, laws: int, joints: int, cores: int
 ) -> None:
     steps = data.draw(arrays.arrays(np.int64, count, elements=st.integers(1, 9000)))
@@ -26,7 +26,7 @@ def test_every_row_is_in_one_part_with_rows_of_its_length_and_kind(
     assert [p.seconds for p in found] == sorted((p.seconds for p in found), reverse=True)
 
 
-def test_rows_of_the_same_laws_go_to_the_same_core() -> None:
+def test_rows_with_the_same_effects_go_to_the_same_core() -> None:
     steps = np.full(80, 6000)
     acts = np.zeros((80, 2), dtype=bool)
     acts[::2, 0] = acts[1::2, 1] = True
@@ -35,22 +35,22 @@ def test_rows_of_the_same_laws_go_to_the_same_core() -> None:
     assert worth_forks([one, other])
 
 
-def test_few_rows_that_laws_act_on_are_not_divided() -> None:
-    """What is done between steps would be done twice for next to nothing."""
+def test_a_few_rows_with_effects_are_not_divided_among_cores() -> None:
+    """The Python code between engine steps would run once per core and save almost no time."""
     assert len(divide_rows(np.full(2, 300), np.ones((2, 1), dtype=bool), 1, 2)) == 1
 
 
-def test_what_the_engine_does_alone_is_divided_evenly() -> None:
+def test_rows_without_effects_are_divided_evenly_among_cores() -> None:
     found = divide_rows(np.full(100, 5000), np.zeros((100, 0), dtype=bool), 6, 4)
     assert [len(p.rows) for p in found] == [25] * 4
 
 
-def test_no_batch_is_larger_than_memory_bears() -> None:
+def test_no_batch_exceeds_384_rows() -> None:
     found = divide_rows(np.full(1000, 50), np.zeros((1000, 0), dtype=bool), 6, 1)
     assert max(len(p.rows) for p in found) == 384
 
 
-def test_of_too_many_rows_those_of_the_same_laws_step_together() -> None:
+def test_rows_with_the_same_effects_share_a_batch_when_one_batch_is_too_small() -> None:
     acts = np.zeros((1152, 3), dtype=bool)
     acts[np.arange(1152), np.arange(1152) % 3] = True
     found = divide_rows(np.full(1152, 250), acts, 2, 1)

@@ -1,4 +1,4 @@
-"""What a drive gives in a step in which its command changes."""
+"""Mean command of a drive over a simulation step in which its command changes."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ def segment(drive: str, sent: list[float], stamps: list[float]) -> Segment:
     )  # fmt: skip
 
 
-def means(held: CommandsOverSteps) -> FloatArray:
-    """Of four steps."""
+def mean_commands(held: CommandsOverSteps) -> FloatArray:
+    """Mean commands of the first four steps."""
     none = np.zeros((1, 1))
     return held.means(np.array([0]), none, 4, none.astype(np.int64), STEP)[0, :, 0]
 
 
-def test_a_mean_of_what_is_heeded_and_not_what_is_heeded_of_a_mean() -> None:
-    """3 and -3, a quarter of a step apart: a drive that heeds 1 gives half of that in the mean."""
+def test_commands_are_limited_before_they_are_averaged_over_a_step() -> None:
+    """The command changes from 3 to -3 after three quarters of the second step; the limit is 1."""
     given = segment("", [3.0, -3.0], [0.0, 1.75 * STEP])
     one = np.ones((1, 1))
     free = CommandsOverSteps([given], STEP, 0.0 * one, -np.inf * one, np.inf * one)
-    np.testing.assert_allclose(means(free), [3.0, 1.5, -3.0, -3.0])
+    np.testing.assert_allclose(mean_commands(free), [3.0, 1.5, -3.0, -3.0])
     limited = CommandsOverSteps([given], STEP, 0.0 * one, -one, one)
-    # Whole steps keep their command: a law of the drive may let more of it through.
-    np.testing.assert_allclose(means(limited), [3.0, 0.5, -3.0, -3.0])
+    # Steps with one command keep it unlimited: a drive effect may raise the limit.
+    np.testing.assert_allclose(mean_commands(limited), [3.0, 0.5, -3.0, -3.0])
 
 
-def test_segments_that_are_commanded_alike_are_told_from_those_that_are_not() -> None:
+def test_each_segment_gets_the_means_of_its_own_commands_start_and_limits() -> None:
     given = segment("", [3.0, -3.0], [0.0, 1.75 * STEP])
     moved = replace(given, initial_position=np.ones(1))
     later = replace(given, start=0.5 * STEP)
@@ -60,7 +60,7 @@ def test_segments_that_are_commanded_alike_are_told_from_those_that_are_not() ->
     np.testing.assert_allclose(found[0], [3.0, 1.5, -3.0])
     np.testing.assert_array_equal(found[1], found[0])
     np.testing.assert_allclose(found[2], [3.0, -1.5, -3.0])
-    # Of -3 and 3, the one is heeded as -1.
+    # This segment's lower limit is -1, so -3 counts as -1 in the mean.
     np.testing.assert_allclose(found[3], [-3.0, 0.0, 3.0], atol=1e-12)
 
 
@@ -73,14 +73,16 @@ def test_segments_that_are_commanded_alike_are_told_from_those_that_are_not() ->
         ('ctrlrange="-1 9" ctrllimited="true" forcerange="-3 5" forcelimited="true"', -1.0, 5.0),
     ],
 )
-def test_what_a_drive_heeds(drive: str, least: float, greatest: float) -> None:
-    """Commands are of the joint, N*m; limits in MJCF before the gear."""
+def test_command_range_combines_control_range_force_range_and_gear(
+    drive: str, least: float, greatest: float
+) -> None:
+    """Commands are joint torques, N*m; MJCF states limits on the motor side of the gear."""
     simulator = BatchSimulator([segment(drive, [1.0], [0.0])], ("j",), threads=1)
     found = simulator.models.command_range(np.array([0]))
     np.testing.assert_allclose(np.ravel(found), [least, greatest])
 
 
-def test_a_step_in_which_a_limited_command_turns_moves_as_finer_steps_do() -> None:
+def test_a_command_reversal_within_a_step_matches_a_simulation_with_finer_steps() -> None:
     given = segment('ctrlrange="-1 1" ctrllimited="true"', [3.0, -3.0], [0.0, 1.75 * STEP])
     coarse, fine = (
         BatchSimulator([given], ("j",), threads=1, refine=n).simulate(np.array([0]), {})[0]

@@ -1,4 +1,4 @@
-"""A contact effect in the rows is the same change by hand in a model that MuJoCo steps alone."""
+"""Contact effects in batch rows equal the same change made by hand in a separate MuJoCo model."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def segment(model: mujoco.MjModel, measured: np.ndarray | None = None) -> Segmen
     )  # fmt: skip
 
 
-def alone(model: mujoco.MjModel) -> np.ndarray:
-    """MuJoCo, one model, one step after another, read at the stamps of the segment."""
+def simulate_in_mujoco(model: mujoco.MjModel) -> np.ndarray:
+    """Joint positions (rad) at the segment's stamps from MuJoCo stepping the model by itself."""
     s = segment(model)
     data = mujoco.MjData(model)
     data.qpos[:] = s.initial_position
@@ -61,20 +61,22 @@ def alone(model: mujoco.MjModel) -> np.ndarray:
     return out
 
 
-def gap(
+def largest_difference(
     model: mujoco.MjModel, effects: dict[str, dict[str, float]], by_hand: mujoco.MjModel
 ) -> float:
-    """Largest difference, rad, between a row with effects and a model that was changed by hand."""
-    # A row without any effect beside it: neighbours in a batch do not mix.
+    """Largest difference, rad, between a row with effects and a model changed by hand."""
+    # The first row has no effect: rows of one batch must not influence each other.
     values = {
         e: {n: np.array([[0.0, 0.0], [x, x]]) for n, x in parameters.items()}
         for e, parameters in effects.items()
     }
-    measured = alone(by_hand)
+    measured = simulate_in_mujoco(by_hand)
     simulator = BatchSimulator([segment(model, measured)], JOINTS, threads=1)
     nominal, changed = simulator.simulate(np.zeros(2, dtype=np.int64), values)
-    assert np.abs(nominal.position - alone(model)).max() < 1e-9
-    assert np.abs(changed.position - nominal.position).max() > 1e-3, "the effect does nothing here"
+    assert np.abs(nominal.position - simulate_in_mujoco(model)).max() < 1e-9
+    assert np.abs(changed.position - nominal.position).max() > 1e-3, (
+        "the effect does not change the motion"
+    )
     return float(np.abs(changed.position - measured).max())
 
 
@@ -83,13 +85,18 @@ STANDARD = 'solref="{:.17g} {:.17g}"'
 MIXED = ('solref=".03 .9" solmix="3" friction=".7"', 'solref=".01 1.2" friction=".9"')
 
 
-@pytest.mark.parametrize("world", [PLANE, TABLE, TURNED], ids=["plane", "boxes", "turned body"])
+@pytest.mark.parametrize(
+    "world", [PLANE, TABLE, TURNED], ids=["plane", "box among others", "rotated body"]
+)
 @pytest.mark.parametrize("offset", [OFFSET, -OFFSET])
-def test_an_offset_moves_the_surface_along_its_normal(world: str, offset: float) -> None:
+def test_contact_offset_moves_the_surface_along_its_normal(world: str, offset: float) -> None:
     made = mujoco.MjSpec.from_string(ARM.format(world=world.format(""), robot="", more=""))
     floor = made.geom("floor")
     floor.pos = floor.pos + ([-offset, 0, 0] if world is TURNED else [0, 0, offset])
-    assert gap(build(world), {"contact_offset": {"offset": offset}}, made.compile()) < 1e-9
+    assert (
+        largest_difference(build(world), {"contact_offset": {"offset": offset}}, made.compile())
+        < 1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -131,16 +138,16 @@ def test_an_offset_moves_the_surface_along_its_normal(world: str, offset: float)
     ],
     ids=["stiffness", "damping", "direct form", "friction", "mixed", "priority"],
 )  # fmt: skip
-def test_a_contact_changes_as_by_hand(
+def test_contact_effect_equals_the_same_change_in_mjcf(
     effects: dict[str, dict[str, float]], nominal: tuple[str, str], changed: tuple[str, str]
 ) -> None:
     before, after = (build(floor=floor, robot=robot) for floor, robot in (nominal, changed))
-    assert gap(before, effects, after) < 1e-9
+    assert largest_difference(before, effects, after) < 1e-9
 
 
-def test_no_friction_is_less_than_none() -> None:
+def test_contact_friction_is_never_negative() -> None:
     smooth = build(floor='friction="0"', robot='friction="0"')
-    measured = alone(smooth)
+    measured = simulate_in_mujoco(smooth)
     found = [
         BatchSimulator([segment(model, measured)], JOINTS, threads=1)
         .simulate(np.zeros(1, dtype=np.int64), effects)[0]
@@ -153,7 +160,7 @@ def test_no_friction_is_less_than_none() -> None:
     assert np.abs(found[0] - found[1]).max() < 1e-9
 
 
-def test_explicit_pairs_change_too() -> None:
+def test_contact_effects_apply_to_explicit_contact_pairs() -> None:
     effects = {
         "contact_stiffness": {"relative_error": S},
         "contact_damping": {"relative_error": D},
@@ -163,14 +170,14 @@ def test_explicit_pairs_change_too() -> None:
         f"{0.03 / (1 + D):.17g}", f"{0.9 * (1 + D) * (1 + S) ** -0.5:.17g}", 0.5, 0.3
     )
     before = build(more=PAIR.format(0.03, 0.9, 0.8, 0.6))
-    assert gap(before, effects, build(more=by_hand)) < 1e-9
+    assert largest_difference(before, effects, build(more=by_hand)) < 1e-9
 
 
 @pytest.mark.parametrize("solref", [(0.02, 1.0), (0.05, 0.3), (0.001, 1.0), (-3000.0, -80.0)])
-def test_stiffness_and_damping_are_the_physical_ones_in_both_forms(
+def test_scaled_solref_scales_stiffness_and_damping_in_both_mujoco_forms(
     solref: tuple[float, float],
 ) -> None:
-    """Of the reference acceleration that MuJoCo makes of a contact: -b v - k r."""
+    """MuJoCo's reference acceleration of a contact is -b v - k r; k and b are scaled."""
 
     def constants(ref: np.ndarray) -> tuple[float, float]:
         model = build(floor=f'priority="1" solref="{ref[0]:.17g} {ref[1]:.17g}" condim="1"')
@@ -190,7 +197,7 @@ def test_stiffness_and_damping_are_the_physical_ones_in_both_forms(
         assert after == pytest.approx((before[0] * (1 + e), before[1] * (1 + c)), rel=1e-9)
 
 
-def test_a_damping_that_the_engine_does_not_take_leaves_the_stiffness_alone() -> None:
+def test_damping_limited_by_mujoco_leaves_the_contact_stiffness_unchanged() -> None:
     scaled = scaled_solref(np.array((0.005, 1.0)), np.array(1.0), np.array(4.0), 0.004)
     assert scaled == pytest.approx((0.004, 1.25))
     assert scaled_solref(np.array((0.001, 1.0)), np.array(1.0), np.array(4.0), 0.004) == (
@@ -198,29 +205,33 @@ def test_a_damping_that_the_engine_does_not_take_leaves_the_stiffness_alone() ->
     )
 
 
-def near(model: mujoco.MjModel, poses: np.ndarray) -> list[str]:
+def contact_geom_names(model: mujoco.MjModel, poses: np.ndarray) -> list[str]:
     ids = np.array([model.joint(j).id for j in JOINTS])
     found = contact_geoms(model, ids, [poses])
     return [model.geom(g).name for g in (*found.world, *found.robot)]
 
 
-def test_only_geoms_that_the_robot_comes_near_count() -> None:
-    """5 cm: the tip at 1.0 rad is 25 cm under the floor, at 0.4 rad 8 cm over it."""
-    assert near(build(), np.array([[0.4, 0.0]])) == []
-    assert near(build(), np.array([[0.4, 0.0], [0.5, 0.0]])) == ["floor", "tip"]
-    assert near(build(floor='contype="0" conaffinity="0"'), np.array([[1.0, 0.0]])) == []
-    assert near(build(world=""), np.array([[1.0, 0.0]])) == []
+def test_contact_geoms_are_only_those_that_come_within_5_cm() -> None:
+    """The tip is 25 cm below the floor at 1.0 rad and 8 cm above it at 0.4 rad."""
+    assert contact_geom_names(build(), np.array([[0.4, 0.0]])) == []
+    assert contact_geom_names(build(), np.array([[0.4, 0.0], [0.5, 0.0]])) == ["floor", "tip"]
+    assert (
+        contact_geom_names(build(floor='contype="0" conaffinity="0"'), np.array([[1.0, 0.0]])) == []
+    )
+    assert contact_geom_names(build(world=""), np.array([[1.0, 0.0]])) == []
     for floor, robot, expected in (
         ('contype="0" conaffinity="4"', 'contype="4" conaffinity="0"', ["floor", "tip"]),
         ('contype="4" conaffinity="0"', 'contype="0" conaffinity="4"', ["floor", "tip"]),
         ('contype="4" conaffinity="1"', 'contype="8" conaffinity="2"', []),
         ('contype="65536" conaffinity="0"', 'contype="0" conaffinity="65536"', ["floor", "tip"]),
     ):
-        assert near(build(floor=floor, robot=robot), np.array([[0.5, 0.0]])) == expected
+        assert (
+            contact_geom_names(build(floor=floor, robot=robot), np.array([[0.5, 0.0]])) == expected
+        )
 
 
-def test_the_robots_own_base_is_no_surface_that_it_touches() -> None:
-    """As a body of its own, and fused into the world by a reader of URDF."""
+def test_the_robot_base_is_not_a_contact_surface() -> None:
+    """A URDF reader may fuse the base into the world body."""
     fused = PLANE + '<geom name="base" type="sphere" size=".03" pos="0 0 .3"/>'
     poses = np.column_stack([np.linspace(0.0, 0.7, 20), np.zeros(20)])
-    assert near(build(world=fused), poses) == ["floor", "tip"]
+    assert contact_geom_names(build(world=fused), poses) == ["floor", "tip"]

@@ -1,4 +1,4 @@
-"""Friction that depends on the direction of motion or of power, against closed forms."""
+"""Friction that depends on the direction of motion or of power flow, against closed forms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WEIGHT = MASS * 9.81 * ARM
 
 
 def model(mass: float) -> mujoco.MjModel:
-    """A link without weight, or a horizontal arm, driven by an effort."""
+    """A horizontal link of the given mass (kg), driven by a joint torque."""
     inertial = f'<inertial pos="{ARM} 0 0" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/>'
     return mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="{STEP}" integrator="implicitfast"/><worldbody><body>{inertial}'
@@ -26,8 +26,8 @@ def model(mass: float) -> mujoco.MjModel:
     )
 
 
-def moved(effort: FloatArray, effects: dict[str, dict[str, float]], mass: float) -> FloatArray:
-    """Velocities at every step under efforts."""
+def velocities(effort: FloatArray, effects: dict[str, dict[str, float]], mass: float) -> FloatArray:
+    """(steps,) joint velocity, rad/s, under the given torques (N*m)."""
     time: FloatArray = STEP * np.arange(len(effort), dtype=np.float64)
     segment = Segment(
         trial=0, model=model(mass), mode="effort", start=0.0, time=time,
@@ -41,9 +41,9 @@ def moved(effort: FloatArray, effects: dict[str, dict[str, float]], mass: float)
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_speeds_under_constant_effort_are_those_of_each_directions_friction(way: float) -> None:
+def test_constant_effort_gives_the_speed_of_that_directions_viscous_friction(way: float) -> None:
     law = {"directional_viscous_friction": {"coefficient": 0.1, "difference": 0.06}}
-    velocity = moved(np.full(1500, 0.3 * way), law, 1e-6)
+    velocity = velocities(np.full(1500, 0.3 * way), law, 1e-6)
     assert velocity[-1] == pytest.approx(way * 0.3 / (DAMPING + 0.1 + way * 0.06), rel=1e-3)
     rise = velocity[150] / velocity[-1]
     rate = (DAMPING + 0.1 + way * 0.06) / INERTIA
@@ -51,13 +51,13 @@ def test_speeds_under_constant_effort_are_those_of_each_directions_friction(way:
 
 
 def breaks_away(effort: float, forward: float, backward: float) -> bool:
-    """Whether a loaded arm at rest moves more than creep under a constant effort."""
+    """Whether a loaded arm at rest exceeds 0.02 rad/s under a constant effort."""
     law = {"gear_efficiency": {"forward_loss": forward, "backward_loss": backward}}
-    return bool(np.abs(moved(np.full(100, effort), law, MASS)).max() > 0.02)
+    return bool(np.abs(velocities(np.full(100, effort), law, MASS)).max() > 0.02)
 
 
 @pytest.mark.parametrize(("forward", "backward"), [(0.2, 0.6), (0.4, 0.1)])
-def test_a_loaded_arm_moves_where_effort_times_efficiency_passes_the_load(
+def test_a_loaded_arm_breaks_away_where_effort_after_gear_losses_exceeds_the_load(
     forward: float, backward: float
 ) -> None:
     up, down = WEIGHT / (1.0 - forward), WEIGHT / (1.0 + backward)
@@ -67,16 +67,16 @@ def test_a_loaded_arm_moves_where_effort_times_efficiency_passes_the_load(
     assert breaks_away(0.93 * down, forward, backward)
 
 
-def test_a_self_locking_gear_holds_whatever_a_small_effort() -> None:
+def test_a_self_locking_gear_holds_the_load_at_small_effort() -> None:
     assert not breaks_away(0.3 * WEIGHT, 0.4, 3.0)
     assert breaks_away(0.3 * WEIGHT, 0.4, 1.0)
 
 
-def test_one_loss_in_both_directions_is_friction_by_the_motors_effort() -> None:
+def test_equal_gear_losses_equal_load_dependent_friction_of_the_drive() -> None:
     effort = 1.4 * WEIGHT * np.sign(np.sin(2 * np.pi * 2.5 * STEP * np.arange(800)))
     even = {"gear_efficiency": {"forward_loss": 0.2, "backward_loss": 0.2}}
     plain = {"load_dependent_friction": {"coefficient": 0.2, "of_drive": 1.0}}
-    assert np.array_equal(moved(effort, even, MASS), moved(effort, plain, MASS))
+    assert np.array_equal(velocities(effort, even, MASS), velocities(effort, plain, MASS))
     law = catalogue()["gear_efficiency"]
     simple = law.special_cases({"forward_loss": 0.1, "backward_loss": 0.3})
     assert simple["load_dependent_friction"]["coefficient"] == pytest.approx(0.2)

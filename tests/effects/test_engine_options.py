@@ -1,4 +1,4 @@
-"""What the engine leaves out changes nothing, to the last bit."""
+"""Disabling unused MuJoCo features leaves the motion bitwise identical."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def arm(floor: str = "", of: str = "", other: str = "", more: str = "") -> mujoc
     return mujoco.MjModel.from_xml_string(ARM.format(floor=floor, of=of, other=other, more=more))
 
 
-def moved(model: mujoco.MjModel) -> np.ndarray:
-    """All of a second of motion that reaches its limit and whatever it can meet."""
+def simulated_states(model: mujoco.MjModel) -> np.ndarray:
+    """(steps, states) one second of motion that reaches the joint limit and any obstacle."""
     data = mujoco.MjData(model)
     states = []
     for k in range(500):
@@ -54,9 +54,15 @@ def moved(model: mujoco.MjModel) -> np.ndarray:
         ({"floor": FLOOR, "other": BOX}, True, True),
         ({"of": APART, "floor": FLOOR_APART}, False, False),
     ],
-    ids=["no surface", "a surface that asks", "a surface", "an object", "nothing collides"],
+    ids=[
+        "no floor",
+        "floor collides with arm",
+        "floor and arm collide",
+        "free object",
+        "no collisions",
+    ],
 )
-def test_motion_is_the_same_to_the_last_bit(
+def test_disabling_unused_features_leaves_the_motion_bitwise_identical(
     fields: dict[str, str], islands: bool, contacts: bool
 ) -> None:
     model = arm(**fields)
@@ -65,19 +71,23 @@ def test_motion_is_the_same_to_the_last_bit(
     off = mujoco.mjtDisableBit
     assert bool(spared.opt.disableflags & int(off.mjDSBL_ISLAND)) is not islands
     assert bool(spared.opt.disableflags & int(off.mjDSBL_CONTACT)) is not contacts
-    np.testing.assert_array_equal(moved(model), moved(spared))
+    np.testing.assert_array_equal(simulated_states(model), simulated_states(spared))
 
 
-def test_a_pair_that_is_named_still_meets() -> None:
+def test_explicit_contact_pairs_still_collide() -> None:
     model = arm(floor=FLOOR_APART, of=APART)
     met = arm(floor=FLOOR_APART, of=APART, more=PAIR)
     spared = copy.copy(met)
     disable_unused_features(spared)
-    np.testing.assert_array_equal(moved(met), moved(spared))
-    assert (moved(met) != moved(model)).any(), "the pair does not meet here"
+    np.testing.assert_array_equal(simulated_states(met), simulated_states(spared))
+    assert (simulated_states(met) != simulated_states(model)).any(), (
+        "the pair does not collide in this motion"
+    )
 
 
-def test_the_clock_of_the_engine_is_never_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_batch_simulator_does_not_replace_the_mujoco_clock(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     replaced = []
     rollout = Batch.rollout
 

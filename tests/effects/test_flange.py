@@ -1,4 +1,4 @@
-"""What stands on a flange: a last link too short to say what it carries."""
+"""Payload on a flange whose own inertia does not tell the tool axis."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pytest_twin.effects.segment import Segment
 
 JOINTS = ("lift", "bend", "turn")
 KG, AWAY = 0.8, 0.2
-# Its centre lies behind the flange, towards the arm.
+# Its centre of mass lies behind the flange, towards the arm.
 FLANGE = '<inertial pos="0 .005 -.011" mass=".17" diaginertia="6e-5 9e-5 1e-4"/>'
-# As some suppliers have it: no centre at all.
+# Some suppliers place the centre of mass at the flange origin.
 POINT = FLANGE.replace("0 .005 -.011", "0 0 0")
 TOOL = '<inertial pos="0 .005 .15" mass=".17" diaginertia="6e-5 9e-5 1e-4"/>'
 LOAD = f"""<body pos="0 0 {AWAY}">
@@ -23,7 +23,7 @@ LOAD = f"""<body pos="0 0 {AWAY}">
 
 
 def arm(last: str, load: str = "", turned: str = "1 0 0 0") -> mujoco.MjModel:
-    """Two hinges that lift, and one that turns what stands at the end about its own axis."""
+    """Two joints that lift against gravity and a last joint that rotates the flange."""
     return mujoco.MjModel.from_xml_string(f"""\
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
 <body><joint name="lift" axis="0 1 0" damping="2"/>
@@ -51,8 +51,10 @@ def simulator(model: mujoco.MjModel) -> BatchSimulator:
     return BatchSimulator([segment], JOINTS, threads=1)
 
 
-@pytest.mark.parametrize("flange", [FLANGE, POINT], ids=["behind", "point"])
-def test_a_load_stands_on_its_axis_away_from_the_arm(flange: str) -> None:
+@pytest.mark.parametrize(
+    "flange", [FLANGE, POINT], ids=["centre of mass behind flange", "centre of mass at flange"]
+)
+def test_payload_distance_is_measured_along_the_flange_axis_away_from_the_arm(flange: str) -> None:
     bare, loaded = (simulator(arm(flange, load, TOWARDS_X)) for load in ("", LOAD))
     payload = catalogue()["payload"]
     values = {p.name: np.zeros((1, 3)) for p in payload.parameters}
@@ -64,7 +66,7 @@ def test_a_load_stands_on_its_axis_away_from_the_arm(flange: str) -> None:
     assert said.position == pytest.approx(truth.position, abs=1e-8)
 
 
-def test_its_size_is_the_arm_s_own_and_that_of_a_longer_link_the_link_s() -> None:
+def test_payload_length_scale_is_the_arm_for_a_flange_and_the_link_for_a_tool() -> None:
     flange, tool = (simulator(arm(last, turned=TOWARDS_X)) for last in (FLANGE, TOOL))
     payload = catalogue()["payload"]
     for stepped, length, mass in ((flange, 0.15 * 0.7, 0.17), (tool, np.hypot(0.005, 0.15), 0.17)):

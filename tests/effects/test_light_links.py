@@ -1,4 +1,4 @@
-"""Gears whose motors are heavy beside what their links move: an arm that is free to fold."""
+"""Elastic gears and backlash where rotor inertia exceeds the link inertia."""
 
 from __future__ import annotations
 
@@ -35,8 +35,11 @@ ARM = """
 POSES = np.array([[0.0, 0.0, 0.0], [0.4, -1.3, 0.7]])
 
 
-def accelerated(joint: int, pose: FloatArray) -> float:
-    """Inertia that one newton metre at a link meets, its motor taken away."""
+def inertia_from_acceleration(joint: int, pose: FloatArray) -> float:
+    """Link inertia, kg m^2: torque over acceleration at a joint without its rotor inertia.
+
+    The other joints are free.
+    """
     model = mujoco.MjModel.from_xml_string(ARM)
     model.dof_armature[joint] = 0.0
     model.opt.gravity[:] = 0.0
@@ -47,19 +50,19 @@ def accelerated(joint: int, pose: FloatArray) -> float:
     return float(1.0 / data.qacc[joint])
 
 
-def test_inertia_of_a_link_is_what_an_effort_at_it_meets() -> None:
+def test_link_inertia_equals_torque_over_acceleration_without_the_rotor() -> None:
     data = mujoco.MjData(mujoco.MjModel.from_xml_string(ARM))
     columns = np.arange(3)
-    met = np.array([[accelerated(j, pose) for j in range(3)] for pose in POSES])
+    met = np.array([[inertia_from_acceleration(j, pose) for j in range(3)] for pose in POSES])
     for pose, expected in zip(POSES, met, strict=True):
         assert link_inertia(data, pose[None], columns, columns) == pytest.approx(expected)
     assert link_inertia(data, POSES, columns, columns) == pytest.approx(met.min(axis=0))
-    # A light arm, folding, on a heavy motor.
+    # The free outer joints make the arm light compared with the rotor.
     assert met[0, 0] < 0.5 * ARMATURE[0]
 
 
-def moved(effect: str, values: dict[str, float], refine: int) -> FloatArray:
-    """(samples,) rad of the base, which is pushed to and fro through its gear."""
+def base_position(effect: str, values: dict[str, float], refine: int) -> FloatArray:
+    """(samples,) base position, rad, under a square wave of torque through the gear."""
     time = 0.01 * np.arange(80, dtype=np.float64)
     command = np.zeros((len(time), 3))
     command[:, 0] = 25.0 * np.sign(np.sin(2.0 * np.pi * 3.0 * time))
@@ -81,28 +84,28 @@ def moved(effect: str, values: dict[str, float], refine: int) -> FloatArray:
         ("joint_elasticity", {"compliance": 1.0 / 2000.0, "damping_time": 0.004}, 0.01),
         ("joint_elasticity", {"compliance": 1e-6, "damping_time": 0.002}, 0.01),
     ],
-    ids=["play", "soft", "stiff"],
+    ids=["backlash", "compliant gear", "stiff gear"],
 )
-def test_a_light_link_goes_where_a_finer_step_takes_it(
+def test_a_light_link_moves_as_with_16_times_finer_steps(
     effect: str, values: dict[str, float], within: float
 ) -> None:
-    coarse, fine = moved(effect, values, 1), moved(effect, values, 16)
+    coarse, fine = base_position(effect, values, 1), base_position(effect, values, 16)
     assert np.isfinite(coarse).all()
     assert np.ptp(fine) > 0.1
     assert np.abs(coarse - fine).max() < within + 0.03 * np.ptp(fine)
 
 
-def test_teeth_are_as_stiff_as_they_are_where_the_link_is_heavy() -> None:
-    def given(link: float) -> Gear:
+def test_tooth_stiffness_is_reduced_only_for_light_links() -> None:
+    def gear_with_teeth(link: float) -> Gear:
         gear = Gear.rigid(np.zeros((1, 1)))
         one = np.ones((1, 1))
         gear.give(one > 0.0, 1e-4 * one, None, 0.3 * one, link * one, 0.002)
         return gear
 
-    light, heavy, free = given(0.03), given(0.31), given(np.inf)
+    light, heavy, free = gear_with_teeth(0.03), gear_with_teeth(0.31), gear_with_teeth(np.inf)
     assert heavy.stiffness == free.stiffness == pytest.approx(1e4)
     assert heavy.damping == free.damping
     assert light.stiffness < 0.5 * heavy.stiffness
-    # What they add over a step, in series with the motor's momentum, takes half of the link's.
+    # Per step, teeth in series with the rotor remove half of the link's momentum.
     teeth, momentum = light.stiffness * 0.002 + light.damping, 0.3 / 0.002
     assert teeth * momentum / (teeth + momentum) == pytest.approx(0.5 * 0.03 / 0.002)

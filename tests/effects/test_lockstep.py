@@ -1,4 +1,4 @@
-"""Rows that step together: one that diverges costs the others nothing."""
+"""Rows that step together: a diverging row does not affect the others."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ PENDULUM = """\
 STEPS = 60
 
 
-def stepped(pushed: dict[int, float], rows: int = 3) -> tuple[np.ndarray, list[int], Batch]:
-    """Final angles, the steps that were begun, and the batch; ``pushed`` rows from step 10 on."""
+def step_pendulums(pushed: dict[int, float], rows: int = 3) -> tuple[np.ndarray, list[int], Batch]:
+    """Final angles, steps begun and batch; ``pushed`` maps rows to the torque from step 10 on."""
     batch = Batch(mujoco.MjModel.from_xml_string(PENDULUM), rows, nthread=1)
     angle, control = batch.bind("qpos"), batch.bind("ctrl")
     begun: list[int] = []
@@ -33,17 +33,17 @@ def stepped(pushed: dict[int, float], rows: int = 3) -> tuple[np.ndarray, list[i
     return angle.copy(), begun, batch
 
 
-def test_a_row_that_diverges_stops_and_the_others_go_on() -> None:
-    free, begun, _ = stepped({})
-    beside, _, batch = stepped({1: 1e30})
+def test_a_diverged_row_stops_and_the_others_continue() -> None:
+    free, begun, _ = step_pendulums({})
+    beside, _, batch = step_pendulums({1: 1e30})
     assert begun == list(range(STEPS))
     lost = batch.warning[:, :, 1].any(axis=1)
     assert lost.tolist() == [False, True, False]
     np.testing.assert_array_equal(beside[[0, 2]], free[[0, 2]])
-    # The engine starts a diverged row anew at each step, and counts: this one was left alone soon.
+    # MuJoCo resets a diverged row at each step and counts a warning: few mean it was dropped.
     assert batch.warning[1, :, 1].max() < STEPS // 3
 
 
-def test_nothing_is_stepped_where_all_diverged() -> None:
-    _, begun, _ = stepped(dict.fromkeys(range(3), 1e30))
+def test_stepping_ends_when_all_rows_have_diverged() -> None:
+    _, begun, _ = step_pendulums(dict.fromkeys(range(3), 1e30))
     assert 10 < len(begun) < STEPS // 2

@@ -1,7 +1,6 @@
-"""A law that remembers acts with its mean over a step, whatever the step.
+"""Effects with an internal state act with their mean over a step, for any step size.
 
-Inputs are held over a coarse step; a step two hundred times finer, under the same inputs, is the
-reference.
+Inputs are held over a coarse step. The reference uses steps 200 times finer with the same inputs.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import World
 
 STEP, STEPS, FINER = 0.01, 60, 200
-# Effect, its values, and what of the world it acts on.
+# Effect, its parameters, and the simulation variable that it changes.
 LAWS: list[tuple[str, dict[str, float], str]] = [
     ("actuator_lag", {"time_constant": 0.02, "of_setpoint": 0.0}, "delivered"),
     (
@@ -42,10 +41,10 @@ def world(timestep: float) -> World:
     )  # fmt: skip
 
 
-def acted(
+def outputs(
     effect: str, of: dict[str, float], signal: str, inputs: FloatArray, timestep: float
 ) -> FloatArray:
-    """(steps,) what a law makes of inputs that are held over each step."""
+    """(steps,) output of the effect for inputs held over each step."""
     law, at = catalogue()[effect], world(timestep)
     values = {n: np.full((1, 1), v) for n, v in of.items()}
     out = []
@@ -60,13 +59,13 @@ def acted(
 
 
 @pytest.mark.parametrize(("effect", "of", "signal"), LAWS, ids=[f"{e}-{s}" for e, _, s in LAWS])
-def test_the_mean_of_finer_steps_is_what_acts(
+def test_an_effect_with_state_outputs_the_mean_of_200_finer_steps(
     effect: str, of: dict[str, float], signal: str
 ) -> None:
     inputs = np.cumsum(np.random.default_rng(3).normal(0.0, 0.3, STEPS))
     inputs[0] = 0.0
-    coarse = acted(effect, of, signal, inputs, STEP)
-    finer = acted(effect, of, signal, np.repeat(inputs, FINER), STEP / FINER)
+    coarse = outputs(effect, of, signal, inputs, STEP)
+    finer = outputs(effect, of, signal, np.repeat(inputs, FINER), STEP / FINER)
     fine = finer.reshape(STEPS, FINER).mean(axis=1)
     assert np.abs(inputs - fine).max() > 0.1
     assert np.abs(coarse - fine).max() < 2e-3 * np.abs(fine).max()

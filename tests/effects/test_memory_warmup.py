@@ -1,4 +1,4 @@
-"""A window amid a motion goes on as the motion did, whatever its laws remember."""
+"""A window that starts during a motion restores the internal state of its effects."""
 
 from __future__ import annotations
 
@@ -20,11 +20,14 @@ MODEL = (
     '<actuator><motor joint="j"/></actuator></mujoco>'
 )
 LAWS = {
-    "a lag": ("actuator_lag", {"time_constant": 0.03, "of_setpoint": 0.0}),
-    "an elastic gear": ("joint_elasticity", {"compliance": 1 / 40.0, "damping_time": 0.01}),
-    "bristles": ("presliding_hysteresis", {"coulomb": 0.3, "presliding_distance": 0.05}),
-    # The joint goes 0.1 rad a second: what bends them is from before the lead.
-    "long bristles": ("presliding_hysteresis", {"coulomb": 2.0, "presliding_distance": 0.4}),
+    "actuator lag": ("actuator_lag", {"time_constant": 0.03, "of_setpoint": 0.0}),
+    "elastic transmission": ("joint_elasticity", {"compliance": 1 / 40.0, "damping_time": 0.01}),
+    "presliding": ("presliding_hysteresis", {"coulomb": 0.3, "presliding_distance": 0.05}),
+    # The joint moves at about 0.1 rad/s: the deflection began before the warm-up.
+    "presliding longer than the warm-up": (
+        "presliding_hysteresis",
+        {"coulomb": 2.0, "presliding_distance": 0.4},
+    ),
 }
 
 
@@ -33,8 +36,8 @@ def values(law: str) -> dict[str, dict[str, FloatArray]]:
     return {effect: {n: np.full((1, 1), v) for n, v in parameters.items()}}
 
 
-def whole() -> Segment:
-    """A second of effort that never settles."""
+def whole_trial() -> Segment:
+    """One second of motion under an effort that never settles."""
     time: FloatArray = STEP * np.arange(1000, dtype=np.float64)
     command = 1.2 * np.sin(2.0 * np.pi * 1.3 * time) + 0.5 * np.sign(np.sin(2.0 * np.pi * 4 * time))
     return Segment(
@@ -46,8 +49,8 @@ def whole() -> Segment:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_window_goes_on_where_the_motion_was(law: str) -> None:
-    trial = whole()
+def test_a_window_with_history_continues_the_motion(law: str) -> None:
+    trial = whole_trial()
     simulator = BatchSimulator([trial], ("j",), threads=1)
     motion = simulator.simulate(np.array([0]), values(law))[0]
     at = round(START / STEP)
@@ -70,16 +73,16 @@ SERVO = MODEL.replace(
     '<motor joint="j"/>', '<position joint="j" kp="30" kv="1" forcerange="-20 20"/>'
 )
 FOLLOWERS = {
-    # A rad in a step, and a third of a rad a second: seconds behind.
-    "a profile": ("rate_limit", {
+    # A step of 1 rad at 1/3 rad/s: the setpoint stays seconds behind the command.
+    "velocity-limited profile": ("rate_limit", {
         "inverse_rate": 3.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}),
-    "a smoothed setpoint": ("actuator_lag", {"time_constant": 0.5, "of_setpoint": 1.0}),
-    "a watchdog": ("watchdog_timeout", {"inverse_timeout": 2.0, "back_emf": 0.0}),
+    "smoothed setpoint": ("actuator_lag", {"time_constant": 0.5, "of_setpoint": 1.0}),
+    "watchdog": ("watchdog_timeout", {"inverse_timeout": 2.0, "back_emf": 0.0}),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("law", FOLLOWERS)
-def test_what_follows_commands_alone_knows_all_that_were_sent(law: str) -> None:
+def test_effects_on_commands_know_all_commands_before_the_window(law: str) -> None:
     effect, parameters = FOLLOWERS[law]
     told = {effect: {n: np.full((1, 1), v) for n, v in parameters.items()}}
     time: FloatArray = STEP * np.arange(3000, dtype=np.float64)
@@ -99,7 +102,7 @@ def test_what_follows_commands_alone_knows_all_that_were_sent(law: str) -> None:
         for at in (50, 900, 1500, 2600)
     ]  # fmt: skip
     cut = BatchSimulator(windows, ("j",), threads=1)
-    # Rows out of order, and one of another hypothesis among them.
+    # Rows out of order; the first has another parameter value.
     rows = np.array([3, 0, 1, 2, 3])
     each = {effect: {n: np.repeat(v, 5, axis=0) for n, v in told[effect].items()}}
     first = next(iter(parameters))

@@ -1,4 +1,4 @@
-"""What a motor makes of its drive, held against equations of its own: a pendulum on a servo."""
+"""Motor effects on a pendulum with a servo, compared with an independent integration."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def pendulum(damping: float) -> mujoco.MjModel:
     )
 
 
-def swing(
+def simulated(
     command: FloatArray, values: dict[str, dict[str, float]], *, damping: float, start: float = 0.0
 ) -> Predicted:
-    """Positions at every step under setpoints (steps,) that are held from step to step."""
+    """Prediction at every step under setpoints (steps,), rad, held over each step."""
     time: FloatArray = STEP * np.arange(len(command), dtype=np.float64)
     segment = Segment(
         trial=0, model=pendulum(damping), mode="position", start=0.0, time=time,
@@ -48,7 +48,7 @@ def reference(
     command: FloatArray, *, damping: float = 0.0, back_emf: float = 0.0, inverse_knee: float = 0.0,
     off_from: float = np.inf, start: float = 0.0, smoothed: float = 1e-9, unheard: float = 0.0,
 ) -> FloatArray:  # fmt: skip
-    """The same, semi-implicit at a twentieth of the step; no part of the package."""
+    """(steps,) position, rad, by semi-implicit Euler at 1/20 of the step, without package code."""
     fine, q, v, out, heard = 20, start, 0.0, [], command[0]
     for k, wanted in enumerate(command):
         out.append(q)
@@ -69,97 +69,99 @@ def ramp(seconds: float, top: float, stop: float) -> FloatArray:
     return path
 
 
-def test_a_drive_that_lets_go_takes_its_back_emf_along() -> None:
+def test_watchdog_timeout_removes_drive_torque_and_back_emf_damping() -> None:
     command = ramp(2.0, 1.0, 0.6)
     values = {"watchdog_timeout": {"inverse_timeout": 10.0, "back_emf": 0.05}}
-    found = swing(command, values, damping=0.06).position[:, 0]
+    found = simulated(command, values, damping=0.06).position[:, 0]
     expected = reference(command, damping=0.01, back_emf=0.05, off_from=0.702)
     assert np.abs(found - expected).max() < 0.02
     braked = reference(command, damping=0.06, off_from=0.702)
     assert np.abs(found - braked).max() > 0.1
 
 
-def test_a_command_that_moves_again_wakes_the_drive() -> None:
+def test_a_changing_command_enables_the_drive_again_after_a_timeout() -> None:
     command = np.concatenate([ramp(1.0, 0.5, 0.2), np.linspace(0.5, 0.9, 1500)])
     values = {"watchdog_timeout": {"inverse_timeout": 5.0, "back_emf": 0.0}}
-    found = swing(command, values, damping=0.2).position[:, 0]
+    found = simulated(command, values, damping=0.2).position[:, 0]
     assert abs(found[990]) < 0.1 < found[-1]
     assert found[-1] == pytest.approx(reference(command, damping=0.2)[-1], abs=0.01)
 
 
-def test_a_smoothed_setpoint_follows_its_command() -> None:
+def test_a_smoothed_setpoint_is_a_first_order_lag_of_the_command() -> None:
     command = ramp(2.0, 1.0, 0.6)
     values = {"actuator_lag": {"time_constant": 0.08, "of_setpoint": 1.0}}
-    found = swing(command, values, damping=0.1).position[:, 0]
+    found = simulated(command, values, damping=0.1).position[:, 0]
     assert np.abs(found - reference(command, damping=0.1, smoothed=0.08)).max() < 2e-3
-    # Not what a lag of the effort makes of it: that one swings.
+    # A lag of the effort gives another motion: it oscillates.
     lagging = {"actuator_lag": {"time_constant": 0.08, "of_setpoint": 0.0}}
-    assert np.abs(found - swing(command, lagging, damping=0.1).position[:, 0]).max() > 0.05
+    assert np.abs(found - simulated(command, lagging, damping=0.1).position[:, 0]).max() > 0.05
 
 
-def test_small_efforts_are_not_given() -> None:
-    """Beyond gain times width: of a servo with damping another law than that of its error."""
+def test_dead_zone_of_effort_removes_efforts_below_gain_times_width() -> None:
+    """In a servo with damping this differs from a dead zone of the position error."""
     command = ramp(2.0, 1.0, 0.6)
     values = {"dead_zone": {"width": 0.1, "of_effort": 1.0}}
-    found = swing(command, values, damping=0.1).position[:, 0]
+    found = simulated(command, values, damping=0.1).position[:, 0]
     expected = reference(command, damping=0.1, unheard=0.1 * KP)
     assert np.abs(found - expected).max() < 2e-3
     assert np.abs(found - reference(command, damping=0.1)).max() > 0.05
     # Without damping in the servo the error and the effort are the same.
     of_error = {"dead_zone": {"width": 0.1, "of_effort": 0.0}}
-    assert np.allclose(found, swing(command, of_error, damping=0.1).position[:, 0], atol=1e-9)
+    assert np.allclose(found, simulated(command, of_error, damping=0.1).position[:, 0], atol=1e-9)
 
 
-def test_friction_by_the_motor_that_does_not_fall_is_friction_by_its_load() -> None:
+def test_motor_load_friction_without_stiction_equals_load_dependent_friction_of_the_drive() -> None:
     command = ramp(2.0, 1.0, 0.6)
     even = {"coefficient": 0.3, "stiction_excess": 0.0, "stribeck_velocity": 0.2}
     plain = {"coefficient": 0.3, "of_drive": 1.0}
-    found = swing(command, {"motor_load_friction": even}, damping=0.1).position
-    other = swing(command, {"load_dependent_friction": plain}, damping=0.1).position
+    found = simulated(command, {"motor_load_friction": even}, damping=0.1).position
+    other = simulated(command, {"load_dependent_friction": plain}, damping=0.1).position
     assert np.allclose(found, other, atol=1e-12)
-    by_load = swing(command, {"load_dependent_friction": {**plain, "of_drive": 0.0}}, damping=0.1)
+    by_load = simulated(
+        command, {"load_dependent_friction": {**plain, "of_drive": 0.0}}, damping=0.1
+    )
     assert np.abs(by_load.position - found).max() > 0.01
 
 
 @pytest.mark.parametrize("inverse_knee", [0.5, 2.0])
-def test_effort_rolls_off_with_what_the_drive_asks_for(inverse_knee: float) -> None:
+def test_torque_rolloff_reduces_large_requested_efforts(inverse_knee: float) -> None:
     command = ramp(3.0, 1.2, 0.5)
     values = {"torque_rolloff": {"inverse_knee": inverse_knee, "back_emf": 0.05}}
-    found = swing(command, values, damping=0.1).position[:, 0]
+    found = simulated(command, values, damping=0.1).position[:, 0]
     expected = reference(command, damping=0.05, back_emf=0.05, inverse_knee=inverse_knee)
     assert np.abs(found - expected).max() < 3e-3
-    # At rest: the rolled-off effort carries the weight.
+    # At rest the reduced effort balances gravity.
     asked = KP * (1.2 - found[-1])
     carried = asked / (1.0 + asked * inverse_knee)
     assert carried == pytest.approx(WEIGHT * np.sin(found[-1]), abs=2e-3)
     assert np.abs(found[-1] - reference(command, damping=0.05)[-1]) > 0.03
 
 
-def test_friction_by_the_motor_holds_what_its_effort_allows() -> None:
+def test_motor_load_friction_holds_the_link_until_the_break_away_effort() -> None:
     friction = {"coefficient": 0.2, "stiction_excess": 0.3, "stribeck_velocity": 0.2}
     values = {"motor_load_friction": friction}
 
     def rests(wanted: float) -> bool:
         start = 0.5
-        path = swing(np.full(400, wanted), values, damping=0.05, start=start).position[:, 0]
+        path = simulated(np.full(400, wanted), values, damping=0.05, start=start).position[:, 0]
         return bool(np.abs(path - start).max() < 1e-3)
 
     weight = WEIGHT * np.sin(0.5)
-    # Raised, it breaks away where the motor gives more than weight / (1 - 0.5).
+    # It breaks away upwards at a motor torque above weight / (1 - 0.5).
     assert rests(0.5 + 0.95 * weight / 0.5 / KP)
     assert not rests(0.5 + 1.1 * weight / 0.5 / KP)
-    # Lowered, where it gives less than weight / (1 + 0.5).
+    # It breaks away downwards at a motor torque below weight / (1 + 0.5).
     assert rests(0.5 + 1.05 * weight / 1.5 / KP)
     assert not rests(0.5 + 0.9 * weight / 1.5 / KP)
 
 
-def test_friction_by_the_motor_is_gone_with_the_motor_off() -> None:
+def test_motor_load_friction_is_zero_when_the_motor_is_off() -> None:
     friction = {"coefficient": 0.4, "stiction_excess": 0.2, "stribeck_velocity": 0.2}
     values = {
         "motor_load_friction": friction,
         "watchdog_timeout": {"inverse_timeout": 140.0, "back_emf": 0.0},
     }
-    found = swing(np.zeros(1500), values, damping=0.0, start=0.6).position[:, 0]
+    found = simulated(np.zeros(1500), values, damping=0.0, start=0.6).position[:, 0]
     free = reference(np.zeros(1500), off_from=0.008, start=0.6)
     assert np.abs(found[-800:]).max() == pytest.approx(np.abs(free[-800:]).max(), abs=0.05)
 
@@ -169,7 +171,7 @@ def test_neutral_values_change_nothing(name: str) -> None:
     law = catalogue()[name]
     neutral = {p.name: p.starts[0] if p.neutral is None else p.neutral for p in law.parameters}
     command = ramp(0.6, 0.8, 0.3)
-    found = swing(command, {name: neutral}, damping=0.05).position
-    assert np.array_equal(found, swing(command, {}, damping=0.05).position)
+    found = simulated(command, {name: neutral}, damping=0.05).position
+    assert np.array_equal(found, simulated(command, {}, damping=0.05).position)
     for p in law.parameters:
         assert p.lower <= min(p.starts) <= max(p.starts) <= p.upper

@@ -1,6 +1,6 @@
-"""Behind a gear that gives, drive and friction act on the motor: against two masses in closed form.
+"""With an elastic transmission, drive and friction act on the motor side.
 
-The reference integrates motor and link as two equations of motion at tight tolerance.
+The reference integrates the equations of motion of motor and link with tight tolerances.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LAWS: dict[str, Mapping[str, float]] = {
 
 
 def motor_effort(law: str, drive: float, angle: float, speed: float) -> tuple[float, float]:
-    """What the drive delivers, and what acts on the motor in all, by each law's formula."""
+    """Delivered drive torque and total torque on the motor (N*m), by each effect's formula."""
     p = LAWS.get(law, {})
     if law == "torque_constant":
         drive *= 1.0 + p["relative_error"]
@@ -97,13 +97,13 @@ def simulated(law: str, mode: str, command: Callable[[float], float]) -> tuple[F
 
 @pytest.mark.parametrize("mode", DRIVES)
 @pytest.mark.parametrize("law", ["none", *LAWS])
-def test_motor_and_link_move_as_two_masses(law: str, mode: str) -> None:
+def test_drive_effects_act_on_the_motor_of_an_elastic_joint(law: str, mode: str) -> None:
     size = 1.5 if mode == "effort" else 0.5
 
     def command(t: float) -> float:
         return float(size * np.sin(2.0 * np.pi * 1.1 * t))
 
     (q, effort), (want_q, want_effort) = (f(law, mode, command) for f in (simulated, reference))
-    # An integrator of first order at a quarter of a millisecond.
+    # The tolerance covers a first-order integrator with steps of 0.25 ms.
     assert np.abs(q - want_q).max() < 0.003 * np.ptp(want_q)
     assert np.abs(effort - want_effort)[1:].max() < 0.02 * np.ptp(want_effort)

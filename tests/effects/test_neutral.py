@@ -1,4 +1,4 @@
-"""At its neutral values every installed effect changes nothing in a prediction."""
+"""Every installed effect leaves predictions unchanged at its neutral values."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NAMES = sorted(point.name for point in entry_points(group="pytest_twin.effects")
 
 
 def model() -> mujoco.MjModel:
-    """Two hinges and a slide with dry friction over a floor, every kind of servo."""
+    """Two hinges and a slide with dry friction above a floor; position and velocity servos."""
     return mujoco.MjModel.from_xml_string(
         f"""<mujoco><option timestep="{STEP}" integrator="implicitfast"/><worldbody>
         <geom name="floor" type="plane" size="2 2 0.1" pos="0 0 -0.36"/>
@@ -52,14 +52,15 @@ def segment(cold_fraction: float) -> Segment:
 SIMULATOR = BatchSimulator([segment(1.0), segment(0.0)], JOINTS, threads=1)
 
 
-def beside(effect: Effect | None, shape: float = 0.0, trial: int = 0) -> list[Predicted]:
-    """Predictions without an effect, and beside each other in one batch: with the effect at work,
-    and with it at its neutral values.
+def predictions(effect: Effect | None, shape: float = 0.0, trial: int = 0) -> list[Predicted]:
+    """Three predictions: without the effect, with its starting values, with its neutral values.
+
+    The last two are rows of one batch.
 
     Args:
         effect: None for the first prediction alone.
         trial: 0 for the coldest, 1 for the warmest.
-        shape: which of the starting values the parameters have that only shape the effect.
+        shape: 0 to 1, picks each parameter's first to last starting value.
     """
     plain = SIMULATOR.trajectories_with_readings(np.array([trial]), {})[2]
     if effect is None:
@@ -72,31 +73,33 @@ def beside(effect: Effect | None, shape: float = 0.0, trial: int = 0) -> list[Pr
     return plain + SIMULATOR.trajectories_with_readings(np.full(2, trial), {effect.id: rows})[2]
 
 
-def apart(a: Predicted, b: Predicted) -> float:
-    """Largest relative difference of any signal."""
+def largest_relative_difference(a: Predicted, b: Predicted) -> float:
+    """Largest relative difference of position, velocity and effort."""
     pairs = ((getattr(a, n), getattr(b, n)) for n in ("position", "velocity", "effort"))
     return max(float(np.abs(x - y).max() / max(1.0, np.abs(x).max())) for x, y in pairs)
 
 
-@pytest.mark.parametrize("shape", [0.0, 1.0], ids=["first shape", "last shape"])
+@pytest.mark.parametrize("shape", [0.0, 1.0], ids=["first starting value", "last starting value"])
 @pytest.mark.parametrize("name", NAMES)
 def test_neutral_values_change_nothing(name: str, shape: float) -> None:
-    plain, _, neutral = beside(catalogue()[name], shape)
+    plain, _, neutral = predictions(catalogue()[name], shape)
     assert np.isfinite(plain.position).all()
     # The tolerance of the solver for dry friction and contact is 1e-8.
-    assert apart(plain, neutral) <= 1e-9
+    assert largest_relative_difference(plain, neutral) <= 1e-9
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_starting_values_change_something(name: str) -> None:
-    """Otherwise the test above would pass for an effect that does not reach this robot."""
+    """Otherwise the test above would pass for an effect that never acts on this robot."""
     ways = itertools.product((0.0, 1.0), (0, 1))
-    changes = (apart(*beside(catalogue()[name], *way)[:2]) for way in ways)
+    changes = (
+        largest_relative_difference(*predictions(catalogue()[name], *way)[:2]) for way in ways
+    )
     assert any(not change <= 1e-7 for change in changes)
 
 
-def test_the_motion_touches_sticks_and_saturates() -> None:
-    """Otherwise a hook that acts only there would go unseen."""
-    (plain,) = beside(None)
+def test_the_motion_includes_contact_sticking_and_saturation() -> None:
+    """Otherwise effects that act only in these regimes would not be tested."""
+    (plain,) = predictions(None)
     assert plain.effort[:, 0].max() > 2.0
     assert np.ptp(plain.position, axis=0).min() > 0.01

@@ -1,4 +1,4 @@
-"""Names of the effect interface that changed: effects of other packages go on for one release."""
+"""Old names of the effect interface work for one more release and warn."""
 
 import contextlib
 
@@ -53,7 +53,7 @@ def test_the_old_name_of_the_cold_fraction_warns_and_returns_the_same() -> None:
         (Property, "posed", "needs_poses"),
     ],
 )
-def test_old_names_of_the_public_interface_warn_and_say_the_new_one(
+def test_old_names_of_the_public_interface_warn_and_state_the_new_name(
     owner: type, old: str, new: str
 ) -> None:
     bare = owner.__new__(owner)

@@ -1,4 +1,4 @@
-"""An effect from someone else's package, ``examples/magnet``: one class and one entry point."""
+"""An effect from another package, ``examples/magnet``: one class and one entry point."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAGNET = Path(__file__).parents[2] / "examples" / "magnet"
 
 @pytest.fixture
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of packages in which the example is installed."""
+    """A site-packages folder in which the example package is installed."""
     points = tomllib.loads((MAGNET / "pyproject.toml").read_text())["project"]["entry-points"]
     ((group, ((name, target),)),) = [(group, one.items()) for group, one in points.items()]
     site = tmp_path / "site"
@@ -37,7 +37,7 @@ def pytest_twin(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_it_is_listed(site: Path) -> None:
+def test_an_installed_effect_is_listed_by_the_effects_command(site: Path) -> None:
     done = pytest_twin("effects")
     assert done.returncode == 0, done.stderr
     assert "[`magnet`](#magnet)" in done.stdout
@@ -46,8 +46,7 @@ def test_it_is_listed(site: Path) -> None:
     assert row in done.stdout
 
 
-def test_it_is_named_and_fitted(site: Path, tmp_path: Path) -> None:
-    """What was in nobody's catalogue is named once somebody has put it there."""
+def test_an_installed_effect_is_found_and_fitted_by_diagnose(site: Path, tmp_path: Path) -> None:
     words = case(tmp_path / "case", magnet=0.08)
     done = pytest_twin("diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "why"))
     assert done.returncode == 0, done.stdout + done.stderr
@@ -85,7 +84,7 @@ def test_it_is_named_and_fitted(site: Path, tmp_path: Path) -> None:
         ("class Magnet(Effect)", "class Magnet", "subclass of pytest_twin.effects.Effect"),
     ],
 )
-def test_what_does_not_hold_together_is_one_line(
+def test_an_invalid_effect_definition_is_reported_in_one_line(
     site: Path, written: str, instead: str, told: str
 ) -> None:
     module = site / "magnet.py"
@@ -98,7 +97,7 @@ def test_what_does_not_hold_together_is_one_line(
     assert done.stderr.count("\n") == 1, done.stderr
 
 
-def test_an_effect_is_brought_once(site: Path) -> None:
+def test_two_packages_may_not_define_the_same_effect(site: Path) -> None:
     told = site / "my_effects-1.0.dist-info" / "entry_points.txt"
     told.write_text("[pytest_twin.effects]\ncogging = magnet:Magnet\n")
     module = site / "magnet.py"

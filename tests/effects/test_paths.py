@@ -1,4 +1,4 @@
-"""Where effects sit between command and reading."""
+"""Position of each effect on the signal path from command to sensor reading."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from pytest_twin.effects import catalogue
         ("surroundings", {"external_force"}),
     ],
 )
-def test_every_path_has_its_effects(path: str, effects: set[str]) -> None:
+def test_effects_are_assigned_to_the_expected_signal_path(path: str, effects: set[str]) -> None:
     assert {e for e in effects if catalogue()[e].path == path} == effects
 
 
-def test_every_effect_has_a_path() -> None:
+def test_every_effect_states_its_signal_path() -> None:
     assert all(effect.path for effect in catalogue().values())

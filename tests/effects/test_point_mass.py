@@ -14,7 +14,7 @@ ROWS = 5
 
 
 @given(seed=st.integers(0, 10_000))
-def test_inertias_are_those_of_both_together(seed: int) -> None:
+def test_body_with_point_mass_has_the_summed_spatial_inertia(seed: int) -> None:
     random = np.random.default_rng(seed)
     mass, added = random.uniform(0.1, 3.0, (2, ROWS))
     center, at = random.uniform(-0.4, 0.4, (2, ROWS, 3))

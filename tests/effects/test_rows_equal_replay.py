@@ -1,4 +1,4 @@
-"""Two ways of stepping, one motion: rows of the diagnosis without an effect, and the replay."""
+"""The batch simulator without effects and the replay predict the same motion."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SCALE = {"position": 0.4, "velocity": 0.8, "effort": 2.0}
 
 
 def dry_friction_as_rows(model: mujoco.MjModel, joints: tuple[str, ...]) -> mujoco.MjModel:
-    """The stiff dry friction of the rows; MuJoCo's default creeps under load."""
+    """A copy with the stiff dry friction of the batch rows; MuJoCo's default creeps under load."""
     stiff = copy.copy(model)
     dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
     stiff.dof_solref[dofs] = (2.0 * model.opt.timestep, 1.0)
@@ -50,8 +50,8 @@ def dry_friction_as_rows(model: mujoco.MjModel, joints: tuple[str, ...]) -> mujo
     return stiff
 
 
-def gap(model: mujoco.MjModel, trial: Trial) -> tuple[float, float, float]:
-    """Largest difference in position, and in velocity, and how far the motion went."""
+def compare_rows_with_replay(model: mujoco.MjModel, trial: Trial) -> tuple[float, float, float]:
+    """Largest differences in position (rad) and velocity (rad/s), and the range of motion (rad)."""
     replayed = replay_rows([Row(trial, dry_friction_as_rows(model, trial.joints))], threads=1)[0]
     assert replayed.error is None
     column = {joint: i for i, joint in enumerate(trial.command_joints)}
@@ -77,8 +77,8 @@ def gap(model: mujoco.MjModel, trial: Trial) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("mode", SCALE)
-@pytest.mark.parametrize("jitter", [0.0, 7e-4], ids=["on steps", "between steps"])
-def test_a_made_arm_moves_alike(mode: CommandMode, jitter: float) -> None:
+@pytest.mark.parametrize("jitter", [0.0, 7e-4], ids=["commands on steps", "commands between steps"])
+def test_batch_rows_and_replay_agree_on_a_two_joint_arm(mode: CommandMode, jitter: float) -> None:
     model = mujoco.MjModel.from_xml_string(ARM.format(DRIVES[mode]))
     random = np.random.default_rng(3)
     time = 0.01 * np.arange(120)
@@ -102,7 +102,7 @@ def test_a_made_arm_moves_alike(mode: CommandMode, jitter: float) -> None:
             (),
         )
     )
-    position, velocity, moved = gap(model, trial)
+    position, velocity, moved = compare_rows_with_replay(model, trial)
     assert moved > 0.1
     assert position < 1e-9
     assert velocity < 1e-8
@@ -128,7 +128,7 @@ GRIPPER_JOINTS, GRIPPER_START = ("lift", "wrist", "finger"), (0.1, 0.3, 0.02)
 
 
 def gripper_trial(time: np.ndarray, commanded: tuple[str, ...], sent: np.ndarray) -> Trial:
-    """Of which the first state and the commands say something."""
+    """A trial in which only the commands and the first state carry information."""
     at = 1_700_000_000_000_000_000 + np.rint(time * 1e9).astype(np.int64)
     start = np.tile(GRIPPER_START, (len(time), 1))
     series = {
@@ -138,8 +138,8 @@ def gripper_trial(time: np.ndarray, commanded: tuple[str, ...], sent: np.ndarray
     return make_trial(Recording(Path("made.mcap"), series, {}, ()))
 
 
-def test_what_no_recording_says_anything_of_is_the_same_for_both(tmp_path: Path) -> None:
-    """A servo that nobody commands, and a finger that follows another."""
+def test_uncommanded_servos_and_mimic_joints_move_alike_in_both(tmp_path: Path) -> None:
+    """The wrist servo has no command, and one finger follows the other."""
     (tmp_path / "model.xml").write_text(GRIPPER)
     realization = load(tmp_path / "model.xml")
     time = 0.01 * np.arange(120)
@@ -151,8 +151,10 @@ def test_what_no_recording_says_anything_of_is_the_same_for_both(tmp_path: Path)
     replayed = replay(realization, [trial], threads=1)[0]
     assert np.ptp(replayed.position[:, 0]) > 0.1
     assert np.abs(rows.position - replayed.position).max() < 1e-9
-    assert np.abs(replayed.position[:, 1] - 0.3).max() < 0.1, "the wrist is held"
-    # Told nothing of the rest of the model, a row moves otherwise.
+    assert np.abs(replayed.position[:, 1] - 0.3).max() < 0.1, (
+        "the wrist servo does not hold its first position"
+    )
+    # Without the state of the unrecorded joints a row moves differently.
     bare = replace(segment, unrecorded=None)
     (other,) = BatchSimulator([bare], joints, threads=1).simulate(np.array([0]), {})
     assert np.abs(other.position - replayed.position)[:, 1].max() > 0.1
@@ -177,7 +179,7 @@ REMEMBERING = {
 
 
 @pytest.mark.parametrize("drives", REMEMBERING)
-def test_actuators_that_remember_start_as_in_a_replay(tmp_path: Path, drives: str) -> None:
+def test_actuators_with_internal_state_start_as_in_a_replay(tmp_path: Path, drives: str) -> None:
     mode, text = REMEMBERING[drives]
     (tmp_path / "model.xml").write_text(ARM.format(text))
     realization = load(tmp_path / "model.xml")
@@ -199,7 +201,7 @@ def test_actuators_that_remember_start_as_in_a_replay(tmp_path: Path, drives: st
     (found,) = BatchSimulator([segment], joints, threads=1).simulate(np.array([0]), {})
     assert np.ptp(replayed, axis=0).min() > 0.05
     assert np.abs(found.position - replayed).max() < 1e-9
-    # A line of so many steps is too short for finer ones: it is stepped as an effect.
+    # Finer steps would overflow MuJoCo's delay buffer: the delay is simulated as an effect.
     stepped = segments_of(without_delays(realization), trial, 0, joints)
     fixed = fixed_values(effects_outside_mjcf(realization, None), joints, 1)
     coarse, fine = (
@@ -212,7 +214,7 @@ def test_actuators_that_remember_start_as_in_a_replay(tmp_path: Path, drives: st
     assert np.abs(fine - replayed).max() < 2e-3
 
 
-def test_a_joint_that_some_recordings_command_is_held_in_the_others(tmp_path: Path) -> None:
+def test_a_joint_without_commands_in_a_recording_is_held_there(tmp_path: Path) -> None:
     (tmp_path / "model.xml").write_text(GRIPPER)
     realization = load(tmp_path / "model.xml")
     time = 0.01 * np.arange(120)
@@ -226,7 +228,7 @@ def test_a_joint_that_some_recordings_command_is_held_in_the_others(tmp_path: Pa
         assert np.abs(found.position - replayed.position).max() < 1e-9
 
 
-def test_the_real_arm_moves_alike() -> None:
+def test_batch_rows_and_replay_agree_on_the_recorded_so101_arm() -> None:
     folder = RECORDINGS / "so101"
     if not folder.is_dir():
         pytest.skip(
@@ -235,6 +237,6 @@ def test_the_real_arm_moves_alike() -> None:
     realization = load(folder / "model.xml")
     path = sorted((folder / "recordings").rglob("*.mcap"))[0]
     trial = make_trial(read_recording(path), realization.structure)
-    position, _, moved = gap(realization.model, trial)
+    position, _, moved = compare_rows_with_replay(realization.model, trial)
     assert moved > 0.1
     assert position < 1e-6

@@ -1,4 +1,4 @@
-"""Rows come to the same on one core and on several."""
+"""Rows give the same result on one core and on several."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ LAWS = (
 )
 
 
-def test_rows_of_many_laws_move_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    """But for what the solver of contacts leaves: laws of other rows add zeros to a row."""
+def test_rows_with_different_effects_do_not_depend_on_the_number_of_cores(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Up to the tolerance of the contact solver: effects of other rows add zeros to a row."""
     monkeypatch.setattr(batch_division, "_FORK", 0.0)
     segments = [segment(build())] * 3
     count = 3 * (len(LAWS) + 1)

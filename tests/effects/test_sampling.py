@@ -1,4 +1,4 @@
-"""Readings of a motion at stamps of their own."""
+"""Interpolation of a simulated motion at the stamps of the readings."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def segment(start: float, time: np.ndarray, *, starts_in_motion: bool = False) -
     )  # fmt: skip
 
 
-def test_a_cubic_motion_is_read_without_error() -> None:
-    """Whatever the stamps; rows of unlike length do not see each other's."""
+def test_a_cubic_motion_is_interpolated_without_position_error() -> None:
+    """For any stamps; rows of different lengths do not mix."""
     rng = np.random.default_rng(0)
     stamps = [np.sort(rng.uniform(2.0, 2.0 + STEP * STEPS, n)) for n in (7, 40)]
     segments = [segment(2.0, t) for t in stamps]
@@ -36,12 +36,12 @@ def test_a_cubic_motion_is_read_without_error() -> None:
         assert predicted.position[:, 0] == pytest.approx(cubic(time - 2.0), abs=1e-12)
         bend = np.abs(cubic.deriv(3)(0.0)) * STEP**2 / 8.0
         assert predicted.velocity[:, 0] == pytest.approx(cubic.deriv()(time - 2.0), abs=bend)
-        # Effort holds over a step.
+        # Effort is constant over a step.
         held = at[np.floor((time - 2.0) / STEP).astype(int)]
         assert predicted.effort[:, 0] == pytest.approx(cubic(held), abs=1e-12)
 
 
-def test_only_windows_start_behind_their_stamp() -> None:
+def test_sensor_delay_shifts_the_start_of_windows_but_not_of_whole_recordings() -> None:
     time = 1.0 + STEP * np.arange(5)
     late = [(catalogue()["sensor_delay"], {"delay": np.full((2, 1), 0.03)})]
     found = behind([segment(1.0, time), segment(1.0, time, starts_in_motion=True)], late, 1)

@@ -1,4 +1,4 @@
-"""Sensors that are off: what a servo makes of its own reading, and where a window really starts."""
+"""Encoder errors inside and outside the servo loop, and sensor delay at a window's start."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def segment(mode: str, drive: str, time: FloatArray, command: FloatArray, start:
 
 
 @pytest.mark.parametrize("in_loop", [0.0, 1.0])
-def test_a_servo_regulates_its_own_reading(in_loop: float) -> None:
+def test_encoder_bias_shifts_the_joint_only_if_it_is_in_the_servo_loop(in_loop: float) -> None:
     target = 0.8
     drive = f'<position joint="j" kp="{KP}" kv="{KV}"/>'
     held = segment("position", drive, STEP * np.arange(5000), np.full(5000, target), 0.0)
@@ -50,19 +50,19 @@ def test_a_servo_regulates_its_own_reading(in_loop: float) -> None:
 
 
 @pytest.mark.parametrize("zeroed", [0.0, 1.0])
-def test_an_eccentric_wheel_may_have_been_set_to_zero(zeroed: float) -> None:
+def test_an_eccentric_encoder_starts_from_the_recorded_reading(zeroed: float) -> None:
     drive = f'<position joint="j" kp="{KP}" kv="{KV}"/>'
     held = segment("position", drive, STEP * np.arange(5), np.zeros(5), 0.0)
     wheel = {"sine": 0.03, "cosine": 0.02, "zeroed": zeroed}
     values = {"encoder_eccentricity": {n: np.full((1, 1), v) for n, v in wheel.items()}}
-    # It starts from what was read, 0: where the joint is, is the inverse of the reading.
+    # The first reading is 0; the joint starts at the position that gives this reading.
     reading = BatchSimulator([held], ("j",), threads=1).simulate(np.array([0]), values)
     assert reading[0].position[0, 0] == pytest.approx(0.0, abs=1e-9)
     assert bool(np.abs(reading[0].position[1:]).max() > 1e-6) is (zeroed == 0.0)
 
 
-def test_a_window_of_late_readings_starts_before_its_stamp() -> None:
-    """Its first reading is of a moment ago; commands reach the motion that much later."""
+def test_sensor_delay_starts_a_window_before_its_first_stamp() -> None:
+    """The first reading shows an earlier state; commands appear in readings one delay later."""
     delay, start = 0.05, 0.4
     time = start + STEP * np.arange(300)
     command = np.where(np.arange(1000) < 450, 0.0, 2.0)
@@ -70,7 +70,7 @@ def test_a_window_of_late_readings_starts_before_its_stamp() -> None:
     late = {"sensor_delay": {"delay": np.full((1, 1), delay)}}
     found = BatchSimulator([window], ("j",), threads=1).simulate(np.array([0]), late)[0].position
     moved = time[np.flatnonzero(np.abs(found[:, 0]) > 1e-7)[0]]
-    # At rest at its first reading, it is seen to leave a delay after the command of 0.45 s.
+    # It rests at the first reading; readings move one delay after the command at 0.45 s.
     assert moved == pytest.approx(0.45 + delay, abs=2.5 * STEP)
 
 
@@ -81,13 +81,11 @@ def test_a_window_of_late_readings_starts_before_its_stamp() -> None:
         (5.0, [0.3 + 0.3 * -0.2, -0.2 + 0.1 * 0.5, 0.5]),
     ],
 )
-def test_an_encoder_turns_along_with_its_neighbour_and_is_told_from_it(
-    form: float, read: list[float]
-) -> None:
+def test_coupled_encoder_readings_are_inverted_exactly(form: float, read: list[float]) -> None:
     coupling = catalogue()["joint_coupling"]
     values = {"ratio": np.array([[0.3, 0.1, 0.2]]), "form": np.full((1, 3), form)}
     true = np.array([[0.3, -0.2, 0.5]])
-    # A speed is read as its position is.
+    # Velocities are coupled in the same way as positions.
     sensed = coupling.sense(np.zeros((1, 1, 3)), true[:, None], true[:, None], values)
     for x in sensed:
         assert x[0, 0] == pytest.approx(read, abs=1e-15)
@@ -96,7 +94,7 @@ def test_an_encoder_turns_along_with_its_neighbour_and_is_told_from_it(
         assert x == pytest.approx(true, abs=1e-15)
 
 
-def test_the_other_forms_of_a_coupling_leave_readings_as_they_are() -> None:
+def test_mechanical_forms_of_a_coupling_leave_readings_unchanged() -> None:
     coupling = catalogue()["joint_coupling"]
     position, velocity = np.full((1, 1, 3), 0.4), np.full((1, 1, 3), 0.2)
     for form in range(4):
@@ -106,8 +104,8 @@ def test_the_other_forms_of_a_coupling_leave_readings_as_they_are() -> None:
         assert np.array_equal(sensed[1], velocity)
 
 
-def test_a_reading_is_counted_then_scaled_then_has_its_zero_set() -> None:
-    """Whatever the order of their names: (1 + scale) (q + wheel(q)) + bias; efforts alike."""
+def test_encoder_errors_apply_in_the_order_eccentricity_scale_bias() -> None:
+    """The reading is (1 + scale) (q + wheel(q)) + bias; efforts are (1 + scale) effort + bias."""
     drive = f'<position joint="j" kp="{KP}" kv="{KV}"/>'
     held = segment("position", drive, STEP * np.arange(3000), np.full(3000, 0.8), 0.0)
     told = {
@@ -125,5 +123,5 @@ def test_a_reading_is_counted_then_scaled_then_has_its_zero_set() -> None:
     wheel = 0.03 * np.sin(q) + 0.02 * (np.cos(q) - 1.0)
     assert read.position[-1, 0] == pytest.approx(1.1 * (q + wheel) + BIAS, abs=1e-5)
     assert read.effort[-1, 0] == pytest.approx(1.3 * WEIGHT * np.sin(q) + 0.5, abs=1e-4)
-    # It starts from a reading of 0.
+    # The first reading is 0.
     assert read.position[0, 0] == pytest.approx(0.0, abs=1e-9)

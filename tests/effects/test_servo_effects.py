@@ -29,17 +29,17 @@ def model(servo: str, attributes: str = "") -> mujoco.MjModel:
 
 
 def commands() -> tuple[FloatArray, FloatArray]:
-    """A swing and two steps, held for 10 ms."""
+    """Stamps (s) and setpoints (rad), held for 10 ms: a sine and two steps."""
     stamps: FloatArray = 0.01 * np.arange(round(SECONDS / 0.01), dtype=np.float64)
     swing = 0.5 * np.sin(2.0 * np.pi * 1.7 * stamps)
     return stamps, swing * (stamps < 0.8) + 0.4 * (stamps > 0.9) - 0.6 * (stamps > 1.2)
 
 
-def moved(
+def positions(
     effect: str, values: dict[str, float], servo: str = "position", refine: int = FINE,
     attributes: str = "", start: float = 0.0, moving: bool = False,
 ) -> FloatArray:  # fmt: skip
-    """Positions every 10 ms under an effect; without one if its values are empty."""
+    """(samples,) position, rad, every 10 ms; without the effect if its values are empty."""
     stamps, command = commands()
     segment = Segment(
         trial=0, model=model(servo, attributes), mode=servo, start=0.0, time=stamps,
@@ -52,18 +52,18 @@ def moved(
     return simulator.simulate(np.array([0]), rows)[0].position[:, 0]
 
 
-def expected(
+def reference(
     *, filtered: float = 0.0, feedforward: float = 0.0, integral_time: float = np.inf,
     period: float = 0.0, late: float = 0.0, phase: float = 0.0, servo: str = "position",
     moving: bool = False,
 ) -> FloatArray:  # fmt: skip
-    """The same by semi-implicit Euler at 40 us; no part of the package.
+    """(samples,) position, rad, by semi-implicit Euler at 40 us, without code of the package.
 
     Args:
         filtered: time constant of the velocity filter, s.
         feedforward: N*m*s/rad.
         integral_time: s.
-        period, late: of the servo's samples, and the delay of their effort, s.
+        period, late: sampling period of the servo and computing delay of its effort, s.
         phase: when the first sample is taken, in periods.
     """
     stamps, command = commands()
@@ -103,50 +103,52 @@ def expected(
     return np.array(out)
 
 
-PLAIN = {servo: expected(servo=servo) for servo in ("position", "velocity")}
+PLAIN = {servo: reference(servo=servo) for servo in ("position", "velocity")}
 
 
-def test_the_integration_here_is_that_of_the_engine() -> None:
-    assert np.abs(moved("", {}) - PLAIN["position"]).max() < 2e-3
+def test_the_reference_integration_agrees_with_mujoco() -> None:
+    assert np.abs(positions("", {}) - PLAIN["position"]).max() < 2e-3
 
 
 @pytest.mark.parametrize("lag", [0.005, 0.02])
 def test_the_derivative_term_acts_on_the_filtered_velocity(lag: float) -> None:
-    found = moved("velocity_filter", {"time_constant": lag})
-    wanted = expected(filtered=lag)
+    found = positions("velocity_filter", {"time_constant": lag})
+    wanted = reference(filtered=lag)
     effect = np.abs(wanted - PLAIN["position"]).max()
     assert np.abs(found - wanted).max() < max(0.03 * effect, 1.5e-3)
 
 
 def test_a_feedforward_adds_the_rate_of_the_setpoint() -> None:
-    found = moved("velocity_feedforward", {"feedforward": 0.2}, moving=True)
-    wanted = expected(feedforward=0.2, moving=True)
-    effect = np.abs(wanted - expected(moving=True)).max()
+    found = positions("velocity_feedforward", {"feedforward": 0.2}, moving=True)
+    wanted = reference(feedforward=0.2, moving=True)
+    effect = np.abs(wanted - reference(moving=True)).max()
     assert effect > 0.03
     assert np.abs(found - wanted).max() < 0.05 * effect
 
 
 @pytest.mark.parametrize("servo", ["position", "velocity"])
 @pytest.mark.parametrize("integral_time", [0.3, 1.5])
-def test_the_integral_term_takes_the_load_over(servo: str, integral_time: float) -> None:
-    found = moved("integral_gain", {"inverse_integral_time": 1.0 / integral_time}, servo)
-    wanted = expected(integral_time=integral_time, servo=servo)
+def test_the_integral_term_accumulates_as_in_the_reference(
+    servo: str, integral_time: float
+) -> None:
+    found = positions("integral_gain", {"inverse_integral_time": 1.0 / integral_time}, servo)
+    wanted = reference(integral_time=integral_time, servo=servo)
     effect = np.abs(wanted - PLAIN[servo]).max()
     assert effect > 0.01
     assert np.abs(found - wanted).max() < max(0.03 * effect, 2e-3)
 
 
-def test_the_integral_term_carries_the_load_from_the_first_step() -> None:
-    held = moved("integral_gain", {"inverse_integral_time": 0.5}, start=0.0)
+def test_the_integral_term_starts_in_static_equilibrium() -> None:
+    held = positions("integral_gain", {"inverse_integral_time": 0.5}, start=0.0)
     assert abs(held[1]) < 1e-3
-    raised = moved("integral_gain", {"inverse_integral_time": 1e-3}, start=0.3)
-    dropped = moved("", {}, start=0.3)
-    # The command is 0: the term holds what the servo does not, until the command moves.
+    raised = positions("integral_gain", {"inverse_integral_time": 1e-3}, start=0.3)
+    dropped = positions("", {}, start=0.3)
+    # The command is 0: the integral term holds the link at 0.3 rad until the command changes.
     assert abs(raised[3] - 0.3) < 0.02 < 0.05 < abs(dropped[3] - 0.3)
 
 
-def averaged(period: float, late: float, servo: str = "position") -> FloatArray:
-    """The mean over all phases of the sample in use, integrated as above."""
+def reference_phase_average(period: float, late: float, servo: str = "position") -> FloatArray:
+    """(samples,) position, rad, with the servo effort averaged over all sampling phases."""
     stamps, command = commands()
     command = command * (1.0 if servo == "position" else 4.0)
     h, q, v, out = 4e-5, 0.0, 0.0, []
@@ -178,35 +180,38 @@ def averaged(period: float, late: float, servo: str = "position") -> FloatArray:
         (0.008, 1.0, "velocity"),
     ],
 )
-def test_a_sampled_servo_acts_on_the_mean_over_the_phases(
+def test_control_period_acts_with_the_mean_over_sampling_phases(
     period: float, delay: float, servo: str
 ) -> None:
-    found = moved("control_period", {"period": period, "computing_delay": delay}, servo)
-    wanted = averaged(period, delay * period, servo)
+    found = positions("control_period", {"period": period, "computing_delay": delay}, servo)
+    wanted = reference_phase_average(period, delay * period, servo)
     effect = np.abs(wanted - PLAIN[servo]).max()
     assert effect > 0.005
     assert np.abs(found - wanted).max() < max(0.05 * effect, 2e-3)
 
 
 @pytest.mark.parametrize(("period", "delay"), [(0.006, 1.0), (0.0123, 0.0)])
-def test_servos_that_sample_at_any_phase_move_alike_on_average(period: float, delay: float) -> None:
-    found = moved("control_period", {"period": period, "computing_delay": delay})
+def test_control_period_predicts_the_mean_motion_over_sampling_phases(
+    period: float, delay: float
+) -> None:
+    found = positions("control_period", {"period": period, "computing_delay": delay})
     phases = (np.arange(4) + 0.5) / 4.0
-    each = np.array([expected(period=period, late=delay * period, phase=x) for x in phases])
+    each = np.array([reference(period=period, late=delay * period, phase=x) for x in phases])
     rms = np.sqrt(np.mean((found - each.mean(axis=0)) ** 2))
     assert rms < 0.15 * np.sqrt(np.mean((PLAIN["position"] - each.mean(axis=0)) ** 2))
-    # Less than a servo of one phase differs from one of another.
+    # The error is smaller than the difference between two sampling phases.
     assert rms < np.sqrt(np.mean((each[0] - each[2]) ** 2))
 
 
-def test_periods_about_the_step_are_no_threshold() -> None:
-    """Periods below the step are averaged. The motion follows them on both sides."""
+def test_the_motion_changes_smoothly_as_control_period_crosses_the_time_step() -> None:
+    """Periods below the time step are averaged."""
     periods = np.linspace(0.0012, 0.0028, 5)
-    each = np.array([
-        moved("control_period", {"period": p, "computing_delay": 0.5}, refine=1) for p in periods
-    ])  # fmt: skip
-    apart = np.sqrt(np.mean(np.diff(each, axis=0) ** 2, axis=1))
-    assert apart.max() < 2.5 * apart.min()
+    each = [
+        positions("control_period", {"period": p, "computing_delay": 0.5}, refine=1)
+        for p in periods
+    ]
+    changes = np.sqrt(np.mean(np.diff(np.array(each), axis=0) ** 2, axis=1))
+    assert changes.max() < 2.5 * changes.min()
 
 
 @pytest.mark.parametrize(
@@ -217,29 +222,31 @@ def test_periods_about_the_step_are_no_threshold() -> None:
         ("velocity_feedforward", {"feedforward": 1e-7}),
     ],
 )
-def test_a_small_effect_changes_little(effect: str, small: dict[str, float]) -> None:
-    assert np.abs(moved(effect, small, refine=1) - moved("", {}, refine=1)).max() < 2e-3
+def test_servo_effects_near_neutral_values_change_the_motion_little(
+    effect: str, small: dict[str, float]
+) -> None:
+    assert np.abs(positions(effect, small, refine=1) - positions("", {}, refine=1)).max() < 2e-3
 
 
-def test_a_servo_may_ask_for_more_than_its_command_range() -> None:
-    """The range of commands bounds what is commanded, not the shift of the setpoint."""
+def test_the_control_range_does_not_limit_the_effort_of_a_servo_effect() -> None:
+    """The control range limits the command, not the setpoint shift that represents the effect."""
     limits = f'ctrllimited="true" ctrlrange="-{RANGE} {RANGE}"'
-    free = moved("velocity_filter", {"time_constant": 0.02}, attributes="")
-    bounded = moved("velocity_filter", {"time_constant": 0.02}, attributes=limits)
+    free = positions("velocity_filter", {"time_constant": 0.02}, attributes="")
+    bounded = positions("velocity_filter", {"time_constant": 0.02}, attributes=limits)
     assert np.array_equal(free, bounded)
 
 
-def test_units_are_those_of_a_slide_too() -> None:
+def test_servo_effect_parameters_have_units_for_hinges_and_slides() -> None:
     for name in ("control_period", "velocity_filter", "integral_gain"):
         assert {p.unit("slide") for p in catalogue()[name].parameters} <= {"s", "1"}
     (gain,) = catalogue()["velocity_feedforward"].parameters
     assert (gain.unit("hinge"), gain.unit("slide")) == ("N*m*s/rad", "N*s/m")
 
 
-def test_a_command_beyond_the_range_of_the_drive_is_bounded_before_the_servo() -> None:
-    """With a servo effect as without: the engine bounds it, or the laws between its steps do."""
+def test_commands_are_limited_to_the_control_range_before_the_servo_law() -> None:
+    """With or without a servo effect: MuJoCo applies the limit, or the effect code does."""
     limits = 'ctrllimited="true" ctrlrange="-0.2 0.2"'
-    plain = moved("", {}, attributes=limits, refine=1)
-    shifted = moved("velocity_filter", {"time_constant": 1e-7}, attributes=limits, refine=1)
-    assert np.abs(plain - moved("", {}, refine=1)).max() > 0.1
+    plain = positions("", {}, attributes=limits, refine=1)
+    shifted = positions("velocity_filter", {"time_constant": 1e-7}, attributes=limits, refine=1)
+    assert np.abs(plain - positions("", {}, refine=1)).max() > 0.1
     assert np.abs(plain - shifted).max() < 1e-3
