@@ -1,4 +1,4 @@
-"""Trials made of arrays, and small models to replay them on."""
+"""Helpers: trials made from arrays, and small models to replay them on."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def trial(
     velocity: np.ndarray | float | None = None,
     metadata: Mapping[str, str] | None = None,
 ) -> Trial:
-    """A trial whose states after the first are far off: a replay must not read them."""
+    """A trial with wrong states (1e3) after the first: a replay must not read them."""
     position = np.full((len(time), len(joints)), 1e3)
     position[0] = start
     speeds = None
@@ -70,7 +70,7 @@ def model(text: str) -> mujoco.MjModel:
 
 
 def slider(actuator: str, *, mass: float = 2.0, timestep: float = 1e-3, more: str = "") -> str:
-    """One mass on a rail without gravity, ``actuator`` on it."""
+    """MJCF text of a mass (kg) on a slide joint ``x`` without gravity, with ``actuator``."""
     return f"""
     <mujoco>
       <option timestep="{timestep}" integrator="RK4" gravity="0 0 0"/>

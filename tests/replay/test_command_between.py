@@ -1,4 +1,4 @@
-"""What a command does between its stamps: closed forms, refined steps, and the diagnosis alike."""
+"""Setpoint between command stamps: held, interpolated or ramped."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pytest_twin.trial import Trial, make_trial
 from pytest_twin.trial.setpoint import setpoint
 
 BETWEEN: tuple[CommandBetween, ...] = ("held", "interpolated", "ramped")
-# Away from the steps of any simulation here, and none as long as the others.
+# Irregular stamps, s, that fall between the simulation steps.
 STAMPS = 0.0213 * np.arange(60) + 0.004 * np.sin(np.arange(60) ** 2)
 
 
@@ -38,7 +38,7 @@ def trial_of(
 
 
 def integral(between: CommandBetween, command: np.ndarray, until: np.ndarray) -> np.ndarray:
-    """Integral of the setpoint by the definition, on a grid of 1 us."""
+    """Time integral of the setpoint by its definition, on a grid of 1 us."""
     time = STAMPS - STAMPS[0] + (STAMPS[0])
     fine = 1e-6 * np.arange(int(1e6 * until[-1]) + 2)
     k = np.maximum(np.searchsorted(time, fine + 1e-12, side="right") - 1, 0)
@@ -62,8 +62,8 @@ def integral(between: CommandBetween, command: np.ndarray, until: np.ndarray) ->
 
 
 @pytest.mark.parametrize("between", BETWEEN)
-def test_a_mass_under_a_force_has_the_impulse_of_the_setpoint(between: CommandBetween) -> None:
-    """v(t) is the integral of the force over the mass, whatever the stamps and the step."""
+def test_a_mass_gains_the_momentum_of_the_commanded_force(between: CommandBetween) -> None:
+    """v(t) is the time integral of the force divided by the mass."""
     force = 3.0 * np.sin(7.0 * STAMPS) + np.sign(np.sin(3.0 * STAMPS))
     trial = trial_of(between, force, ("x",), "effort")
     stepped = model(slider('<motor joint="x"/>', mass=2.0, timestep=2e-3))
@@ -73,7 +73,7 @@ def test_a_mass_under_a_force_has_the_impulse_of_the_setpoint(between: CommandBe
     assert np.abs(expected).max() > 0.1
 
 
-def test_between_stamps_makes_a_difference() -> None:
+def test_held_interpolated_and_ramped_commands_give_different_motions() -> None:
     command = np.column_stack([0.5 * np.sin(6.0 * STAMPS), 0.3 * np.sin(5.0 * STAMPS)])
     arm = mujoco.MjModel.from_xml_string(ARM)
     trials = [trial_of(b, command, ("shoulder", "elbow"), "position") for b in BETWEEN]
@@ -81,13 +81,13 @@ def test_between_stamps_makes_a_difference() -> None:
         r.position for r in replay_rows([Row(t, arm) for t in trials], threads=1)
     )
     assert np.abs(held - interpolated).max() > 5e-3
-    # A ramp is the interpolated command about one period, 21 ms, later.
-    apart = np.abs(ramped - interpolated).max()
-    assert np.abs(ramped[11:] - interpolated[:-11]).max() < 0.3 * apart
+    # A ramped command is the interpolated command about one period (21 ms) later.
+    difference = np.abs(ramped - interpolated).max()
+    assert np.abs(ramped[11:] - interpolated[:-11]).max() < 0.3 * difference
 
 
 @pytest.mark.parametrize("between", BETWEEN)
-def test_a_step_a_twentieth_as_long_gives_the_same_motion(between: CommandBetween) -> None:
+def test_a_20_times_shorter_step_gives_the_same_motion(between: CommandBetween) -> None:
     command = np.column_stack([0.5 * np.sin(6.0 * STAMPS), 0.3 * np.sin(5.0 * STAMPS)])
     trial = trial_of(between, command, ("shoulder", "elbow"), "position")
     arms = [
@@ -104,29 +104,29 @@ def test_a_step_a_twentieth_as_long_gives_the_same_motion(between: CommandBetwee
 
 
 @pytest.mark.parametrize("between", BETWEEN)
-def test_the_diagnosis_is_commanded_as_the_replay(between: CommandBetween) -> None:
+def test_the_batch_simulator_uses_the_same_setpoints_as_the_replay(between: CommandBetween) -> None:
     command = np.column_stack([0.5 * np.sin(6.0 * STAMPS), 0.3 * np.sin(5.0 * STAMPS)])
     trial = trial_of(between, command, ("shoulder", "elbow"), "position")
     arm = mujoco.MjModel.from_xml_string(ARM.replace('frictionloss="0.05" ', ""))
-    asked = trial.setpoint
+    setpoint_of_trial = trial.setpoint
     segment = Segment(
         trial=0, model=arm, mode="position", start=0.0, time=trial.time,
-        position=trial.position, velocity=None, effort=None, command_time=asked.time,
-        command=asked.value, initial_position=np.zeros(2), initial_velocity=np.zeros(2),
-        is_interpolated=asked.linear,
+        position=trial.position, velocity=None, effort=None, command_time=setpoint_of_trial.time,
+        command=setpoint_of_trial.value, initial_position=np.zeros(2), initial_velocity=np.zeros(2),
+        is_interpolated=setpoint_of_trial.linear,
     )  # fmt: skip
     rows = BatchSimulator([segment], trial.joints, threads=1)
     found = rows.simulate(np.array([0]), {})[0]
     (replayed,) = replay_rows([Row(trial, arm)], threads=1)
     assert np.abs(found.position - replayed.position).max() < 1e-9
-    # A delay of whole steps shifts what was commanded, and nothing else.
-    late = replace(segment, command_time=asked.time + 0.02)
+    # A delay of a whole number of steps only shifts the commands.
+    late = replace(segment, command_time=setpoint_of_trial.time + 0.02)
     (delayed,) = BatchSimulator([late], trial.joints, threads=1).simulate(np.array([0]), {})
     by_effect = rows.simulate(np.array([0]), {"command_delay": {"delay": np.full((1, 2), 0.02)}})
     assert np.abs(by_effect[0].position - delayed.position).max() < 1e-9
 
 
-def test_interpolated_is_the_line_between_the_messages_that_carry_a_joint() -> None:
+def test_interpolation_runs_between_messages_that_contain_the_joint() -> None:
     time = np.array([0.0, 1.0, 2.0, 3.0])
     command = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 4.0], [6.0, 4.0]])
     own = np.array([[True, True], [True, False], [False, True], [True, False]])
@@ -134,24 +134,24 @@ def test_interpolated_is_the_line_between_the_messages_that_carry_a_joint() -> N
     assert found == pytest.approx(np.array([[1.0, 1.0], [3.0, 3.0], [5.0, 4.0], [6.0, 4.0]]))
 
 
-def test_a_ramp_begins_at_the_stamp_and_arrives_one_period_later() -> None:
+def test_a_ramp_starts_at_the_stamp_and_ends_one_period_later() -> None:
     time = np.array([0.0, 1.0, 2.0, 5.0, 6.0])
     command = np.array([[0.0], [1.0], [3.0], [4.0], [4.0]])
     found = setpoint(time, command, "ramped").at(np.array([0.9, 1.5, 2.0, 2.5, 3.0, 4.9, 5.5, 7.0]))
     assert found[:, 0] == pytest.approx([0.0, 0.5, 1.0, 2.0, 3.0, 3.0, 3.5, 4.0])
 
 
-def test_a_ramp_that_the_next_command_interrupts_goes_on_from_where_it_is() -> None:
+def test_an_interrupted_ramp_continues_from_its_current_value() -> None:
     time = np.array([0.0, 1.0, 2.0, 2.5, 4.0])
     command = np.array([[0.0], [0.0], [2.0], [0.0], [0.0]])
     found = setpoint(time, command, "ramped").at(np.array([2.5, 3.0, 3.5]))
     assert found[:, 0] == pytest.approx([1.0, 0.5, 0.0])
 
 
-# -- where it is said
+# -- which source decides
 
 
-def said(metadata: str | None, **options: CommandBetween) -> tuple[str, str]:
+def mode_and_source(metadata: str | None, **options: CommandBetween) -> tuple[str, str]:
     time = 0.01 * np.arange(50)
     made = make_trial(
         recording(
@@ -164,16 +164,19 @@ def said(metadata: str | None, **options: CommandBetween) -> tuple[str, str]:
     return made.command_between, made.between_source
 
 
-def test_an_option_goes_before_the_recording_and_that_before_the_twin() -> None:
-    assert said(None) == ("held", "assumed")
-    assert said(None, command_between_default="ramped") == ("ramped", "twin.yaml")
-    assert said("interpolated", command_between_default="ramped") == ("interpolated", "metadata")
-    assert said("interpolated", command_between="held") == ("held", "option")
+def test_the_option_overrides_the_metadata_and_the_metadata_overrides_the_twin() -> None:
+    assert mode_and_source(None) == ("held", "assumed")
+    assert mode_and_source(None, command_between_default="ramped") == ("ramped", "twin.yaml")
+    assert mode_and_source("interpolated", command_between_default="ramped") == (
+        "interpolated",
+        "metadata",
+    )
+    assert mode_and_source("interpolated", command_between="held") == ("held", "option")
 
 
-def test_a_word_that_means_nothing_is_refused() -> None:
+def test_an_unknown_value_of_command_between_is_refused() -> None:
     with pytest.raises(RecordingError) as refusal:
-        said("smooth")
+        mode_and_source("smooth")
     assert str(refusal.value) == (
         "made.mcap: metadata 'trial': command_between of the trial's metadata is unknown "
         "(got 'smooth'; expected held or interpolated or ramped)"

@@ -1,4 +1,4 @@
-"""Which control a command enters, in which scale, and that actuators start at rest."""
+"""Mapping of commands to MuJoCo controls: input, scale, and start at rest."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ POSITION_SERVOS = {
     'controller="300 0 60 0 0 0"/>',
     "dc motor rate limit": '<dcmotor joint="x" motorconst="0.5" resistance="1" input="pos vel" '
     'controller="300 0 60 2 0 0"/>',
-    "beside a motor": '<motor joint="x"/><position joint="x" kp="300" kv="60"/>',
+    "with an additional motor": '<motor joint="x"/><position joint="x" kp="300" kv="60"/>',
 }
 
 
 @pytest.mark.parametrize("name", POSITION_SERVOS)
-def test_a_position_servo_rests_where_it_is_told(name: str) -> None:
+def test_a_position_servo_starts_settled_and_reaches_its_command(name: str) -> None:
     time = np.arange(0, 3.0, 0.01)
     made = trial(time, 0.5, np.array([0.0, 1.0]), np.array([0.5, -0.2]))
     (result,) = replay_rows([Row(made, model(slider(POSITION_SERVOS[name])))])
-    # Filters, delays and rate limits start settled: the joint stays until the command moves.
+    # Filters, delays and rate limits start settled: the joint rests until the command changes.
     assert np.abs(result.position[:100, 0] - 0.5).max() < 1e-9
     assert result.position[-1, 0] == pytest.approx(-0.2, abs=1e-4)
 
@@ -48,7 +48,7 @@ VELOCITY_SERVOS = {
 
 
 @pytest.mark.parametrize("name", VELOCITY_SERVOS)
-def test_a_velocity_servo_keeps_its_speed(name: str) -> None:
+def test_a_velocity_servo_starts_settled_and_reaches_its_speed(name: str) -> None:
     time = np.arange(0, 3.0, 0.01)
     made = trial(time, 0.7, np.array([0.0, 1.0]), np.array([0.0, 0.25]), mode="velocity")
     (result,) = replay_rows([Row(made, model(slider(VELOCITY_SERVOS[name])))])
@@ -65,7 +65,7 @@ def test_a_velocity_servo_keeps_its_speed(name: str) -> None:
         '<pid joint="x" kp="0" kv="0" input="ff"/>',
     ],
 )
-def test_an_effort_is_that_at_the_joint_whatever_the_gear(motor: str) -> None:
+def test_an_effort_command_is_the_joint_torque_for_any_gear_ratio(motor: str) -> None:
     time = np.arange(0, 0.5, 0.01)
     made = trial(time, 0.0, np.array([0.0]), np.array([3.0]), mode="effort")
     (result,) = replay_rows([Row(made, model(slider(motor)))])
@@ -73,7 +73,7 @@ def test_an_effort_is_that_at_the_joint_whatever_the_gear(motor: str) -> None:
     assert np.abs(result.position[:, 0] - 0.75 * time**2).max() < 1e-9
 
 
-def test_a_joint_that_nobody_commands_is_held_where_it_was_recorded_or_at_the_reference() -> None:
+def test_an_uncommanded_joint_holds_its_recorded_or_reference_position() -> None:
     text = """
     <mujoco><option gravity="0 0 0"/><worldbody>
       <body><joint name="x" type="slide"/><geom size="0.1"/></body>
@@ -92,7 +92,7 @@ def test_a_joint_that_nobody_commands_is_held_where_it_was_recorded_or_at_the_re
     assert np.abs(result.qpos - [0.1, -0.3, 0.4]).max() < 1e-12
 
 
-def test_a_mimic_joint_starts_where_its_equality_puts_it() -> None:
+def test_a_mimic_joint_starts_at_the_position_of_its_equality() -> None:
     text = """
     <mujoco><option gravity="0 0 0"/><worldbody>
       <body><joint name="x" type="slide"/><geom size="0.1" contype="0" conaffinity="0"/></body>
@@ -129,7 +129,9 @@ def test_a_mimic_joint_starts_where_its_equality_puts_it() -> None:
         ),
     ],
 )
-def test_a_mode_that_no_actuator_takes_is_refused(actuators: str, mode: str, words: str) -> None:
+def test_a_command_mode_needs_exactly_one_matching_actuator(
+    actuators: str, mode: str, words: str
+) -> None:
     with pytest.raises(SpecError) as refusal:
         command_input(model(slider(actuators)), "x", mode)  # type: ignore[arg-type]
     assert str(refusal.value) == words

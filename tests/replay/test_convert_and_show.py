@@ -1,4 +1,4 @@
-"""pytest-twin convert and show: recordings of other kinds, and what is in them."""
+"""``pytest-twin convert`` and ``pytest-twin show`` for recordings of all formats."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def recording() -> Recording:
 
 
 def as_csv(recording: Recording, path: Path) -> Path:
-    """Every number as the shortest text that reads back the same."""
+    """Write the recording as CSV; each number in the shortest text with the same value."""
     state, command = recording.series["state"], recording.series["command"]
     assert state.position is not None
     assert state.effort is not None
@@ -60,7 +60,7 @@ def assert_same(found: JointSeries, expected: JointSeries) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-def test_csv_becomes_mcap_with_the_same_numbers(
+def test_convert_writes_csv_as_mcap_with_identical_numbers(
     recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given, out = as_csv(recording, tmp_path / "log.csv"), tmp_path / "log.mcap"
@@ -81,7 +81,7 @@ def test_csv_becomes_mcap_with_the_same_numbers(
     ("mode", "filled"),
     [("effort", ["effort"]), (None, ["position", "velocity", "effort"])],
 )
-def test_commands_that_no_position_follows_are_of_any_quantity_or_the_one_said(
+def test_commands_unlike_the_positions_fill_all_fields_unless_a_mode_is_given(
     tmp_path: Path, mode: str | None, filled: list[str]
 ) -> None:
     rows = "".join(f"{t:.2f},{0.1 * np.sin(t)},{90 * np.cos(9 * t)}\n" for t in TIME)
@@ -95,7 +95,7 @@ def test_commands_that_no_position_follows_are_of_any_quantity_or_the_one_said(
     )
 
 
-def test_mcap_keeps_metadata_joints_that_come_and_go_and_other_topics_names(
+def test_convert_keeps_metadata_and_missing_samples_and_renames_topics(
     recording: Recording, tmp_path: Path
 ) -> None:
     state = recording.series["state"]
@@ -113,7 +113,9 @@ def test_mcap_keeps_metadata_joints_that_come_and_go_and_other_topics_names(
     assert written.damage == ()
 
 
-def test_several_recordings_get_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_converting_several_recordings_writes_numbered_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     dataset = write_dataset(tmp_path / "set", [episode(0, 60), episode(1, 40)])
     (tmp_path / "log.csv").write_text("time,a.position\n0.0,1\n0.1,2\n")
     words = [str(dataset), str(tmp_path / "log.csv"), "--out", str(tmp_path / "all.mcap")]
@@ -127,7 +129,7 @@ def test_several_recordings_get_numbers(tmp_path: Path, capsys: pytest.CaptureFi
     assert "note: no commands" in said
 
 
-def test_times_before_zero_are_moved_by_whole_seconds_and_it_is_said(
+def test_negative_times_are_shifted_by_whole_seconds_with_a_note(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "log.csv").write_text("time,a.position\n-0.5,1\n0.25,2\n")
@@ -148,7 +150,7 @@ def test_times_before_zero_are_moved_by_whole_seconds_and_it_is_said(
         ("given.mcap", "out.mcap", "neither states nor commands (expected /js (200 "),
     ],
 )
-def test_unusable_input_is_one_line_and_leaves_nothing(
+def test_convert_reports_unusable_input_in_one_line_and_writes_no_file(
     recording: Recording,
     tmp_path: Path,
     given: str,
@@ -169,9 +171,7 @@ def test_unusable_input_is_one_line_and_leaves_nothing(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_replay_predicts_the_same_whatever_kind_the_recording_is(
-    recording: Recording, tmp_path: Path
-) -> None:
+def test_replay_predicts_the_same_from_mcap_and_csv(recording: Recording, tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM)
     write_recording(tmp_path / "log.mcap", list(recording.series.values()))
     as_csv(recording, tmp_path / "log.csv")
@@ -187,17 +187,17 @@ def test_replay_predicts_the_same_whatever_kind_the_recording_is(
 # -- show --------------------------------------------------------------------------------------
 
 
-def shown(path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> str:
+def output_of_show(path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> str:
     assert cli.main(["show", str(path), *options]) == 0
     return capsys.readouterr().out
 
 
-def test_show_says_what_is_in_a_recording_and_what_comes_next(
+def test_show_lists_the_contents_of_a_recording_and_the_next_command(
     recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "moves.mcap"
     write_recording(path, list(recording.series.values()), dict(recording.metadata))
-    said = shown(path, capsys)
+    said = output_of_show(path, capsys)
     assert f"{path}: MCAP file, 1.99 s" in said
     assert "200  sensor_msgs/msg/JointState  shoulder, elbow  <- command" in said
     assert "states: 200 messages of 2 joints at 100 Hz, position and effort" in said
@@ -206,7 +206,7 @@ def test_show_says_what_is_in_a_recording_and_what_comes_next(
     assert f"next: pytest-twin diagnose MODEL {path}" in said
 
 
-def test_show_offers_the_topics_that_could_be_meant(
+def test_show_suggests_topics_when_the_usual_ones_are_missing(
     recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     state, command = recording.series["state"], recording.series["command"]
@@ -219,7 +219,7 @@ def test_show_offers_the_topics_that_could_be_meant(
             for topic, one in topics.items()
         ],
     )
-    said = shown(path, capsys)
+    said = output_of_show(path, capsys)
     line = next(line for line in said.splitlines() if line.startswith("missing: "))
     assert "no states and no commands on the usual topics; try" in line
     assert line.split("try ")[1].startswith(
@@ -227,10 +227,10 @@ def test_show_offers_the_topics_that_could_be_meant(
     )
     assert "A diagnosis cannot use it as it is." in said
     option = "state=/arm/joint_states,command=/arm/commands"
-    assert "A diagnosis can use" in shown(path, capsys, "--topics", option)
+    assert "A diagnosis can use" in output_of_show(path, capsys, "--topics", option)
 
 
-def test_replay_names_the_topics_that_could_be_meant(
+def test_replay_suggests_topics_when_the_usual_ones_are_missing(
     recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "arm.xml").write_text(ARM)
@@ -244,7 +244,7 @@ def test_replay_names_the_topics_that_could_be_meant(
     assert "--topics state=/joint_states,command=/arm/commands" in said
 
 
-def test_show_gives_gaps_clock_and_advice_as_json(
+def test_show_writes_gaps_rates_and_advice_as_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     time = np.concatenate([TIME[:100], TIME[100:] + 0.5])
@@ -252,7 +252,7 @@ def test_show_gives_gaps_clock_and_advice_as_json(
     late = series("/joint_states", JOINTS, time, position=position)
     sent = series("/joint_commands", JOINTS, time, position=position)
     write_recording(tmp_path / "moves.mcap", [late, sent])
-    document = json.loads(shown(tmp_path / "moves.mcap", capsys, "--json", "-"))
+    document = json.loads(output_of_show(tmp_path / "moves.mcap", capsys, "--json", "-"))
     (one,) = document["recordings"]
     assert one["series"]["state"]["rate"]["value"] == pytest.approx(100.0)
     (gap,) = one["series"]["state"]["gaps"]
@@ -267,14 +267,14 @@ def test_show_lists_the_episodes_of_a_data_set(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     dataset = write_dataset(tmp_path / "set", [episode(0, 60), episode(1, 40)])
-    said = shown(dataset, capsys)
+    said = output_of_show(dataset, capsys)
     assert "LeRobot data set, 2 episodes" in said
     assert "episode_000001: 0.78 s, usable" in said
     assert "no unit is declared" in said
 
 
 @pytest.mark.parametrize("by_twin", [True, False])
-def test_other_headers_are_mapped_by_the_twin_or_an_option(
+def test_csv_headers_are_mapped_by_the_twin_or_an_option(
     recording: Recording, tmp_path: Path, by_twin: bool
 ) -> None:
     (tmp_path / "arm.xml").write_text(ARM)

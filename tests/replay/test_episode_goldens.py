@@ -1,4 +1,4 @@
-"""Replay goldens of a data set: the episode that each names, and what ``init`` proposes."""
+"""Replay goldens of LeRobot episodes, and the goldens that ``init`` proposes."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ NAMES = ["shoulder.pos", "elbow.pos"]
 BIN = Path(sys.executable).parent
 
 
-def small(number: int) -> dict[str, np.ndarray]:
-    """Motion within the arm's range; each episode is longer than the one before."""
+def small_motion(number: int) -> dict[str, np.ndarray]:
+    """Motion within the arm's joint range; each episode is longer than the previous one."""
     found = episode(number, 100 + 10 * number)
     return {**found, "state": 0.1 * found["state"], "action": 0.1 * found["action"]}
 
@@ -41,12 +41,12 @@ def small(number: int) -> dict[str, np.ndarray]:
 def write_twin(root: Path, episodes: int) -> Path:
     root.mkdir()
     (root / "arm.xml").write_text(ARM)
-    write_dataset(root / "moves", [small(n) for n in range(episodes)], "v2.1", names=NAMES)
+    write_dataset(root / "moves", [small_motion(n) for n in range(episodes)], "v2.1", names=NAMES)
     return root
 
 
 def trials_of(root: Path, **target: Any) -> list[Trial]:
-    """What a golden with this target reads."""
+    """The trials that a replay golden with this target reads."""
     (root / "twin.yaml").write_text("name: arm\nmodel: arm.xml\n")
     path = root / "golden" / "moves.yaml"
     path.parent.mkdir(exist_ok=True)
@@ -64,10 +64,10 @@ def trials_of(root: Path, **target: Any) -> list[Trial]:
 
 
 @pytest.mark.parametrize("number", [0, 2])
-def test_a_golden_reads_the_episode_that_it_names(tmp_path: Path, number: int) -> None:
+def test_a_golden_reads_the_episode_in_its_target(tmp_path: Path, number: int) -> None:
     (trial,) = trials_of(write_twin(tmp_path / "arm", 3), episode=number)
     assert trial.path.name == f"episode_00000{number}"
-    np.testing.assert_array_equal(trial.position, small(number)["state"])
+    np.testing.assert_array_equal(trial.position, small_motion(number)["state"])
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_a_golden_reads_the_episode_that_it_names(tmp_path: Path, number: int) -
                             "target.episode)"),
     ],
 )  # fmt: skip
-def test_an_episode_that_cannot_be_meant_is_refused_in_one_line(
+def test_a_missing_or_impossible_episode_number_is_refused_in_one_line(
     tmp_path: Path, episodes: int, target: dict[str, int], line: str
 ) -> None:
     root = write_twin(tmp_path / "arm", episodes)
@@ -90,13 +90,13 @@ def test_an_episode_that_cannot_be_meant_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("number", [-1, "first", 1.5, True])
-def test_an_episode_is_a_whole_number_from_0(tmp_path: Path, number: object) -> None:
+def test_an_episode_number_must_be_a_non_negative_integer(tmp_path: Path, number: object) -> None:
     root = write_twin(tmp_path / "arm", 2)
     with pytest.raises(TwinError, match=r"moves\.yaml:\d+: target\.episode: "):
         trials_of(root, episode=number)
 
 
-def test_the_gate_diagnoses_the_episodes_of_its_goldens_and_no_others(
+def test_the_gate_diagnoses_only_the_episodes_of_its_goldens(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = write_twin(tmp_path / "arm", 4)
@@ -104,7 +104,7 @@ def test_the_gate_diagnoses_the_episodes_of_its_goldens_and_no_others(
     read: list[str] = []
 
     def note_recordings(_: Path, __: Realization, trials: TrialSet, **___: object) -> None:
-        # Which recordings are fitted is decided by now; the fit itself takes minutes.
+        # The recordings are selected at this point; the fit itself would take minutes.
         read.extend(trial.path.name for trial in (*trials.fit, *trials.held_out))
 
     monkeypatch.setattr("pytest_twin.gate.diagnosis_folder.write_diagnosis", note_recordings)
@@ -123,7 +123,7 @@ def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def test_init_proposes_the_first_episodes_and_a_changed_file_makes_their_goldens_stale(
+def test_init_proposes_five_episodes_and_a_changed_data_set_makes_them_stale(
     tmp_path: Path,
 ) -> None:
     root = write_twin(tmp_path / "arm", 7)

@@ -1,4 +1,4 @@
-"""Replay goldens hold the predicted tool against poses that a tracker measured."""
+"""Replay goldens compare the predicted tool pose with poses measured by a tracker."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ sys.path.append(str(Path(__file__).parents[1] / "formats"))
 import sensor_bags
 from test_replay_check import run
 
-OFF = np.array([0.003, 0.0, -0.004])
-"""m: what the tool is off its prediction, in the world."""
+TOOL_OFFSET = np.array([0.003, 0.0, -0.004])
+"""Offset of the measured from the predicted tool, in the world frame, m."""
 TARGET = {"recording": "moves.mcap", "tcp": "tool", "tcp_topic": "/tracker"}
 TOLERANCE = {
     "tcp_position_rms": "6 mm",
@@ -35,7 +35,7 @@ TOLERANCE = {
 
 
 def add_poses(path: Path, stamps: np.ndarray, poses: np.ndarray, frame: str) -> None:
-    """Write the recording again, with poses (w x y z) on ``/tracker``."""
+    """Write the recording again with poses (xyz in m, quaternion wxyz) on ``/tracker``."""
     with path.open("rb") as stream:
         held = [(s, c, m) for s, c, m in make_reader(stream).iter_messages()]
     with path.open("wb") as stream:
@@ -60,7 +60,10 @@ def add_poses(path: Path, stamps: np.ndarray, poses: np.ndarray, frame: str) -> 
 
 
 def cell(folder: Path, frame: str = "world", late: float = 0.0) -> Path:
-    """A twin and a recording of its own motion, seen by a tracker at 40 Hz that is off."""
+    """A twin and a recording of its own motion, with a tracker at 40 Hz offset by TOOL_OFFSET.
+
+    ``late`` shifts the tracker's clock, s.
+    """
     (folder / "twin.yaml").write_text("name: arm\nmodel: arm.xml\n")
     (folder / "arm.xml").write_text(ARM.replace('<body pos="0.3', '<body name="fore" pos="0.3'))
     time = np.arange(0.0, 2.0, 0.01)
@@ -77,16 +80,16 @@ def cell(folder: Path, frame: str = "world", late: float = 0.0) -> Path:
     at = np.arange(0.0125, 1.9, 0.025)
     qpos = np.column_stack([np.interp(at, trial.time, column) for column in result.qpos.T])
     poses = frame_poses(robot, qpos, "tool")
-    poses[:, :3] += OFF
+    poses[:, :3] += TOOL_OFFSET
     if frame == "fore":
-        poses = seen_from(frame_poses(robot, qpos, frame), poses)
+        poses = poses_in_frame(frame_poses(robot, qpos, frame), poses)
     add_poses(path, trial.start + np.round((at + late) * 1e9).astype(np.int64), poses, frame)
     return folder
 
 
-def test_the_measured_pose_and_not_that_of_the_joints_is_compared(tmp_path: Path) -> None:
+def test_tcp_topic_compares_measured_poses_instead_of_forward_kinematics(tmp_path: Path) -> None:
     found = {m.name: m for m in run(cell(tmp_path), {"target": TARGET, "tolerance": TOLERANCE})}
-    assert found["tcp_position_rms"].error == pytest.approx(np.linalg.norm(OFF), rel=1e-6)
+    assert found["tcp_position_rms"].error == pytest.approx(np.linalg.norm(TOOL_OFFSET), rel=1e-6)
     assert found["tcp_position_rms"].passed
     assert not found["tcp_position_max"].passed
     assert found["tcp_orientation_max"].error < 1e-6
@@ -95,8 +98,8 @@ def test_the_measured_pose_and_not_that_of_the_joints_is_compared(tmp_path: Path
     assert found["tcp_position_max"].error < 1e-9
 
 
-def seen_from(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
-    """Poses in a moving frame, by MuJoCo's quaternions."""
+def poses_in_frame(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
+    """World poses expressed in a moving frame, computed with MuJoCo's quaternions."""
     found = np.empty_like(child)
     back = np.empty(4)
     for own, base, pose in zip(found, parent, child, strict=True):
@@ -106,10 +109,10 @@ def seen_from(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
     return found
 
 
-def test_poses_may_be_in_a_moving_link(tmp_path: Path) -> None:
+def test_measured_poses_may_be_given_in_a_moving_link_frame(tmp_path: Path) -> None:
     folder = cell(tmp_path, frame="fore")
     found = {m.name: m for m in run(folder, {"target": TARGET, "tolerance": TOLERANCE})}
-    assert found["tcp_position_max"].error == pytest.approx(np.linalg.norm(OFF), rel=1e-6)
+    assert found["tcp_position_max"].error == pytest.approx(np.linalg.norm(TOOL_OFFSET), rel=1e-6)
     assert found["tcp_orientation_max"].error < 1e-6
 
 
@@ -119,19 +122,19 @@ def refusal(folder: Path, **changes: Any) -> SpecError:
     return error.value
 
 
-def test_a_topic_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_missing_pose_topic_is_refused(tmp_path: Path) -> None:
     error = refusal(cell(tmp_path), tcp_topic="/vicon")
     assert error.problem == "moves.mcap has no poses on this topic"
     assert error.expected == "/tracker"
 
 
-def test_poses_on_another_clock_are_refused(tmp_path: Path) -> None:
+def test_poses_that_do_not_overlap_the_states_in_time_are_refused(tmp_path: Path) -> None:
     error = refusal(cell(tmp_path, late=3600.0))
     assert error.problem == "moves.mcap has no poses while its states were recorded"
     assert error.expected == "stamps on the clock of the states"
 
 
-def test_poses_in_a_frame_of_the_tracker_are_refused(tmp_path: Path) -> None:
+def test_poses_in_a_frame_that_is_not_on_the_robot_are_refused(tmp_path: Path) -> None:
     error = refusal(cell(tmp_path, frame="mocap"))
     assert error.problem == "its poses are in a frame that is not on the way to the tool"
     assert error.value == "mocap"

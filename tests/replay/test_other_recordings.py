@@ -1,4 +1,4 @@
-"""From recordings of other kinds to trials: episodes, values without names, topics to choose."""
+"""Trials from LeRobot data sets and CSV files, and the choice of topics."""
 
 from __future__ import annotations
 
@@ -30,14 +30,16 @@ def arm(tmp_path: Path) -> Realization:
     return load(tmp_path / "arm.xml")
 
 
-def small(number: int, frames: int = 120) -> dict[str, np.ndarray]:
-    """Motion within the arm's range."""
+def small_motion(number: int, frames: int = 120) -> dict[str, np.ndarray]:
+    """Motion within the arm's joint range."""
     found = episode(number, frames)
     return {**found, "state": 0.1 * found["state"], "action": 0.1 * found["action"]}
 
 
-def test_episodes_are_trials_and_whole_ones_are_held_out(tmp_path: Path, arm: Realization) -> None:
-    dataset = write_dataset(tmp_path / "set", [small(n) for n in range(5)], names=NAMES)
+def test_episodes_become_trials_and_whole_episodes_are_held_out(
+    tmp_path: Path, arm: Realization
+) -> None:
+    dataset = write_dataset(tmp_path / "set", [small_motion(n) for n in range(5)], names=NAMES)
     found = read_trials([dataset], [], TOPICS, arm.structure)
     assert len(found.fit) + len(found.held_out) == 5
     assert len(found.held_out) == 1
@@ -46,24 +48,24 @@ def test_episodes_are_trials_and_whole_ones_are_held_out(tmp_path: Path, arm: Re
     assert {trial.command_mode for trial in found.fit} == {"position"}
 
 
-def test_of_a_data_set_the_named_episodes_are_diagnosed(tmp_path: Path, arm: Realization) -> None:
-    dataset = write_dataset(tmp_path / "set", [small(n) for n in range(5)], names=NAMES)
+def test_only_the_named_episodes_of_a_data_set_are_read(tmp_path: Path, arm: Realization) -> None:
+    dataset = write_dataset(tmp_path / "set", [small_motion(n) for n in range(5)], names=NAMES)
     found = read_trials([dataset], [], TOPICS, arm.structure, episodes={dataset: {1, 3}})
     names = {trial.path.name for trial in (*found.fit, *found.held_out)}
     assert names == {"episode_000001", "episode_000003"}
 
 
-def test_a_data_set_that_cannot_be_read_is_an_error_whichever_episode_is_named(
+def test_an_unreadable_data_set_is_an_error_even_if_episodes_are_named(
     tmp_path: Path, arm: Realization
 ) -> None:
-    dataset = write_dataset(tmp_path / "set", [small(0), small(1)], names=NAMES)
+    dataset = write_dataset(tmp_path / "set", [small_motion(0), small_motion(1)], names=NAMES)
     (dataset / "meta" / "info.json").write_text("{")
     with pytest.raises(FormatError, match="not JSON"):
         read_trials([dataset], [], TOPICS, arm.structure, episodes={dataset: {1}})
 
 
-def test_an_episode_that_cannot_be_used_leaves_the_others(tmp_path: Path, arm: Realization) -> None:
-    episodes = [small(0), small(1), small(2)]
+def test_an_unusable_episode_is_left_out_with_a_note(tmp_path: Path, arm: Realization) -> None:
+    episodes = [small_motion(0), small_motion(1), small_motion(2)]
     episodes[1]["state"] = np.full_like(episodes[1]["state"], np.inf)
     dataset = write_dataset(tmp_path / "set", episodes, names=NAMES)
     found = read_trials([dataset], [], TOPICS, arm.structure)
@@ -71,10 +73,10 @@ def test_an_episode_that_cannot_be_used_leaves_the_others(tmp_path: Path, arm: R
     assert any(note.startswith("left out: ") and "episode_000001" in note for note in found.notes)
 
 
-def test_values_without_names_are_in_the_order_of_the_actuators(
+def test_unnamed_values_follow_the_order_of_the_models_actuators(
     tmp_path: Path, arm: Realization
 ) -> None:
-    dataset = write_dataset(tmp_path / "set", [small(0)], names=None)
+    dataset = write_dataset(tmp_path / "set", [small_motion(0)], names=None)
     (recording,) = recordings_at(dataset, TOPICS)
     trial = make_trial(recording, arm.structure)
     assert trial.joints == trial.command_joints == JOINTS
@@ -85,15 +87,15 @@ def test_values_without_names_are_in_the_order_of_the_actuators(
     assert make_trial(recording, arm.structure, turned).joints == ("elbow", "shoulder")
 
 
-def test_more_values_than_actuators_need_a_mapping(tmp_path: Path, arm: Realization) -> None:
-    wide = {key: np.tile(v, 2) if v.ndim == 2 else v for key, v in small(0).items()}
+def test_more_unnamed_values_than_actuators_are_refused(tmp_path: Path, arm: Realization) -> None:
+    wide = {key: np.tile(v, 2) if v.ndim == 2 else v for key, v in small_motion(0).items()}
     dataset = write_dataset(tmp_path / "set", [wide], names=None)
     (recording,) = recordings_at(dataset, TOPICS)
     with pytest.raises(RecordingError, match="the model has none of these joints"):
         make_trial(recording, arm.structure)
 
 
-def test_commands_of_any_quantity_are_what_the_actuators_take(
+def test_commands_without_a_quantity_take_the_mode_of_the_actuator(
     tmp_path: Path, arm: Realization
 ) -> None:
     rows = "".join(f"{k / 100},{k / 1000},0,{k / 900},0\n" for k in range(100))
@@ -105,7 +107,7 @@ def test_commands_of_any_quantity_are_what_the_actuators_take(
     assert list(trial.command_modes) == inputs
 
 
-# -- topics to choose from ---------------------------------------------------------------------
+# -- suggested topics ---------------------------------------------------------------------
 
 STATE = "sensor_msgs/msg/JointState"
 CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
@@ -124,7 +126,7 @@ def options(given: Recording) -> list[str]:
     return [topics_option(*pair) for pair in pairs(given)]
 
 
-def test_the_likeliest_pair_comes_first() -> None:
+def test_the_most_likely_pair_of_topics_is_suggested_first() -> None:
     given = recording(
         Topic("/arm/commands", "std_msgs/msg/Float64MultiArray", 9, ("command",), ("0", "1"), ()),
         Topic("/arm/controller_state", CONTROLLER, 9, BOTH, JOINTS, ("position",)),
@@ -138,7 +140,7 @@ def test_the_likeliest_pair_comes_first() -> None:
     assert not any("/wheels" in option and "/arm/joint" in option for option in found)
 
 
-def test_a_topic_that_was_read_stays() -> None:
+def test_suggestions_keep_a_topic_that_was_already_read() -> None:
     given = recording(
         Topic("/joint_states", STATE, 9, BOTH, JOINTS, ("position",)),
         Topic("/left/joint_states", STATE, 9, BOTH, JOINTS, ("position",)),
@@ -160,5 +162,7 @@ def test_a_topic_that_was_read_stays() -> None:
         ),
     ],
 )
-def test_what_to_do_without_commands(topics: tuple[Topic, ...], words: str) -> None:
+def test_the_message_without_commands_says_what_the_file_contains(
+    topics: tuple[Topic, ...], words: str
+) -> None:
     assert what_to_do(recording(*topics), "command") == words

@@ -1,4 +1,4 @@
-"""Recordings as drivers and recorders write them: each is read by a rule that the notes state."""
+"""Irregular recordings from real drivers: each is read by a rule stated in the trial's notes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MOTION = np.column_stack([0.8 * np.sin(3.0 * TIME), 0.5 * np.cos(2.0 * TIME)])
 def structure(
     inputs: Mapping[str, tuple[str, ...]] | None = None, joints: tuple[str, ...] = ("j1", "j2")
 ) -> Structure:
-    """An arm with position servos, unless ``inputs`` says otherwise."""
+    """The structure of an arm; ``inputs`` are the actuator inputs per joint (default position)."""
     return Structure(
         realization="mujoco",
         body_parent=dict.fromkeys(joints, "world"),
@@ -48,8 +48,8 @@ def commands(names: tuple[str, ...] = ("j1", "j2"), **fields: np.ndarray) -> Joi
     return series("/joint_commands", names, TIME, **(fields or {"position": MOTION}))
 
 
-def separate(one: JointSeries, late: float) -> JointSeries:
-    """Every message as two: the first joint, and ``late`` s after it the second."""
+def split_messages(one: JointSeries, late: float) -> JointSeries:
+    """Each message split in two: the first joint, then ``late`` s later the second joint."""
     position = np.full((2 * len(one.stamp), 2), np.nan)
     assert one.position is not None
     position[::2, 0], position[1::2, 1] = one.position.T
@@ -58,7 +58,7 @@ def separate(one: JointSeries, late: float) -> JointSeries:
     return replace(one, stamp=stamp, log_time=stamp, position=position)
 
 
-def shifted(one: JointSeries, stamp: np.ndarray) -> JointSeries:
+def with_stamps(one: JointSeries, stamp: np.ndarray) -> JointSeries:
     return replace(one, stamp=stamp.astype(np.int64))
 
 
@@ -70,7 +70,7 @@ def note(trial: Trial, words: str) -> str:
 # -- joints
 
 
-def test_wheels_beside_an_arm_are_left_out() -> None:
+def test_recorded_joints_that_the_model_lacks_are_left_out_with_a_note() -> None:
     names = ("wheel_l", "j1", "j2", "wheel_r")
     wide = np.column_stack([TIME, MOTION, TIME])
     made = make_trial(recording(states(names, position=wide), commands()), structure())
@@ -87,7 +87,7 @@ def test_wheels_beside_an_arm_are_left_out() -> None:
         JointNames.of({"left_j1": "j1", "left_j2": "j2"}),
     ],
 )
-def test_names_with_a_prefix_are_mapped(names: JointNames) -> None:
+def test_a_prefix_of_recorded_joint_names_is_removed(names: JointNames) -> None:
     made = make_trial(
         recording(states(("left_j1", "left_j2")), commands(("left_j1", "left_j2"))),
         structure(),
@@ -96,7 +96,7 @@ def test_names_with_a_prefix_are_mapped(names: JointNames) -> None:
     assert (made.joints, made.command_joints) == (("j1", "j2"), ("j1", "j2"))
 
 
-def test_a_suffix_that_the_model_has_is_mapped_as_well() -> None:
+def test_a_suffix_of_model_joint_names_is_added() -> None:
     made = make_trial(
         recording(states(), commands()),
         structure(joints=("j1_joint", "j2_joint")),
@@ -105,7 +105,7 @@ def test_a_suffix_that_the_model_has_is_mapped_as_well() -> None:
     assert made.joints == ("j1_joint", "j2_joint")
 
 
-def test_a_prefix_is_offered_where_no_joint_fits() -> None:
+def test_the_error_suggests_a_prefix_when_no_joint_name_matches() -> None:
     names = ("left_j1", "left_j2")
     with pytest.raises(RecordingError) as refusal:
         make_trial(recording(states(names), commands(names)), structure())
@@ -115,7 +115,7 @@ def test_a_prefix_is_offered_where_no_joint_fits() -> None:
     )
 
 
-def test_two_recorded_joints_cannot_become_one() -> None:
+def test_two_recorded_joints_may_not_map_to_one_model_joint() -> None:
     names = ("j1", "left_j1")
     with pytest.raises(RecordingError, match="two recorded joints become 'j1' of the model"):
         make_trial(
@@ -128,17 +128,19 @@ def test_two_recorded_joints_cannot_become_one() -> None:
 # -- separate messages
 
 
-def test_joints_of_one_stamp_in_separate_messages_are_taken_together() -> None:
-    made = make_trial(recording(separate(states(), 0.0), separate(commands(), 0.0)), structure())
+def test_messages_of_different_joints_with_equal_stamps_are_merged() -> None:
+    made = make_trial(
+        recording(split_messages(states(), 0.0), split_messages(commands(), 0.0)), structure()
+    )
     assert np.array_equal(made.position, MOTION)
     assert made.is_dense
     assert "800 messages of different joints and one stamp taken together" in note(made, "together")
     assert np.array_equal(made.setpoint.at(made.time), MOTION)
 
 
-def test_joints_at_stamps_of_their_own_keep_their_samples() -> None:
-    made = make_trial(recording(separate(states(), 0.005), commands()), structure())
-    # The first state is the first by which both were measured.
+def test_joints_with_different_stamps_keep_their_own_samples() -> None:
+    made = make_trial(recording(split_messages(states(), 0.005), commands()), structure())
+    # The first state carries the latest sample of each joint.
     assert made.time[:3] == pytest.approx([0.0, 0.005, 0.01])
     assert made.position[0] == pytest.approx([MOTION[0, 0], MOTION[0, 1]])
     assert np.isnan(made.position[1, 1])
@@ -150,8 +152,8 @@ def test_joints_at_stamps_of_their_own_keep_their_samples() -> None:
     )
 
 
-def test_a_diagnosis_has_them_at_one_joints_stamps_and_says_so() -> None:
-    whole = make_trial(recording(separate(states(), 0.005), commands()), structure())
+def test_the_diagnosis_interpolates_all_joints_to_one_joints_stamps_with_a_note() -> None:
+    whole = make_trial(recording(split_messages(states(), 0.005), commands()), structure())
     made = on_one_base(whole)
     assert made.is_dense
     at = made.time + 0.005
@@ -159,13 +161,13 @@ def test_a_diagnosis_has_them_at_one_joints_stamps_and_says_so() -> None:
     assert "interpolated there, from samples at most 5 ms away" in made.notes[-1]
 
 
-def test_a_dense_trial_is_taken_as_it_is() -> None:
+def test_a_trial_with_all_joints_in_each_message_is_not_resampled() -> None:
     made = make_trial(recording(states(), commands()), structure())
     assert on_one_base(made) is made
 
 
-def test_a_command_message_for_each_joint_leaves_the_other_as_it_was() -> None:
-    made = make_trial(recording(states(), separate(commands(), 0.004)), structure())
+def test_a_command_message_for_one_joint_keeps_the_other_joints_command() -> None:
+    made = make_trial(recording(states(), split_messages(commands(), 0.004)), structure())
     for at in (0.5, 1.234, 3.7):
         (sent,) = made.commands_before(np.array([at]))
         assert sent[0] == MOTION[int(np.floor(at / 0.01 + 1e-6)), 0]
@@ -173,7 +175,7 @@ def test_a_command_message_for_each_joint_leaves_the_other_as_it_was() -> None:
     assert not any(m.kind == "gap" for m in made.marks)
 
 
-def test_a_slow_gripper_of_the_model_is_measured_at_its_own_rate() -> None:
+def test_a_joint_recorded_at_a_lower_rate_keeps_its_own_samples() -> None:
     names = ("j1", "j2", "gripper")
     position = np.column_stack([MOTION, np.where(np.arange(COUNT) % 5 == 0, 0.1 * TIME, np.nan)])
     made = make_trial(
@@ -186,7 +188,7 @@ def test_a_slow_gripper_of_the_model_is_measured_at_its_own_rate() -> None:
     assert np.array_equal(slow.position[:, :2], MOTION[::5])
 
 
-def test_states_that_begin_with_nan_begin_later() -> None:
+def test_leading_states_without_positions_are_left_out() -> None:
     position = MOTION.copy()
     position[:12] = np.nan
     made = make_trial(recording(states(position=position), commands()), structure())
@@ -195,7 +197,7 @@ def test_states_that_begin_with_nan_begin_later() -> None:
     assert "12 messages without a position of these joints left out" in note(made, "without")
 
 
-def test_a_nan_in_the_middle_is_no_sample_and_is_marked() -> None:
+def test_a_nan_position_is_marked_as_unavailable() -> None:
     position = MOTION.copy()
     position[70, 1] = np.nan
     made = make_trial(recording(states(position=position), commands()), structure())
@@ -205,14 +207,14 @@ def test_a_nan_in_the_middle_is_no_sample_and_is_marked() -> None:
     assert len(on_one_base(made).time) == COUNT - 1
 
 
-def test_two_publishers_that_contradict_are_refused() -> None:
+def test_two_publishers_with_different_positions_are_refused() -> None:
     position = MOTION.copy()
     position[::2] += 1.0
     with pytest.raises(RecordingError, match="two publishers send different positions"):
         make_trial(recording(states(position=position), commands()), structure())
 
 
-def test_two_publishers_that_contradict_at_one_stamp_are_refused() -> None:
+def test_different_positions_of_one_joint_at_equal_stamps_are_refused() -> None:
     one = states()
     stamp = np.repeat(one.stamp, 2)
     position = np.repeat(MOTION, 2, axis=0)
@@ -224,7 +226,7 @@ def test_two_publishers_that_contradict_at_one_stamp_are_refused() -> None:
         )
 
 
-def test_two_publishers_that_agree_are_one_mark() -> None:
+def test_repeated_identical_messages_are_marked_as_duplicate_stamps() -> None:
     one = states()
     stamp = np.repeat(one.stamp, 2)
     position = np.repeat(MOTION, 2, axis=0)
@@ -243,7 +245,7 @@ def test_two_publishers_that_agree_are_one_mark() -> None:
 @pytest.mark.parametrize(
     ("takes", "mode"), [("position", "position"), ("velocity", "velocity"), ("effort", "effort")]
 )
-def test_of_several_fields_the_models_actuator_decides(takes: str, mode: str) -> None:
+def test_the_models_actuator_decides_which_command_field_is_used(takes: str, mode: str) -> None:
     both = commands(position=MOTION, velocity=2.0 * MOTION, effort=3.0 * MOTION)
     made = make_trial(recording(states(), both), structure(dict.fromkeys(("j1", "j2"), (takes,))))
     assert made.command_mode == mode
@@ -252,7 +254,7 @@ def test_of_several_fields_the_models_actuator_decides(takes: str, mode: str) ->
     assert f"{mode} commands count at j1, j2" in note(made, "count")
 
 
-def test_each_joint_can_have_a_mode_of_its_own() -> None:
+def test_each_joint_may_have_its_own_command_mode() -> None:
     nan = np.full(COUNT, np.nan)
     mixed = commands(
         position=np.column_stack([nan, MOTION[:, 1]]), effort=np.column_stack([MOTION[:, 0], nan])
@@ -265,7 +267,7 @@ def test_each_joint_can_have_a_mode_of_its_own() -> None:
     assert made.notes == ()
 
 
-def test_an_effort_that_no_actuator_takes_is_not_used_beside_positions() -> None:
+def test_effort_commands_of_a_position_servo_are_left_out_with_a_note() -> None:
     nan = np.full(COUNT, np.nan)
     mixed = commands(
         position=np.column_stack([nan, MOTION[:, 1]]), effort=np.column_stack([MOTION[:, 0], nan])
@@ -278,7 +280,7 @@ def test_an_effort_that_no_actuator_takes_is_not_used_beside_positions() -> None
     )
 
 
-def test_a_declared_mode_goes_before_the_model() -> None:
+def test_a_declared_command_mode_overrides_the_model() -> None:
     both = commands(position=MOTION, velocity=MOTION)
     made = make_trial(
         recording(states(), both), structure(), RecordingOptions(command_mode={"j1": "velocity"})
@@ -292,7 +294,7 @@ def test_a_declared_mode_goes_before_the_model() -> None:
         )
 
 
-def test_without_a_model_zeros_tell_what_is_not_used() -> None:
+def test_without_a_model_command_fields_that_are_all_zero_are_not_used() -> None:
     zero = np.zeros_like(MOTION)
     made = make_trial(recording(states(), commands(position=MOTION, velocity=zero, effort=zero)))
     assert made.command_mode == "position"
@@ -302,11 +304,11 @@ def test_without_a_model_zeros_tell_what_is_not_used() -> None:
 # -- clocks
 
 
-def test_log_times_count_where_one_topic_has_no_stamps() -> None:
+def test_log_times_are_used_if_one_topic_has_zero_stamps() -> None:
     sent = commands()
     simulated = (sent.stamp - START_NS) + 12_000_000_000
     made = make_trial(
-        recording(shifted(states(), simulated), shifted(sent, np.zeros(COUNT))), structure()
+        recording(with_stamps(states(), simulated), with_stamps(sent, np.zeros(COUNT))), structure()
     )
     assert made.command_time == pytest.approx(TIME)
     assert note(made, "stamp") == (
@@ -315,7 +317,7 @@ def test_log_times_count_where_one_topic_has_no_stamps() -> None:
     )
 
 
-def test_log_times_count_for_both_topics_though_stamps_would_overlap() -> None:
+def test_log_times_are_used_for_both_topics_if_one_is_unstamped() -> None:
     late = replace(states(), log_time=states().log_time + 30_000_000)
     bare = replace(commands(), stamped=False)
     made = make_trial(recording(late, bare), structure())
@@ -323,50 +325,52 @@ def test_log_times_count_for_both_topics_though_stamps_would_overlap() -> None:
     assert "no message has a stamp: log times are used for both" in note(made, "stamp")
 
 
-def test_topics_that_both_have_log_times_alone_are_said() -> None:
+def test_two_unstamped_topics_give_one_note_about_log_times() -> None:
     bare = (replace(one, stamped=False) for one in (states(), commands()))
     assert make_trial(recording(*bare), structure()).notes == (
         "no message has a stamp: log times are used",
     )
 
 
-def test_what_a_reader_says_of_stamps_is_said_once() -> None:
+def test_missing_stamps_are_not_reported_twice() -> None:
     stamp = states().stamp.copy()
     stamp[:20] = 0
     told = Damage("/joint_states", "20 messages without header.stamp, first message 0")
     torn = Damage("byte 4711", "3 messages")
     read = replace(
-        recording(shifted(states(), stamp), shifted(commands(), stamp)), damage=(told, torn)
+        recording(with_stamps(states(), stamp), with_stamps(commands(), stamp)), damage=(told, torn)
     )
     made = make_trial(read, structure())
     assert [(m.kind, m.text) for m in made.marks] == [("damage", "byte 4711: 3 messages")]
 
 
-def test_a_simulation_at_half_speed_keeps_its_own_time() -> None:
+def test_simulated_time_is_kept_if_it_runs_at_half_speed() -> None:
     sent = commands()
     simulated = (sent.stamp - START_NS) // 2 + 12_000_000_000
     made = make_trial(
-        recording(shifted(states(), simulated), shifted(sent, np.zeros(COUNT))), structure()
+        recording(with_stamps(states(), simulated), with_stamps(sent, np.zeros(COUNT))), structure()
     )
     assert made.time == pytest.approx(0.5 * TIME)
     assert made.command_time == pytest.approx(0.5 * TIME, abs=1e-6)
     assert "runs at 0.5 times the recorder's" in note(made, "recorder's")
 
 
-def test_log_times_count_where_stamps_do_not_overlap() -> None:
+def test_log_times_are_used_if_stamps_of_states_and_commands_do_not_overlap() -> None:
     uptime = states().stamp - START_NS + 77_000_000_000
     sent = commands()
     sent = replace(sent, stamp=sent.stamp + 1_000_000)
-    made = make_trial(recording(shifted(states(), uptime), sent), structure())
+    made = make_trial(recording(with_stamps(states(), uptime), sent), structure())
     assert made.command_time == pytest.approx(TIME)
     assert "stamps of states and commands do not overlap" in note(made, "overlap")
     with pytest.raises(RecordingError, match="--clock log takes the recorder's times"):
         make_trial(
-            recording(shifted(states(), uptime), sent), structure(), RecordingOptions(clock="stamp")
+            recording(with_stamps(states(), uptime), sent),
+            structure(),
+            RecordingOptions(clock="stamp"),
         )
 
 
-def test_stamps_count_where_both_topics_have_them() -> None:
+def test_stamps_are_used_if_both_topics_have_them() -> None:
     late = replace(states(), log_time=states().log_time + 30_000_000)
     made = make_trial(recording(late, commands()), structure())
     assert made.command_time == pytest.approx(TIME)
@@ -374,44 +378,52 @@ def test_stamps_count_where_both_topics_have_them() -> None:
     assert logged.command_time == pytest.approx(TIME - 0.03)
 
 
-def test_messages_without_a_stamp_at_the_start_are_left_out() -> None:
+def test_leading_messages_without_a_stamp_are_left_out() -> None:
     stamp = states().stamp.copy()
     stamp[:20] = 0
-    made = make_trial(recording(shifted(states(), stamp), shifted(commands(), stamp)), structure())
+    made = make_trial(
+        recording(with_stamps(states(), stamp), with_stamps(commands(), stamp)), structure()
+    )
     assert made.start == START_NS + 200_000_000
     assert made.duration == pytest.approx(3.79)
     assert made.command_time[0] == pytest.approx(0.0)
     assert "/joint_states: 20 of 400 messages are left out, they have no stamp" in made.notes[0]
 
 
-def test_a_simulation_may_begin_at_time_zero() -> None:
+def test_stamps_may_start_at_time_zero() -> None:
     stamp = states().stamp - START_NS
-    made = make_trial(recording(shifted(states(), stamp), shifted(commands(), stamp)), structure())
+    made = make_trial(
+        recording(with_stamps(states(), stamp), with_stamps(commands(), stamp)), structure()
+    )
     assert len(made.time) == COUNT
     assert made.notes == ()
 
 
-def stepping(by: float, at: int = 200) -> np.ndarray:
+def stamps_with_step(by: float, at: int = 200) -> np.ndarray:
     stamp = states().stamp.copy()
     stamp[at:] += round(by * 1e9)
     return stamp
 
 
 @pytest.mark.parametrize("by", [-1.2, -0.1, 0.7])
-def test_log_times_count_where_the_clock_of_the_stamps_steps(by: float) -> None:
+def test_log_times_are_used_if_the_stamp_clock_jumps(by: float) -> None:
     made = make_trial(
-        recording(shifted(states(), stepping(by)), shifted(commands(), stepping(by))), structure()
+        recording(
+            with_stamps(states(), stamps_with_step(by)),
+            with_stamps(commands(), stamps_with_step(by)),
+        ),
+        structure(),
     )
     assert np.array_equal(made.position, MOTION)
     assert made.time == pytest.approx(TIME)
     assert f"stamps step by {by + 0.01:.4g} s at message 200: log times" in note(made, "step")
 
 
-def test_without_log_times_the_parts_on_either_side_of_a_step_are_apart() -> None:
+def test_without_log_times_a_clock_jump_cuts_the_recording_in_two() -> None:
     frozen = np.full(COUNT, START_NS)
     read = recording(
-        replace(states(), stamp=stepping(-1.2), log_time=frozen),
-        replace(commands(), stamp=stepping(-1.2), log_time=frozen),
+        replace(states(), stamp=stamps_with_step(-1.2), log_time=frozen),
+        replace(commands(), stamp=stamps_with_step(-1.2), log_time=frozen),
     )
     first, second = make_trials(read, structure())
     assert np.array_equal(first.position, MOTION[:200])
@@ -421,7 +433,7 @@ def test_without_log_times_the_parts_on_either_side_of_a_step_are_apart() -> Non
         make_trial(read, structure())
 
 
-def test_messages_that_arrive_in_another_order_are_sorted() -> None:
+def test_messages_out_of_order_are_sorted_by_stamp_and_marked() -> None:
     order = np.arange(COUNT)
     order[[50, 51, 52]] = [52, 50, 51]
     made = make_trial(
@@ -433,7 +445,7 @@ def test_messages_that_arrive_in_another_order_are_sorted() -> None:
     assert made.notes == ()
 
 
-# -- holes
+# -- missing data
 
 
 def without(one: JointSeries, first: int, end: int) -> JointSeries:
@@ -448,7 +460,7 @@ def without(one: JointSeries, first: int, end: int) -> JointSeries:
 
 
 @pytest.mark.parametrize("missing", [5, 30, 150])
-def test_a_hole_in_both_topics_cuts_the_recording(missing: int) -> None:
+def test_messages_missing_in_both_topics_cut_the_recording(missing: int) -> None:
     read = recording(without(states(), 150, 150 + missing), without(commands(), 150, 150 + missing))
     first, second = make_trials(read, structure())
     assert first.duration == pytest.approx(1.49)
@@ -464,7 +476,7 @@ def test_a_hole_in_both_topics_cuts_the_recording(missing: int) -> None:
 
 
 @pytest.mark.parametrize("topic", ["states", "commands"])
-def test_a_hole_in_one_topic_is_a_gap_and_cuts_nothing(topic: str) -> None:
+def test_messages_missing_in_one_topic_are_marked_as_a_gap(topic: str) -> None:
     read = recording(
         without(states(), 150, 250) if topic == "states" else states(),
         without(commands(), 150, 250) if topic == "commands" else commands(),
@@ -473,7 +485,7 @@ def test_a_hole_in_one_topic_is_a_gap_and_cuts_nothing(topic: str) -> None:
     assert [m.kind for m in made.marks] == ["gap"]
 
 
-def test_slow_commands_are_missing_where_the_hole_of_fast_states_is() -> None:
+def test_a_gap_in_slow_commands_during_a_gap_in_states_cuts_the_recording() -> None:
     sent = commands()
     slow = replace(sent, stamp=sent.stamp[::10], log_time=sent.stamp[::10], position=MOTION[::10])
     # 0.3 s of states at 100 Hz, three commands at 10 Hz.
@@ -481,14 +493,14 @@ def test_slow_commands_are_missing_where_the_hole_of_fast_states_is() -> None:
     assert len(make_trials(read, structure())) == 2
 
 
-def test_steps_that_are_sent_now_and_then_are_no_holes() -> None:
+def test_rare_step_commands_do_not_cut_the_recording() -> None:
     sent = np.array([0, 7, 60, 200, 213, 300, 380])
     one = commands()
     rare = replace(one, stamp=one.stamp[sent], log_time=one.stamp[sent], position=MOTION[sent])
     assert len(make_trials(recording(states(), rare), structure())) == 1
 
 
-def test_one_state_is_enough() -> None:
+def test_a_recording_with_one_state_is_a_trial() -> None:
     read: Recording = recording(without(states(), 1, COUNT), commands())
     (made,) = make_trials(read, structure())
     assert len(made.time) == 1

@@ -1,4 +1,4 @@
-"""pytest-twin replay, and replay goldens, on recordings as drivers and recorders write them."""
+"""``pytest-twin replay`` and replay goldens on irregular recordings from real drivers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SENT = np.column_stack([0.4 * np.sin(3 * TIME), 0.3 - 0.2 * np.sin(5 * TIME)])
 
 
 class Bench:
-    """A folder with an arm, and recordings of its own motion."""
+    """A folder with a twin of an arm and recordings of its own motion."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -38,7 +38,7 @@ class Bench:
         self.realization = load(folder / "arm.xml")
 
     def motion(self, **options: Any) -> np.ndarray:
-        """What the arm does under the commands."""
+        """(samples, joints) positions, rad, that the model predicts under the commands."""
         made = make_trial(
             recording(
                 series("/joint_states", JOINTS, TIME, position=np.tile(SENT[0], (len(TIME), 1))),
@@ -102,7 +102,7 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def test_one_state_is_predicted_at_the_commands(
+def test_a_recording_with_one_state_is_predicted_at_the_command_stamps(
     bench: Bench, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole = bench.motion()
@@ -118,19 +118,21 @@ def test_one_state_is_predicted_at_the_commands(
     assert np.array_equal(position, bench.predicted()[1][::3])
 
 
-def test_one_state_before_the_first_command_is_no_prediction_of_its_own(bench: Bench) -> None:
+def test_the_prediction_starts_at_the_first_command_if_the_only_state_is_earlier(
+    bench: Bench,
+) -> None:
     bench.put(bench.motion(), rows=np.array([0]), sent_rows=slice(5, None))
     bench.replay()
     assert bench.predicted()[0] == pytest.approx(TIME[5:])
 
 
-def test_a_golden_needs_more_than_one_state(bench: Bench) -> None:
+def test_a_replay_golden_refuses_a_recording_with_one_state(bench: Bench) -> None:
     bench.put(bench.motion(), rows=np.array([0]), sent_rows=slice(None))
     with pytest.raises(SpecError, match="one state: nothing to compare a replay with"):
         bench.observe()
 
 
-def test_joints_in_separate_messages_are_compared_at_their_own_samples(bench: Bench) -> None:
+def test_joints_in_separate_messages_are_compared_at_their_own_stamps(bench: Bench) -> None:
     state = bench.motion()
     state[:, 1] += 0.01
     state[0] = SENT[0]
@@ -139,26 +141,26 @@ def test_joints_in_separate_messages_are_compared_at_their_own_samples(bench: Be
     found = bench.replay()
     assert bench.predicted()[0] == pytest.approx(TIME)
     assert found["joints"]["shoulder"]["rms"] < 1e-9
-    # 150 of 151 samples: the first is where the model starts.
+    # 150 of 151 samples have the error: the first is the model's start.
     assert found["joints"]["elbow"]["rms"] == pytest.approx(0.01 * np.sqrt(150 / 151), rel=1e-6)
     values = bench.observe(tcp="tool").values
     assert values["joints"]["elbow"]["rms"] == pytest.approx(found["joints"]["elbow"]["rms"])
     assert values["tcp"]["position"]["rms"] < 1e-9
 
 
-HOLE = np.r_[0:120, 170:300]
+ROWS_WITH_GAP = np.r_[0:120, 170:300]
 
 
-def test_after_a_hole_the_model_starts_anew(
+def test_after_a_gap_the_replay_restarts_from_the_next_state(
     bench: Bench, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # What was commanded in the hole took the arm elsewhere.
+    # Unrecorded commands in the gap moved the arm by 0.3 rad.
     state = bench.motion()
     state[170:] = bench.motion()[170:] + 0.3
-    bench.put(state, rows=HOLE)
+    bench.put(state, rows=ROWS_WITH_GAP)
     found = bench.replay()
     time, position = bench.predicted()
-    assert time == pytest.approx(TIME[HOLE])
+    assert time == pytest.approx(TIME[ROWS_WITH_GAP])
     assert position[120] == pytest.approx(state[170])
     assert found["parts"] == [
         {"start": 0.0, "end": pytest.approx(1.19)},
@@ -172,7 +174,7 @@ def test_after_a_hole_the_model_starts_anew(
     assert any(said in note for note in observed.values["notes"])
 
 
-def test_options_say_how_a_recording_is_read(bench: Bench) -> None:
+def test_command_line_options_define_how_a_recording_is_read(bench: Bench) -> None:
     bench.put(bench.motion(command_between="ramped"), names=("r_shoulder", "r_elbow"))
     held = bench.replay("--joints", "prefix=r_")
     assert held["command_between"] == {"value": "held", "source": "assumed"}
@@ -183,7 +185,7 @@ def test_options_say_how_a_recording_is_read(bench: Bench) -> None:
     assert "log times are used for both topics, as asked" in found["notes"]
 
 
-def test_the_twin_says_how_recordings_are_read(bench: Bench) -> None:
+def test_the_twin_file_defines_how_recordings_are_read(bench: Bench) -> None:
     with (bench.folder / "twin.yaml").open("a") as twin:
         twin.write("joints: {prefix: r_}\ncommand_between: interpolated\ncommand_mode: position\n")
     bench.put(bench.motion(command_between="interpolated"), names=("r_shoulder", "r_elbow"))
@@ -195,7 +197,9 @@ def test_the_twin_says_how_recordings_are_read(bench: Bench) -> None:
     assert observed.values["joints"]["elbow"]["rms"] < 1e-9
 
 
-def test_an_assumed_held_command_is_said(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_assumption_of_held_commands_is_printed(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
     bench.put(bench.motion())
     bench.replay()
     assert (
@@ -207,7 +211,7 @@ def test_an_assumed_held_command_is_said(bench: Bench, capsys: pytest.CaptureFix
     assert "(assumed" not in capsys.readouterr().out
 
 
-def test_effort_and_position_in_one_robot(bench: Bench) -> None:
+def test_replay_supports_effort_and_position_commands_in_one_robot(bench: Bench) -> None:
     torque = ARM.replace(
         '<position name="elbow" joint="elbow" kp="80" kv="4"', '<motor name="elbow" joint="elbow"'
     )
@@ -246,7 +250,7 @@ def test_effort_and_position_in_one_robot(bench: Bench) -> None:
         (["--command-between", "smooth"], "invalid choice: 'smooth'"),
     ],
 )
-def test_options_that_mean_nothing(
+def test_invalid_reading_options_are_refused(
     option: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:

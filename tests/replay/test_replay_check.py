@@ -1,4 +1,4 @@
-"""Goldens of kind replay: what they measure, what they rest on, what they refuse."""
+"""Goldens of kind replay: measures, dependencies and refusals."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def run(root: Path, golden: dict[str, Any]) -> list[Measure]:
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Path:
-    """A twin whose recordings are its own motion, with a known error on top."""
+    """A twin with recordings of its own motion plus known errors."""
     root, logs = tmp_path / "arm", tmp_path / "logs"
     root.mkdir()
     logs.mkdir()
@@ -69,7 +69,7 @@ def record(root: Path, path: Path, controller: str | None = None) -> None:
     known = controller if controller in twin.controllers else None
     time = np.arange(0, 2.0, 0.01)
     command = np.column_stack([0.4 * np.sin(3 * time), 0.3 - 0.2 * np.sin(5 * time)])
-    # Both joints start off their commands: a zero of the encoder that were ignored would show.
+    # Both joints start away from their commands, so that an ignored encoder zero shows.
     position = np.tile([0.05, 0.25], (len(time), 1))
     sent = series("/joint_commands", JOINTS, time, position=command)
     metadata = {} if controller is None else {"controller": controller}
@@ -89,7 +89,7 @@ def record(root: Path, path: Path, controller: str | None = None) -> None:
     write_recording(path, [state, sent], metadata)
 
 
-def test_the_numbers_are_those_of_the_error_that_was_put_in(arm: Path) -> None:
+def test_measures_equal_the_injected_errors(arm: Path) -> None:
     measures = run(
         arm,
         {
@@ -118,7 +118,7 @@ def test_the_numbers_are_those_of_the_error_that_was_put_in(arm: Path) -> None:
     assert found["angular_velocity_rms", "elbow"].error == pytest.approx(0.01, rel=5e-3)
 
 
-def test_a_joint_may_have_tolerances_of_its_own(arm: Path) -> None:
+def test_a_joint_may_have_its_own_tolerances(arm: Path) -> None:
     measures = run(
         arm,
         {
@@ -135,7 +135,7 @@ def test_a_joint_may_have_tolerances_of_its_own(arm: Path) -> None:
     assert all(m.passed for m in measures)
 
 
-def test_the_tool_is_compared_at_predicted_and_measured_joints(arm: Path) -> None:
+def test_tcp_error_compares_forward_kinematics_of_predicted_and_measured_joints(arm: Path) -> None:
     measures = run(
         arm,
         {
@@ -149,27 +149,27 @@ def test_the_tool_is_compared_at_predicted_and_measured_joints(arm: Path) -> Non
         },
     )
     found = {m.name: m for m in measures}
-    # The shoulder's spike swings the tool about its axis; both joints' errors add up in angle.
+    # Both joint axes are parallel: the orientation error is the sum of the joint errors.
     assert found["tcp_orientation_max"].error == pytest.approx(0.2 + 0.03, abs=1e-6)
-    # 0.2 rad on at most 0.55 m and 0.03 rad on 0.25 m.
+    # Upper bound: 0.2 rad times 0.55 m plus 0.03 rad times 0.25 m.
     assert 0.05 < found["tcp_position_max"].error < 0.2 * 0.55 + 0.03 * 0.25
     assert found["tcp_position_max"].time == pytest.approx(1.5)
     assert found["tcp_position_rms"].error < found["tcp_position_max"].error
 
 
-def test_the_controller_of_the_recording_is_applied(arm: Path) -> None:
+def test_the_gains_of_the_recorded_controller_are_applied(arm: Path) -> None:
     golden: dict[str, Any] = {
         "target": {"recording": "soft.mcap", "controller": "soft"},
         "tolerance": {"angular_velocity_rms": "0.02 rad/s"},
     }
     assert all(m.passed for m in run(arm, golden))
-    # Under the model's own gains the arm moves otherwise.
+    # With the model's own gains the velocity error exceeds the tolerance.
     text = (arm / "twin.yaml").read_text()
     (arm / "twin.yaml").write_text(text.replace("kp: 60", "kp: 200"))
     assert not all(m.passed for m in run(arm, golden))
 
 
-def test_what_a_golden_rests_on(arm: Path) -> None:
+def test_a_replay_golden_depends_on_all_dynamics_and_its_recording(arm: Path) -> None:
     path = arm / "golden" / "replay.yaml"
     path.parent.mkdir()
     path.write_text(
@@ -248,7 +248,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], type[TwinError], str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSALS)
-def test_what_means_nothing_is_refused(name: str, arm: Path) -> None:
+def test_an_invalid_replay_golden_is_refused_with_the_reason(name: str, arm: Path) -> None:
     golden, kind, words = REFUSALS[name]
     with pytest.raises(kind) as refusal:
         run(arm, golden)
@@ -269,13 +269,15 @@ def test_a_recording_of_another_robot_is_refused(arm: Path) -> None:
     ("error", "expected"),
     [([0.0, 0.0], (0.0, 0.0, 0.0, 0)), ([3.0, -4.0], (np.sqrt(12.5), 4.0, -0.5, 1))],
 )
-def test_residual(error: list[float], expected: tuple[float, float, float, int]) -> None:
+def test_residual_returns_rms_maximum_mean_and_worst_sample(
+    error: list[float], expected: tuple[float, float, float, int]
+) -> None:
     measured = np.array([1.0, 2.0])
     found = residual(measured + np.array(error), measured)
     assert (found.rms, found.maximum, found.mean, found.maximum_at) == pytest.approx(expected)
 
 
-def test_a_residual_that_is_not_finite_passes_nothing() -> None:
+def test_a_residual_with_nan_has_nan_statistics() -> None:
     found = residual(np.array([0.0, np.nan, 0.0]), np.zeros(3))
     assert np.isnan(found.rms)
     assert np.isnan(found.maximum)
@@ -283,7 +285,7 @@ def test_a_residual_that_is_not_finite_passes_nothing() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, np.pi - 1e-6, np.pi])
-def test_rotation_angle_is_exact_at_both_ends(angle: float) -> None:
+def test_rotation_angle_is_exact_from_0_to_pi(angle: float) -> None:
     q = np.array([[np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0]])
     identity = np.array([[1.0, 0.0, 0.0, 0.0]])
     assert rotation_angle(q, identity)[0] == pytest.approx(angle, rel=1e-9, abs=1e-15)

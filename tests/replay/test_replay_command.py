@@ -1,4 +1,4 @@
-"""pytest-twin replay: what it writes, and one clear line for what it cannot use."""
+"""``pytest-twin replay``: written files, and one-line errors for unusable input."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def arm(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_prediction_stands_at_the_recordings_stamps(
+def test_the_prediction_is_written_at_the_recorded_stamps(
     arm: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = arm / "out.mcap"
@@ -53,9 +53,9 @@ def test_the_prediction_stands_at_the_recordings_stamps(
         assert np.array_equal(getattr(state, name), getattr(expected, name))
     assert written.metadata == {"controller": "soft", "role": "fit"}
     summary = json.loads((arm / "out.json").read_text())
-    left = expected.position - trial.position
-    assert summary["joints"]["elbow"]["rms"] == np.sqrt(np.mean(left[:, 1] ** 2))
-    assert summary["joints"]["shoulder"]["max"] == np.abs(left[:, 0]).max()
+    residual = expected.position - trial.position
+    assert summary["joints"]["elbow"]["rms"] == np.sqrt(np.mean(residual[:, 1] ** 2))
+    assert summary["joints"]["shoulder"]["max"] == np.abs(residual[:, 0]).max()
     assert summary["samples"] == 150
     assert summary["trial"]["controller"] == "soft"
     said = capsys.readouterr()
@@ -63,7 +63,7 @@ def test_the_prediction_stands_at_the_recordings_stamps(
     assert said.err == ""
 
 
-def test_nothing_of_the_states_but_the_first_is_read(arm: Path) -> None:
+def test_only_the_first_state_is_read(arm: Path) -> None:
     recorded = read_recording(arm / "moves.mcap", {"state": "/js", "command": "/jc"})
     state = recorded.series["state"]
     assert state.position is not None
@@ -78,7 +78,9 @@ def test_nothing_of_the_states_but_the_first_is_read(arm: Path) -> None:
     assert (arm / "moves_out.mcap").read_bytes() == (arm / "other_out.mcap").read_bytes()
 
 
-def test_topics_and_a_bare_model(arm: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bare_model_is_replayed_with_topics_from_the_option(
+    arm: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ["replay", str(arm / "arm.xml"), str(arm / "moves.mcap"), "--out",
                  str(arm / "o.mcap"), "--topics", "state=/js,command=/jc"]  # fmt: skip
     assert cli.main(arguments) == 0
@@ -89,7 +91,7 @@ def test_topics_and_a_bare_model(arm: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize("name", ["twin.yaml", "model.xml"])
-def test_the_folder_of_a_diagnosis(arm: Path, name: str) -> None:
+def test_the_output_folder_of_diagnose_is_accepted_as_model(arm: Path, name: str) -> None:
     folder = arm / "diagnosis"
     (folder / "realization").mkdir(parents=True)
     shutil.copy(arm / "arm.xml", folder / "realization" / "arm.xml")
@@ -122,7 +124,7 @@ def test_the_folder_of_a_diagnosis(arm: Path, name: str) -> None:
         ("broken.xml", "moves.mcap", "o.mcap", "broken.xml"),
     ],
 )
-def test_unusable_input_is_one_line_and_leaves_nothing(
+def test_replay_reports_unusable_input_in_one_line_and_writes_no_file(
     arm: Path, model: str, recording: str, out: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (arm / "empty").mkdir()
@@ -140,7 +142,7 @@ def test_unusable_input_is_one_line_and_leaves_nothing(
     assert sorted(arm.rglob("*")) == before
 
 
-def test_a_simulation_that_diverges_is_one_line(
+def test_a_diverging_simulation_is_reported_in_one_line(
     arm: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wild = ARM.replace('kp="80" kv="4" forcerange="-10 10"', 'kp="1e9" kv="0"')
@@ -156,7 +158,9 @@ def test_a_simulation_that_diverges_is_one_line(
 
 
 @pytest.mark.parametrize("text", ["state", "joint=/x", "state=/x,state=/y", "state="])
-def test_topics_that_mean_nothing(text: str, arm: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_invalid_topics_option_is_refused(
+    text: str, arm: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["replay", "a.xml", "b.mcap", "--out", "c.mcap", "--topics", text])
     assert ended.value.code == 2

@@ -1,4 +1,4 @@
-"""Replay against closed forms, plain mj_step loops and refined steps."""
+"""Numerical accuracy of the replay: closed forms, plain mj_step loops, smaller steps."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ SERVO = f'<position joint="x" kp="{STIFFNESS}" kv="{DAMPING}"/>'
 def held_oscillator(
     time: np.ndarray, start: float, speed: float, command_time: np.ndarray, command: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Position and velocity of ``m x'' = k (u - x) - d x'``, u held from stamp to stamp.
+    """Position (m) and velocity (m/s) of ``m x'' = k (u - x) - d x'`` with u held between stamps.
 
-    Between two stamps ``x - u`` is a decaying cosine and sine.
+    Between two stamps ``x - u`` is a damped oscillation in closed form.
     """
     decay = DAMPING / (2 * MASS)
     omega = np.sqrt(STIFFNESS / MASS - decay**2)
@@ -45,24 +45,24 @@ def held_oscillator(
     return position, velocity
 
 
-def irregular(rng: np.random.Generator, end: float, mean: float) -> np.ndarray:
+def irregular_stamps(rng: np.random.Generator, end: float, mean: float) -> np.ndarray:
     steps = rng.uniform(0.3, 1.7, round(end / mean)) * mean
     return np.concatenate([[0.0], np.cumsum(steps)]).round(9)
 
 
-def test_replay_of_a_held_oscillator_is_its_closed_form() -> None:
+def test_a_position_servo_on_a_mass_matches_the_closed_form() -> None:
     rng = np.random.default_rng(1)
-    time = irregular(rng, 2.0, 0.007)
-    command_time = (irregular(rng, 2.0, 0.02) / 1e-3).round() * 1e-3 - 0.005
+    time = irregular_stamps(rng, 2.0, 0.007)
+    command_time = (irregular_stamps(rng, 2.0, 0.02) / 1e-3).round() * 1e-3 - 0.005
     command = np.cumsum(rng.normal(0, 0.1, len(command_time)))
     made = trial(time, 0.3, command_time, command, velocity=-0.8)
     (result,) = replay_rows([Row(made, model(slider(SERVO)))])
     position, velocity = held_oscillator(time, 0.3, -0.8, made.command_time, command)
-    # Stamps of commands on the steps: what is left is the integrator's and the cubic's error.
+    # Commands arrive on steps: only integration and cubic interpolation errors remain.
     assert np.abs(result.position[:, 0] - position).max() < 2e-8
     assert np.abs(result.velocity[:, 0] - velocity).max() < 1e-4
-    # The effort is that of the step which holds the stamp; RK4 leaves that of its last stage, at
-    # the end of the step.
+    # The effort belongs to the step that contains the stamp. MuJoCo's RK4 reports the effort of
+    # its last stage, at the end of the step.
     begin = np.floor(time / 1e-3 + 1e-5) * 1e-3
     end, speed = held_oscillator(begin + 1e-3 - 1e-9, 0.3, -0.8, made.command_time, command)
     held = command[np.searchsorted(made.command_time, begin + 1e-9) - 1]
@@ -70,10 +70,10 @@ def test_replay_of_a_held_oscillator_is_its_closed_form() -> None:
     assert np.abs(result.effort[:, 0] - force).max() < 1e-3 * np.abs(force).max()
 
 
-def test_commands_between_steps_come_neither_early_nor_late() -> None:
+def test_commands_between_steps_keep_second_order_accuracy() -> None:
     rng = np.random.default_rng(2)
-    time = irregular(rng, 2.0, 0.007)
-    command_time = irregular(rng, 2.0, 0.0203)
+    time = irregular_stamps(rng, 2.0, 0.007)
+    command_time = irregular_stamps(rng, 2.0, 0.0203)
     command = np.cumsum(rng.normal(0, 0.1, len(command_time)))
     made = trial(time, 0.0, command_time, command)
     errors = []
@@ -82,13 +82,13 @@ def test_commands_between_steps_come_neither_early_nor_late() -> None:
         position, _ = held_oscillator(time, 0.0, 0.0, made.command_time, command)
         errors.append(np.abs(result.position[:, 0] - position).max())
     assert errors[2] < 3e-5
-    # Second order in the step: a command taken up at the next step would leave the first.
+    # A command applied at the next step would reduce the order from two to one.
     assert errors[0] / errors[1] > 3.0
     assert errors[1] / errors[2] > 3.0
 
 
-def on_grid(timestep: float, seed: int = 3) -> Trial:
-    """Two seconds on the arm; every stamp on a step of ``timestep``."""
+def trial_on_steps(timestep: float, seed: int = 3) -> Trial:
+    """A trial of 2 s on the arm with all stamps on multiples of ``timestep``."""
     rng = np.random.default_rng(seed)
     command_time = np.sort(rng.choice(1000, 60, replace=False)) * timestep
     command = 0.5 * rng.standard_normal((60, 2))
@@ -96,7 +96,7 @@ def on_grid(timestep: float, seed: int = 3) -> Trial:
     return trial(time * timestep, (0.2, -0.4), command_time, command, joints=("shoulder", "elbow"))
 
 
-def plain_loop(arm: mujoco.MjModel, made: Trial) -> np.ndarray:
+def mj_step_loop(arm: mujoco.MjModel, made: Trial) -> np.ndarray:
     data = mujoco.MjData(arm)
     data.qpos[:] = made.position[0]
     rows = []
@@ -110,17 +110,17 @@ def plain_loop(arm: mujoco.MjModel, made: Trial) -> np.ndarray:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_replay_is_bit_for_bit_a_loop_of_mj_step(threads: int) -> None:
+def test_replay_is_bitwise_equal_to_a_loop_of_mj_step(threads: int) -> None:
     arm = model(ARM)
-    trials = [on_grid(0.002, seed) for seed in range(5)]
+    trials = [trial_on_steps(0.002, seed) for seed in range(5)]
     results = replay_rows([Row(made, arm) for made in trials], threads=threads)
     for made, result in zip(trials, results, strict=True):
-        assert np.array_equal(result.position, plain_loop(arm, made))
+        assert np.array_equal(result.position, mj_step_loop(arm, made))
 
 
-def test_rows_of_different_length_and_model_do_not_touch_each_other() -> None:
+def test_rows_of_different_length_and_model_are_independent() -> None:
     arm, heavy = model(ARM), model(ARM.replace('mass="0.5"', 'mass="1.5"'))
-    long, short = on_grid(0.002, 7), on_grid(0.002, 8)
+    long, short = trial_on_steps(0.002, 7), trial_on_steps(0.002, 8)
     short = trial(
         short.time[:40], short.position[0], short.command_time, short.command, joints=short.joints
     )
@@ -128,12 +128,12 @@ def test_rows_of_different_length_and_model_do_not_touch_each_other() -> None:
     together = replay_rows(rows)
     for row, result in zip(rows, together, strict=True):
         assert np.array_equal(result.position, replay_rows([row])[0].position)
-        assert np.array_equal(result.position, plain_loop(row.model, row.trial))
+        assert np.array_equal(result.position, mj_step_loop(row.model, row.trial))
     assert not np.array_equal(together[0].position, together[2].position)
 
 
-def test_refined_steps_converge_on_the_replay() -> None:
-    made = on_grid(0.002, 11)
+def test_replay_converges_with_smaller_steps() -> None:
+    made = trial_on_steps(0.002, 11)
     fine = replay_rows([Row(made, model(ARM.replace('"0.002"', '"0.00003125"')))])[0]
     errors = [
         np.abs(
@@ -146,8 +146,8 @@ def test_refined_steps_converge_on_the_replay() -> None:
     assert errors[2] < 0.5 * errors[1] < 0.3 * errors[0]
 
 
-def test_calibration_holds_both_ways() -> None:
-    arm, made = model(ARM), on_grid(0.002, 13)
+def test_joint_calibration_converts_inputs_and_predictions() -> None:
+    arm, made = model(ARM), trial_on_steps(0.002, 13)
     sign, offset = np.array([-1.0, 1.0]), np.array([0.3, -0.1])
     # model = sign * measured + offset
     measured = trial(
@@ -167,7 +167,7 @@ def test_calibration_holds_both_ways() -> None:
     assert np.allclose(calibrated.effort, sign * plain.effort, atol=1e-5)
 
 
-def test_an_effort_on_a_joint_without_actuator_acts_on_the_joint() -> None:
+def test_an_effort_command_acts_on_a_joint_without_actuator() -> None:
     time, command_time = np.arange(0, 0.5, 0.01), np.array([0.0, 0.2])
     made = trial(time, 0.1, command_time, np.array([4.0, -2.0]), mode="effort")
     (result,) = replay_rows([Row(made, model(slider("")))])
@@ -181,7 +181,7 @@ def test_an_effort_on_a_joint_without_actuator_acts_on_the_joint() -> None:
     assert result.effort[-1, 0] == -2.0
 
 
-def test_a_trial_that_diverges_names_joint_and_time_and_stops_no_other() -> None:
+def test_a_diverging_trial_names_joint_and_time_and_does_not_affect_others() -> None:
     unstable = slider('<position joint="x" kp="1e9" kv="0"/>', mass=1e-3).replace("RK4", "Euler")
     time = np.arange(0, 3.0, 0.01)
     made = trial(time, 0.0, np.array([0.0, 1.0]), np.array([0.0, 0.5]))
@@ -198,7 +198,7 @@ def test_a_trial_that_diverges_names_joint_and_time_and_stops_no_other() -> None
     assert np.array_equal(fine.position, replay_rows([Row(made, good)])[0].position)
 
 
-def test_warnings_leave_no_log_file(
+def test_mujoco_warnings_write_no_log_file(
     tmp_path: object, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(str(tmp_path))

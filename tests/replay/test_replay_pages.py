@@ -1,4 +1,4 @@
-"""The pages of replay and task show specs that load and run on the demo arm."""
+"""The example specs on the documentation pages of replay and task run on the demo arm."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("kind", ["replay", "task"])
-def test_the_example_runs(kind: str, tmp_path: Path) -> None:
+def test_the_example_on_the_documentation_page_passes(kind: str, tmp_path: Path) -> None:
     page = (ROOT / "docs" / "kinds" / f"{kind}.md").read_text()
     (example,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
     shutil.copytree(ROOT / "golden", tmp_path / "arm", ignore=shutil.ignore_patterns(".*"))

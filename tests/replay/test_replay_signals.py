@@ -1,4 +1,4 @@
-"""Tolerances of a replay on efforts and on the frequency response."""
+"""Replay tolerances on effort and frequency response."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pytest_twin.twin import load_twin
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Path:
-    """A twin, and a recording of its own motion: 30 % more amplitude at the elbow, 2 N m more."""
+    """A twin and a recording of its motion with elbow amplitude +30 % and elbow effort +2 N*m."""
     root, logs = tmp_path / "arm", tmp_path / "logs"
     root.mkdir()
     logs.mkdir()
@@ -48,7 +48,7 @@ def arm(tmp_path: Path) -> Path:
     return root
 
 
-def test_the_response_that_was_changed_is_found(arm: Path) -> None:
+def test_magnitude_tolerance_detects_30_percent_more_amplitude(arm: Path) -> None:
     golden = {
         "target": {"recording": "moves.mcap"},
         "tolerance": {"magnitude": "1 dB", "phase": "0.1 rad"},
@@ -63,14 +63,14 @@ def test_the_response_that_was_changed_is_found(arm: Path) -> None:
     assert found["phase", "shoulder"].passed
 
 
-def test_the_effort_that_was_added_is_found(arm: Path) -> None:
+def test_torque_tolerance_detects_a_constant_effort_error(arm: Path) -> None:
     golden = {"target": {"recording": "moves.mcap"}, "tolerance": {"torque_rms": "0.5 N*m"}}
     found = {m.subject: m for m in run(arm, golden)}
     assert found["elbow"].error == pytest.approx(2.0, rel=1e-3)
     assert found["shoulder"].passed
 
 
-def test_a_recording_that_supports_no_frequency_is_refused(arm: Path) -> None:
+def test_a_recording_without_excitation_or_effort_is_refused(arm: Path) -> None:
     path = arm.parent / "logs" / "moves.mcap"
     time = np.arange(0, 1.0, 0.01)
     still = np.tile([0.1, 0.2], (len(time), 1))
@@ -86,7 +86,7 @@ def test_a_recording_that_supports_no_frequency_is_refused(arm: Path) -> None:
         assert words in str(error.value)
 
 
-def test_the_page_of_a_replay_shows_the_response_of_each_joint(arm: Path) -> None:
+def test_the_replay_report_shows_the_frequency_response_of_each_joint(arm: Path) -> None:
     out = arm.parent / "predicted.mcap"
     moves = arm.parent / "logs" / "moves.mcap"
     assert cli.main(["replay", str(arm / "twin.yaml"), str(moves), "--out", str(out)]) == 0

@@ -1,4 +1,4 @@
-"""Goldens of kind task: a user's own function, and every way in which it can fail."""
+"""Goldens of kind task: outputs of a user's function, and its errors."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def arm(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def opened(arm: Path, **replaced: str) -> tuple[Golden, Realization]:
+def load_task(arm: Path, **replaced: str) -> tuple[Golden, Realization]:
     path = arm / "golden" / "reach.yaml"
     for old, new in replaced.items():
         text = path.read_text()
@@ -63,21 +63,21 @@ def opened(arm: Path, **replaced: str) -> tuple[Golden, Realization]:
     return load_golden(path, twin), load(arm / "arm.xml", twin=twin)
 
 
-def held(arm: Path, expected: dict[str, object]) -> list[Measure]:
+def compare_with(arm: Path, expected: dict[str, object]) -> list[Measure]:
     from dataclasses import replace
 
-    golden, realization = opened(arm)
+    golden, realization = load_task(arm)
     check = check_of("task")
     observation = check.observe(golden, realization, lambda _: None)
     return check.compare(replace(golden, expected=expected), observation, None)
 
 
-def test_declared_outputs_are_held_against_the_record(arm: Path) -> None:
-    golden, realization = opened(arm)
+def test_declared_outputs_are_compared_with_recorded_values(arm: Path) -> None:
+    golden, realization = load_task(arm)
     observation = check_of("task").observe(golden, realization, lambda _: None)
-    # 0.55 m of arm, 1 m above the floor, turned down by 0.5 rad.
+    # A straight arm of 0.55 m, 1 m above the floor, rotated down by 0.5 rad.
     assert observation.values["height"] == pytest.approx(1 - 0.55 * 0.479425539)
-    measures = held(arm, {"height": 0.7363, "position": [0.4826, 0.0, 0.74], "count": 3})
+    measures = compare_with(arm, {"height": 0.7363, "position": [0.4826, 0.0, 0.74], "count": 3})
     verdicts = [(m.name, m.subject, m.passed) for m in measures]
     assert verdicts == [
         ("height", "reach", True),
@@ -88,22 +88,22 @@ def test_declared_outputs_are_held_against_the_record(arm: Path) -> None:
     ]
 
 
-def test_it_rests_on_everything_and_on_its_files(arm: Path) -> None:
-    golden, realization = opened(arm)
+def test_a_task_depends_on_the_whole_model_and_its_files(arm: Path) -> None:
+    golden, realization = load_task(arm)
     parts = set(check_of("task").depends(golden, realization.structure))
     assert realization.structure.part_ids <= parts
     assert {"file:tasks/reach.py", "file:tasks/helper.py"} <= parts
 
 
-def test_what_a_function_imports_is_read_again(arm: Path) -> None:
-    held(arm, {"height": 0.7363, "position": [0.4826, 0.0, 0.7363], "count": 3})
+def test_a_changed_imported_module_is_loaded_again(arm: Path) -> None:
+    compare_with(arm, {"height": 0.7363, "position": [0.4826, 0.0, 0.7363], "count": 3})
     (arm / "tasks" / "helper.py").write_text("COUNT = 4  # was 3\n")
-    measures = held(arm, {"height": 0.7363, "position": [0.4826, 0.0, 0.7363], "count": 3})
+    measures = compare_with(arm, {"height": 0.7363, "position": [0.4826, 0.0, 0.7363], "count": 3})
     assert [m.measured for m in measures if m.name == "count"] == [4.0]
 
 
-def test_an_installed_function_rests_on_its_distribution(arm: Path) -> None:
-    golden, realization = opened(arm, **{"tasks/reach.py:reach": "numpy.linalg:norm"})
+def test_an_installed_function_depends_on_its_distribution(arm: Path) -> None:
+    golden, realization = load_task(arm, **{"tasks/reach.py:reach": "numpy.linalg:norm"})
     assert "library:numpy" in check_of("task").depends(golden, realization.structure)
 
 
@@ -133,10 +133,12 @@ def test_an_installed_function_rests_on_its_distribution(arm: Path) -> None:
         ("def reach", "def def reach", "reach.py:4: not valid Python: invalid syntax"),
     ],
 )  # fmt: skip
-def test_a_function_that_fails_says_how(arm: Path, old: str, new: str, words: str) -> None:
+def test_an_invalid_function_or_output_is_refused_with_the_reason(
+    arm: Path, old: str, new: str, words: str
+) -> None:
     assert old in CODE
     (arm / "tasks" / "reach.py").write_text(CODE.replace(old, new))
-    golden, realization = opened(arm)
+    golden, realization = load_task(arm)
     with pytest.raises(SpecError) as refusal:
         check_of("task").observe(golden, realization, lambda _: None)
     assert str(refusal.value).endswith(words)
@@ -156,9 +158,9 @@ def test_a_function_that_fails_says_how(arm: Path, old: str, new: str, words: st
         ("tolerance: 1 mm", "tolerance: 1 deg", "target.outputs.height.tolerance"),
     ],
 )
-def test_a_spec_that_means_nothing_is_refused(arm: Path, old: str, new: str, words: str) -> None:
+def test_an_invalid_task_spec_is_refused(arm: Path, old: str, new: str, words: str) -> None:
     def run() -> None:
-        golden, realization = opened(arm, **{old: new})
+        golden, realization = load_task(arm, **{old: new})
         check = check_of("task")
         check.compare(golden, check.observe(golden, realization, lambda _: None), None)
 
@@ -167,13 +169,13 @@ def test_a_spec_that_means_nothing_is_refused(arm: Path, old: str, new: str, wor
     assert words in str(refusal.value)
 
 
-def test_another_length_than_the_recorded_one_is_refused(arm: Path) -> None:
+def test_an_output_with_another_length_than_recorded_is_refused(arm: Path) -> None:
     with pytest.raises(
         SpecError, match=r"another length than the recorded one \(got 3; expected 2"
     ):
-        held(arm, {"height": 0.7, "position": [0.1, 0.2], "count": 3})
+        compare_with(arm, {"height": 0.7, "position": [0.1, 0.2], "count": 3})
 
 
-def test_a_golden_without_a_record_is_refused(arm: Path) -> None:
+def test_a_task_golden_without_recorded_values_is_refused(arm: Path) -> None:
     with pytest.raises(SpecError, match="no recorded value of output 'height'"):
-        held(arm, {})
+        compare_with(arm, {})

@@ -1,4 +1,4 @@
-"""From a recording to a trial: one clock, marks for every doubt, errors that say where."""
+"""Conversion of a recording into a trial: common clock, data quality marks, precise errors."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ STRUCTURE = Structure(
 )
 
 
-def sound(count: int = 200, **changed: object) -> Recording:
-    """Two joints that follow their commands, 100 Hz."""
+def clean_recording(count: int = 200, **changed: object) -> Recording:
+    """A recording at 100 Hz of two joints that follow their commands exactly."""
     time = np.arange(count) * 0.01
     command = np.column_stack([np.sin(time), 0.1 + 0.05 * np.cos(time)])
     state = {"position": command, "velocity": np.zeros((count, 2)), "effort": None}
@@ -45,9 +45,9 @@ def sound(count: int = 200, **changed: object) -> Recording:
     )
 
 
-def test_the_clock_starts_at_the_first_state() -> None:
+def test_trial_time_starts_at_the_first_state() -> None:
     time = np.arange(50) * 0.02
-    made = make_trial(sound(50, time=time + 0.5, command_time=time + 0.3), STRUCTURE)
+    made = make_trial(clean_recording(50, time=time + 0.5, command_time=time + 0.3), STRUCTURE)
     assert made.time[0] == 0.0
     assert made.time[-1] == pytest.approx(0.98, abs=1e-12)
     assert made.command_time[0] == pytest.approx(-0.2, abs=1e-12)
@@ -59,7 +59,7 @@ def test_the_clock_starts_at_the_first_state() -> None:
 
 
 @given(st.integers(1, 2**40), st.lists(st.integers(0, 10**12), min_size=2, max_size=50))
-def test_absolute_stamps_survive_exactly(first: int, offsets: list[int]) -> None:
+def test_absolute_stamps_are_kept_exactly(first: int, offsets: list[int]) -> None:
     stamp = np.sort(np.array(offsets, dtype=np.int64)) + first
     fields = {"position": np.zeros((len(stamp), 1)), "velocity": None, "effort": None}
     state = series("/joint_states", ("pan",), np.arange(len(stamp)), **fields)
@@ -77,7 +77,7 @@ def test_unordered_and_duplicate_stamps_are_sorted_and_marked() -> None:
     time = np.arange(200) * 0.01
     time[[50, 51]] = time[[51, 50]]
     time[100] = time[99]
-    made = make_trial(sound(time=time), STRUCTURE)
+    made = make_trial(clean_recording(time=time), STRUCTURE)
     assert (np.diff(made.time) >= 0).all()
     assert {(mark.kind, round(mark.start, 3)) for mark in made.marks} == {
         ("unordered_stamp", 0.5),
@@ -87,11 +87,11 @@ def test_unordered_and_duplicate_stamps_are_sorted_and_marked() -> None:
     assert len(made.time) == 200
 
 
-def test_of_commands_with_one_stamp_the_last_holds() -> None:
+def test_the_last_of_several_commands_with_one_stamp_applies() -> None:
     time = np.arange(200) * 0.01
     twice = time.copy()
     twice[100] = twice[99]
-    made = make_trial(sound(command_time=twice))
+    made = make_trial(clean_recording(command_time=twice))
     last = np.searchsorted(made.command_time, 0.9901, side="right") - 1
     assert made.command[last, 0] == pytest.approx(np.sin(1.0))
 
@@ -99,72 +99,72 @@ def test_of_commands_with_one_stamp_the_last_holds() -> None:
 def test_gaps_are_marked_on_their_topic() -> None:
     time = np.arange(200) * 0.01
     time[120:] += 0.3
-    (mark,) = make_trial(sound(time=time), STRUCTURE).marks
+    (mark,) = make_trial(clean_recording(time=time), STRUCTURE).marks
     assert (mark.kind, mark.topic) == ("gap", "/joint_states")
     assert (mark.start, mark.end) == pytest.approx((1.19, 1.5))
     assert mark.text == "no message for 0.31 s, usually 0.01 s"
 
 
 def test_outliers_are_marked_and_kept() -> None:
-    position = sound().series["state"].position
+    position = clean_recording().series["state"].position
     assert position is not None
     spiked = position.copy()
     spiked[77, 0] += 0.6
-    made = make_trial(sound(position=spiked), STRUCTURE)
+    made = make_trial(clean_recording(position=spiked), STRUCTURE)
     assert [(m.kind, m.joint) for m in made.marks] == [("outlier", "pan")]
     assert made.position[77, 0] == spiked[77, 0]
     assert np.flatnonzero(made.marked("pan", ["outlier"])).tolist() == [77]
     assert not made.marked("rail", ["outlier"]).any()
 
 
-def test_a_step_or_a_quantized_encoder_is_no_outlier() -> None:
+def test_steps_and_quantized_encoders_are_not_marked_as_outliers() -> None:
     position = np.round(np.column_stack([np.sin(np.arange(200) * 0.01), np.full(200, 0.1)]), 2)
     position[100:, 1] = 0.15
-    assert make_trial(sound(position=position), STRUCTURE).marks == ()
+    assert make_trial(clean_recording(position=position), STRUCTURE).marks == ()
 
 
-def test_a_stuck_encoder_is_marked_where_its_command_moves() -> None:
+def test_a_constant_reading_under_a_moving_command_is_marked_as_stuck() -> None:
     count = 400
     position = np.column_stack([np.sin(np.arange(count) * 0.01), np.full(count, 0.1)])
     position[100:250, 0] = position[100, 0]
-    (mark,) = make_trial(sound(count, position=position), STRUCTURE).marks
+    (mark,) = make_trial(clean_recording(count, position=position), STRUCTURE).marks
     assert (mark.kind, mark.joint) == ("stuck", "pan")
     assert (mark.start, mark.end) == pytest.approx((1.0, 2.49))
     assert "stays at 0.841471 rad while its command moves" in mark.text
 
 
-def test_damage_of_the_file_is_carried() -> None:
-    torn = replace(sound(), damage=(Damage("byte 4711", "3 messages"),))
+def test_file_damage_becomes_a_mark_of_the_trial() -> None:
+    torn = replace(clean_recording(), damage=(Damage("byte 4711", "3 messages"),))
     (mark,) = make_trial(torn).marks
     assert (mark.kind, mark.text) == ("damage", "byte 4711: 3 messages")
 
 
-def test_a_velocity_that_was_not_filled_is_no_measurement() -> None:
+def test_an_empty_velocity_field_is_not_a_measurement() -> None:
     empty = np.full((200, 2), np.nan)
-    assert make_trial(sound(velocity=empty)).velocity is None
+    assert make_trial(clean_recording(velocity=empty)).velocity is None
     half = empty.copy()
     half[:, 0] = 0.0
-    made = make_trial(sound(velocity=half))
+    made = make_trial(clean_recording(velocity=half))
     assert made.velocity is not None
     assert np.isnan(made.velocity[:, 1]).all()
     assert [(m.kind, m.joint) for m in made.marks] == [("unavailable", "rail")]
 
 
-def test_a_joint_that_is_never_commanded_is_left_out_of_the_commands() -> None:
+def test_a_joint_without_command_values_is_left_out_of_the_commands() -> None:
     command = np.column_stack([np.sin(np.arange(200) * 0.01), np.full(200, np.nan)])
-    made = make_trial(sound(command={"position": command}), STRUCTURE)
+    made = make_trial(clean_recording(command={"position": command}), STRUCTURE)
     assert made.command_joints == ("pan",)
     assert made.command.shape == (200, 1)
     assert [(m.kind, m.joint) for m in made.marks] == [("unavailable", "rail")]
 
 
-def test_the_mode_is_the_field_that_is_filled() -> None:
-    made = make_trial(sound(command={"effort": np.ones((200, 2))}), STRUCTURE)
+def test_the_filled_command_field_defines_the_command_mode() -> None:
+    made = make_trial(clean_recording(command={"effort": np.ones((200, 2))}), STRUCTURE)
     assert made.command_mode == "effort"
 
 
-def spoiled(row: int, column: int, value: float) -> np.ndarray:
-    position = sound().series["state"].position
+def positions_with_value(row: int, column: int, value: float) -> np.ndarray:
+    position = clean_recording().series["state"].position
     assert position is not None
     position = position.copy()
     position[row, column] = value
@@ -173,68 +173,70 @@ def spoiled(row: int, column: int, value: float) -> np.ndarray:
 
 ERRORS: dict[str, tuple[Callable[[], Recording], str]] = {
     "no command": (
-        lambda: recording(sound().series["state"], None),
+        lambda: recording(clean_recording().series["state"], None),
         "made.mcap: command: no command messages (expected commands in the file: a topic, or "
         "columns NAME.command of a CSV file; topics are mapped in twin.yaml or by "
         "--topics state=/x,command=/y)",
     ),
     "nothing left": (
         lambda: replace(
-            recording(sound().series["state"], None),
+            recording(clean_recording().series["state"], None),
             damage=(Damage("byte 120", "a chunk that ends early"),),
         ),
         "made.mcap: command: no command messages in what could be read of a damaged file "
         "(got 'byte 120: a chunk that ends early'; expected a whole recording)",
     ),
     "no position": (
-        lambda: sound(position=None),
+        lambda: clean_recording(position=None),
         "made.mcap: /joint_states: no state has positions (expected positions of the joints in "
         "each state, rad or m)",
     ),
     "infinite position": (
-        lambda: sound(position=spoiled(70, 1, np.inf)),
+        lambda: clean_recording(position=positions_with_value(70, 1, np.inf)),
         "made.mcap: /joint_states joint 'rail': position is not finite in 1 of 200 messages "
         "(got 'inf at 0.7 s'; expected a finite number of m)",
     ),
     "NaN throughout": (
-        lambda: sound(position=np.full((200, 2), np.nan)),
+        lambda: clean_recording(position=np.full((200, 2), np.nan)),
         "made.mcap: /joint_states: no position is a number (got 'NaN throughout'; expected "
         "measured positions)",
     ),
     "infinite velocity": (
-        lambda: sound(velocity=np.full((200, 2), np.inf)),
+        lambda: clean_recording(velocity=np.full((200, 2), np.inf)),
         "made.mcap: /joint_states joint 'pan': velocity is not finite in 200 of 200 messages "
         "(got 'inf at 0 s'; expected a finite number of rad/s)",
     ),
     "two fields": (
-        lambda: sound(command={"position": np.ones((200, 2)), "effort": np.ones((200, 2))}),
+        lambda: clean_recording(
+            command={"position": np.ones((200, 2)), "effort": np.ones((200, 2))}
+        ),
         "made.mcap: /joint_commands: commands of joint 'pan' fill position and effort, and no "
         "actuator of it says which (expected --command-mode pan=position, or 'command_mode:' in "
         "twin.yaml)",
     ),
     "empty commands": (
-        lambda: sound(command={"position": np.full((200, 2), np.nan)}),
+        lambda: clean_recording(command={"position": np.full((200, 2), np.nan)}),
         "made.mcap: /joint_commands: no command has a value (got 'position, velocity and effort "
         "are empty'; expected the field that the controller mode uses)",
     ),
     "no overlap": (
-        lambda: sound(command_time=np.arange(200) * 0.01 + 3600.0),
+        lambda: clean_recording(command_time=np.arange(200) * 0.01 + 3600.0),
         "made.mcap: /joint_commands: commands and states do not overlap in time (got 'commands "
         "from 3600 to 3601.99 s, states from 0 to 1.99' s; expected one clock; log times do not "
         "either)",
     ),
     "degrees": (
-        lambda: sound(position=np.rad2deg(np.tile([[0.9, 0.001]], (200, 1)))),
+        lambda: clean_recording(position=np.rad2deg(np.tile([[0.9, 0.001]], (200, 1)))),
         "made.mcap: /joint_states joint 'pan': positions far beyond the joint's range, as if in "
         "degrees (got '51.5662' rad; expected the model's range, -1.5 to 1.5 rad)",
     ),
     "encoder counts": (
-        lambda: sound(command={"position": np.tile([[2048.0, 0.1]], (200, 1))}),
+        lambda: clean_recording(command={"position": np.tile([[2048.0, 0.1]], (200, 1))}),
         "made.mcap: /joint_commands joint 'pan': positions far beyond the joint's range, as if in "
         "encoder counts (got '2048' rad; expected the model's range, -1.5 to 1.5 rad)",
     ),
     "millimetres": (
-        lambda: sound(position=np.tile([[0.1, 150.0]], (200, 1))),
+        lambda: clean_recording(position=np.tile([[0.1, 150.0]], (200, 1))),
         "made.mcap: /joint_states joint 'rail': positions far beyond the joint's range, as if in "
         "mm (got '150' m; expected the model's range, 0 to 0.2 m)",
     ),
@@ -242,7 +244,7 @@ ERRORS: dict[str, tuple[Callable[[], Recording], str]] = {
 
 
 @pytest.mark.parametrize("name", ERRORS)
-def test_a_recording_that_cannot_be_used_says_why(name: str) -> None:
+def test_an_unusable_recording_is_refused_with_the_reason(name: str) -> None:
     made, words = ERRORS[name]
     with pytest.raises(RecordingError) as refusal:
         make_trial(made(), STRUCTURE)
@@ -250,8 +252,8 @@ def test_a_recording_that_cannot_be_used_says_why(name: str) -> None:
 
 
 def test_a_joint_that_the_model_lacks_is_left_out_with_a_note() -> None:
-    state = replace(sound().series["state"], names=("pan", "wheel"))
-    made = make_trial(recording(state, sound().series["command"]), STRUCTURE)
+    state = replace(clean_recording().series["state"], names=("pan", "wheel"))
+    made = make_trial(recording(state, clean_recording().series["command"]), STRUCTURE)
     assert made.joints == ("pan",)
     assert made.position.shape == (200, 1)
     assert made.notes == (
@@ -259,31 +261,31 @@ def test_a_joint_that_the_model_lacks_is_left_out_with_a_note() -> None:
     )
 
 
-def test_joints_of_another_robot_are_refused_with_the_models_names() -> None:
-    state = replace(sound().series["state"], names=("hip", "wrist"))
+def test_a_recording_of_another_robot_is_refused_with_the_models_joint_names() -> None:
+    state = replace(clean_recording().series["state"], names=("hip", "wrist"))
     with pytest.raises(RecordingError) as refusal:
-        make_trial(recording(state, sound().series["command"]), STRUCTURE)
+        make_trial(recording(state, clean_recording().series["command"]), STRUCTURE)
     assert str(refusal.value) == (
         "made.mcap: /joint_states: the model has none of these joints (got 'hip, wrist'; expected "
         "one of pan, rail; --joints RECORDED=MODEL,... or 'joints:' in twin.yaml maps names)"
     )
     with pytest.raises(RecordingError, match="expected a model with joints"):
         make_trial(
-            recording(state, sound().series["command"]),
+            recording(state, clean_recording().series["command"]),
             replace(STRUCTURE, joint_type={}, joint_range={}),
         )
 
 
-def test_a_little_beyond_the_range_is_only_marked() -> None:
-    position = sound().series["state"].position
+def test_positions_slightly_outside_the_joint_range_are_only_marked() -> None:
+    position = clean_recording().series["state"].position
     assert position is not None
     position = position + np.array([0.0, 0.06])
-    (mark,) = make_trial(sound(position=position), STRUCTURE).marks
+    (mark,) = make_trial(clean_recording(position=position), STRUCTURE).marks
     assert (mark.kind, mark.joint) == ("beyond_range", "rail")
     assert mark.text == "outside the model's range, 0 to 0.2 m in 65 messages"
 
 
-def test_a_command_latched_shortly_before_the_first_state_holds() -> None:
+def test_a_single_command_shortly_before_the_first_state_is_kept() -> None:
     command = {"position": np.full((1, 2), 0.1)}
-    made = make_trial(sound(command_time=np.array([-0.4]), command=command), STRUCTURE)
+    made = make_trial(clean_recording(command_time=np.array([-0.4]), command=command), STRUCTURE)
     assert made.command_time[0] == pytest.approx(-0.4)
