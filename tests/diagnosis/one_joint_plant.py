@@ -1,7 +1,8 @@
-"""Reality for tests of laws without a name: one pendulum under a position servo, in NumPy.
+"""Simulated reality for tests of laws without a name: one pendulum with a position servo, in NumPy.
 
-Runge-Kutta of fourth order at 2 kHz, all recordings side by side. The hidden force is any function
-of time, position and velocity. Nothing here comes from the package but the writer of recordings.
+It integrates all recordings at once with a fourth-order Runge-Kutta method at 2 kHz. The hidden
+force is a function of time, position and velocity. Only the writer of recordings comes from the
+package.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ NOISE = 1e-4
 START_NS = 1_700_000_000_000_000_000
 
 Hidden = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
-"""(recordings,) N*m of time in s, position in rad and velocity in rad/s."""
+"""Hidden torque, (recordings,) N*m; arguments: time in s, position in rad, velocity in rad/s."""
 
 MJCF = f"""
 <mujoco model="pendulum"><compiler angle="radian"/>
@@ -34,7 +35,7 @@ MJCF = f"""
 
 
 def references(seconds: float, count: int) -> np.ndarray:
-    """(commands, recordings) rad: multisines of different speeds."""
+    """(commands, recordings) rad: multisine commands with other frequencies for each recording."""
     t = np.arange(0.0, seconds, COMMAND)[:, None]
     out = np.zeros((len(t), count))
     for k in range(count):
@@ -45,7 +46,7 @@ def references(seconds: float, count: int) -> np.ndarray:
 
 
 def swing(hidden: Hidden, seconds: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(commands, recordings) commands and (states, recordings) positions, rad."""
+    """Simulate: (commands, recordings) commands and (states, recordings) positions, rad."""
     command = references(seconds, count)
     state = np.zeros((2, count))
     every, held = round(STATE / STEP), round(COMMAND / STEP)
@@ -71,7 +72,7 @@ def swing(hidden: Hidden, seconds: float, count: int) -> tuple[np.ndarray, np.nd
 
 
 def record(folder: Path, hidden: Hidden, seconds: float = 8.0, count: int = 5) -> list[Path]:
-    """A model and recordings in a folder; the last two are held out."""
+    """Write a model and recordings into a folder; the last two are held out."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(MJCF)
     command, position = swing(hidden, seconds, count)

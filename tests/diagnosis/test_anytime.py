@@ -1,4 +1,4 @@
-"""A diagnosis answers at any time: first within seconds, at the end of its time, on Ctrl-C."""
+"""A diagnosis has a result within seconds, at the end of its time and after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ LEFT = JOINTS[:1]
 PROGRAM = str(Path(sys.executable).with_name("pytest-twin"))
 
 
-def said(folder: Path) -> dict[str, Any]:
+def read_diagnosis(folder: Path) -> dict[str, Any]:
     loaded: dict[str, Any] = json.loads((folder / "out" / "diagnosis.json").read_text())
     return loaded
 
 
-def test_ctrl_c_ends_the_search_and_writes_the_best_so_far(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_search_and_writes_the_best_result_so_far(tmp_path: Path) -> None:
     words = case(tmp_path, joints=LEFT, viscous=0.1)
     command = [PROGRAM, "diagnose", *words, "--seconds", "1000", "--out", str(tmp_path / "out")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -37,33 +37,33 @@ def test_ctrl_c_ends_the_search_and_writes_the_best_so_far(tmp_path: Path) -> No
         rest = process.stderr.read()
     assert "stopping: the best result so far is written; Ctrl-C again aborts" in rest
     assert process.returncode in (0, 1)
-    found = said(tmp_path)
+    found = read_diagnosis(tmp_path)
     assert any("because it was stopped. Not tried: " in note for note in found["notes"])
     assert found["held_out"]["left"]["rms_before"] > 0.0
     assert (tmp_path / "out" / "report.html").is_file()
     assert (tmp_path / "out" / "realization" / "model.xml").is_file()
 
 
-def test_when_its_time_is_over_it_says_what_was_not_tried(
+def test_a_diagnosis_whose_time_is_over_lists_what_was_not_tried(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = case(tmp_path, joints=LEFT, viscous=0.1)
     out = str(tmp_path / "out")
     assert cli.main(["diagnose", *words, "--seconds", "0.1", "--out", out]) in (0, 1)
-    found = said(tmp_path)
+    found = read_diagnosis(tmp_path)
     (note,) = [n for n in found["notes"] if n.startswith("the search ended early")]
     assert "because its 0.1 s were over. Not tried: " in note
     assert all(part in note for part in found["not_tried"])
     assert "With more time (--seconds) further effects could be found" in note
     shown = capsys.readouterr().out
     assert note in shown
-    # That no known effect explains it was not found out.
+    # The search ended early, so it did not show that no known effect explains the residual.
     assert found["verdict"] == "unexplained"
     assert shown.startswith("Unexplained so far: the model is wrong, and the search ended before")
 
 
 @pytest.mark.parametrize("seconds", ["-1", "soon", "nan", "1e9"])
-def test_a_time_that_is_none_is_refused(
+def test_an_invalid_time_limit_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: str
 ) -> None:
     words = ["diagnose", "model.xml", "a.mcap", f"--seconds={seconds}", "--out", str(tmp_path)]
@@ -73,12 +73,12 @@ def test_a_time_that_is_none_is_refused(
     assert f"got '{seconds}', expected a time in s, 0 to 14400" in capsys.readouterr().err
 
 
-def test_the_first_answer_is_of_the_recording_that_is_off_most(tmp_path: Path) -> None:
+def test_the_first_answer_names_the_effect_and_is_empty_without_time(tmp_path: Path) -> None:
     words = case(tmp_path, joints=LEFT, viscous=0.3)
     loaded = load_model(Path(words[0]))
     trials = read_trials([Path(w) for w in words[1:]], [], loaded.topics,
                          loaded.realization.structure)  # fmt: skip
-    seen = first_answer(loaded.realization, trials.fit, None, seconds=600.0)
-    assert seen is not None
-    assert [s.place for s in seen.suspects] == [("viscous_friction", ("left",))]
+    answer = first_answer(loaded.realization, trials.fit, None, seconds=600.0)
+    assert answer is not None
+    assert [s.place for s in answer.suspects] == [("viscous_friction", ("left",))]
     assert first_answer(loaded.realization, trials.fit, None, seconds=1e-6) is None

@@ -1,4 +1,4 @@
-"""What may be the step's own is said to be."""
+"""Notes where the integration error of the time step may cause a residual or a finding."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 
 
 @pytest.fixture(scope="module")
-def soft() -> tuple[Problem, Hypothesis]:
-    """A gear that rings at eight steps a radian."""
+def elastic_elbow() -> tuple[Problem, Hypothesis]:
+    """An elastic transmission that oscillates with eight time steps per radian, and its effect."""
     term = Term("joint_elasticity", ELBOW)
     size = {"compliance": 1 / 60.0, "damping_time": 0.001}
     problem = problem_of("position", {term: size})
@@ -25,53 +25,59 @@ def soft() -> tuple[Problem, Hypothesis]:
     return problem, EMPTY.with_term(term, np.array(theta))
 
 
-def assert_doubts(found: list[str], doubted: bool, said: list[str]) -> None:
-    """One line that says all of it, or none."""
-    assert len(found) == doubted
+def assert_note(found: list[str], has_note: bool, phrases: list[str]) -> None:
+    """One note with all of these phrases, or no note."""
+    assert len(found) == has_note
     for line in found:
-        for words in said:
+        for words in phrases:
             assert words in line
 
 
 @pytest.mark.parametrize(
-    ("floors", "doubted"),
+    ("floors", "has_note"),
     [
-        pytest.param(1.0, False, id="at the floor"),
-        pytest.param(2.5, True, id="above it"),
-        pytest.param(1e4, False, id="far more than the step can be off"),
+        pytest.param(1.0, False, id="residual at the floor"),
+        pytest.param(2.5, True, id="residual above the floor"),
+        pytest.param(1e4, False, id="residual above the integration error"),
     ],
 )
-def test_what_is_left_above_the_floor_may_be_the_steps(
-    soft: tuple[Problem, Hypothesis], floors: float, doubted: bool
+def test_a_residual_that_the_integration_error_exceeds_has_a_note(
+    elastic_elbow: tuple[Problem, Hypothesis], floors: float, has_note: bool
 ) -> None:
-    problem, hypothesis = soft
+    problem, hypothesis = elastic_elbow
     problem.refine_at(hypothesis)
     floor = 0.02 * float(abs(problem.discretization_error[0].position[:, ELBOW]).max())
     errors = {"elbow": JointError(1.0, floors * floor, floor, "rad")}
-    said = [
+    phrases = [
         "joint 'elbow'", "time step (2 ms) is", "times the residual",
         "Reduce the model's timestep",
     ]  # fmt: skip
-    assert_doubts(notes_on_coarse_step(problem, hypothesis, errors), doubted, said)
+    assert_note(notes_on_coarse_step(problem, hypothesis, errors), has_note, phrases)
 
 
-@pytest.mark.parametrize(("mismatch", "doubted"), [(1.5, True), (3.0, False)])
-def test_what_was_explained_may_be_the_steps(
-    soft: tuple[Problem, Hypothesis], mismatch: float, doubted: bool
+@pytest.mark.parametrize(
+    ("mismatch", "has_note"),
+    [(1.5, True), (3.0, False)],
+    ids=["two thirds of the nominal error", "a third of the nominal error"],
+)
+def test_findings_have_a_note_if_the_integration_error_explains_half_of_the_nominal_error(
+    elastic_elbow: tuple[Problem, Hypothesis], mismatch: float, has_note: bool
 ) -> None:
-    """Of a joint that was off by little more than the step is, all may be the step's."""
-    problem, hypothesis = soft
+    """``mismatch`` is the error of the nominal model, in integration errors."""
+    problem, hypothesis = elastic_elbow
     problem.refine_at(hypothesis)
     own = float(np.sqrt(np.mean(problem.discretization_error[0].position[:, ELBOW] ** 2)))
     errors = {"elbow": JointError(mismatch * own, 0.1 * own, 0.1 * own, "rad")}
-    said = [
+    phrases = [
         "time step (2 ms) is",
         "of the model's error; the findings at this joint may come from it",
     ]
-    assert_doubts(notes_on_coarse_step(problem, hypothesis, errors), doubted, said)
+    assert_note(notes_on_coarse_step(problem, hypothesis, errors), has_note, phrases)
 
 
-def test_without_a_finding_nothing_bends_to_it(soft: tuple[Problem, Hypothesis]) -> None:
-    problem, _ = soft
+def test_without_findings_there_is_no_note_on_the_time_step(
+    elastic_elbow: tuple[Problem, Hypothesis],
+) -> None:
+    problem, _ = elastic_elbow
     errors = dict.fromkeys(("shoulder", "elbow"), JointError(1.0, 1e-3, 1e-4, "rad"))
     assert notes_on_coarse_step(problem, EMPTY, errors) == []

@@ -1,4 +1,4 @@
-"""A model whose servos are fifty times as stiff as the real ones."""
+"""Recordings of servos with 2 % of the stiffness of the model."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.formats.mcap import TOPICS
 from pytest_twin.realization import Realization
 
-STIFFER, BRAKED = 50.0, 8.0
+STIFFER, MORE_DAMPED = 50.0, 8.0
 
 
-def vendor(folder: Path, stiffer: float, braked: float, **hidden: float) -> Path:
-    """Recordings of the pendulums beside a model with other gains."""
+def case_with_wrong_gains(
+    folder: Path, stiffer: float, more_damped: float, **hidden: float
+) -> Path:
+    """Write recordings of the pendulums, and a model whose servo gains have these factors."""
     case(folder, **hidden)
-    text = mjcf().replace(f'kp="{KP}" kv="{KV}"', f'kp="{KP * stiffer}" kv="{KV * braked}"')
+    text = mjcf().replace(f'kp="{KP}" kv="{KV}"', f'kp="{KP * stiffer}" kv="{KV * more_damped}"')
     (folder / "model.xml").write_text(text)
     return folder
 
@@ -42,25 +44,27 @@ def problem_of(folder: Path) -> tuple[Problem, np.ndarray]:
     return problem, np.mean(left**2, axis=0)
 
 
-def test_gains_far_off_are_tried_at_all_joints_and_at_each(tmp_path: Path) -> None:
-    problem, whole = problem_of(vendor(tmp_path, STIFFER, BRAKED))
-    together, rubbing, *alone = distant(problem, EMPTY, whole)
+def test_distant_servo_gains_are_tried_at_all_joints_together_and_at_each_alone(
+    tmp_path: Path,
+) -> None:
+    problem, nominal = problem_of(case_with_wrong_gains(tmp_path, STIFFER, MORE_DAMPED))
+    together, with_friction, *alone = distant(problem, EMPTY, nominal)
     gains = tuple(Term("controller_gain", j) for j in range(len(JOINTS)))
     assert together.terms == gains
-    assert rubbing.terms == (*gains, *(Term("coulomb_friction", t.joint) for t in gains))
+    assert with_friction.terms == (*gains, *(Term("coulomb_friction", t.joint) for t in gains))
     assert [h.terms for h in alone] == [(t,) for t in gains]
     share = 1.0 + together.theta[::2]
     assert np.all((share > 0.5 / STIFFER) & (share < 3.0 / STIFFER))
 
 
-def test_nothing_is_tried_where_no_servo_is_soft(tmp_path: Path) -> None:
-    problem, whole = problem_of(vendor(tmp_path, 1.0, 1.0, viscous=0.3))
-    assert whole.max() > (10.0 * problem.floor.max()) ** 2, "something is far off"
-    assert distant(problem, EMPTY, whole) == []
+def test_no_distant_start_is_tried_with_the_right_servo_gains(tmp_path: Path) -> None:
+    problem, nominal = problem_of(case_with_wrong_gains(tmp_path, 1.0, 1.0, viscous=0.3))
+    assert nominal.max() > (10.0 * problem.floor.max()) ** 2, "the nominal error must be large"
+    assert distant(problem, EMPTY, nominal) == []
     assert distant(problem, EMPTY, problem.floor**2) == []
 
 
-def test_steps_of_a_fit_are_of_the_logarithm_of_a_stiffness() -> None:
+def test_a_fit_varies_the_logarithm_of_the_servo_stiffness() -> None:
     law = Term("controller_gain", 0)
     soft = Hypothesis((law,), np.array([-0.98, -0.5]))
     assert soft.from_coordinates(soft.coordinates) == pytest.approx(soft.theta)
@@ -68,8 +72,8 @@ def test_steps_of_a_fit_are_of_the_logarithm_of_a_stiffness() -> None:
     assert halved == pytest.approx([-0.99, -0.5])
 
 
-def test_servos_fifty_times_too_stiff_are_named_with_their_gains(tmp_path: Path) -> None:
-    realization, trials = read(vendor(tmp_path, STIFFER, BRAKED))
+def test_servo_stiffness_of_two_percent_of_the_models_value_is_found(tmp_path: Path) -> None:
+    realization, trials = read(case_with_wrong_gains(tmp_path, STIFFER, MORE_DAMPED))
     found = diagnose(realization, trials, threads=1)
     assert found.verdict == "explained"
     assert {(f.effect, f.joint) for f in found.explained.findings} == {
@@ -78,5 +82,5 @@ def test_servos_fifty_times_too_stiff_are_named_with_their_gains(tmp_path: Path)
     for finding in found.explained.findings:
         stiffness, damping = (finding.parameters[n] for n in ("stiffness_error", "damping_error"))
         assert 1.0 + stiffness.value == pytest.approx(1.0 / STIFFER, rel=5e-3)
-        assert 1.0 + damping.value == pytest.approx(1.0 / BRAKED, rel=0.05)
+        assert 1.0 + damping.value == pytest.approx(1.0 / MORE_DAMPED, rel=0.05)
         assert stiffness.high - stiffness.low < 0.1 / STIFFER

@@ -1,4 +1,4 @@
-"""No number of a diagnosis is NaN or infinite: JSON has neither, and a reader can use neither."""
+"""No number of a diagnosis is NaN or infinite, which JSON cannot represent."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PARAMETERS = [p for e in catalogue().values() for p in e.parameters]
 RECIPROCAL = [p for p in PARAMETERS if p.reciprocal_of is not None]
 
 
-def test_the_catalogue_has_laws_that_are_absent_at_infinity() -> None:
+def test_the_catalogue_has_at_least_three_parameters_that_are_reported_as_reciprocals() -> None:
     assert len(RECIPROCAL) >= 3
 
 
@@ -50,18 +50,18 @@ def test_an_estimate_is_finite_and_inside_its_interval(
 
 
 @pytest.mark.parametrize("p", RECIPROCAL, ids=lambda p: p.name)
-def test_a_reciprocal_of_zero_is_said_to_be_far_off(p: Parameter) -> None:
+def test_the_reciprocal_of_zero_is_reported_as_a_large_finite_value(p: Parameter) -> None:
     scale = 0.5
     nearest = 1.0 / (p.upper * scale)
     found = estimate(p, 0.0, 0.0, scale, "1")
     assert found.value > 1e5 * nearest
-    # What is known is where it is not: nearer than the interval's end.
-    known = estimate(p, 0.0, 0.1 * p.upper, scale, "1")
-    assert known.low == pytest.approx(10.0 * nearest)
-    assert known.low < known.value < known.high
+    # An interval around zero gives a lower bound of the reciprocal.
+    bounded = estimate(p, 0.0, 0.1 * p.upper, scale, "1")
+    assert bounded.low == pytest.approx(10.0 * nearest)
+    assert bounded.low < bounded.value < bounded.high
 
 
-def test_a_plain_reciprocal_is_one() -> None:
+def test_a_reciprocal_away_from_zero_has_the_reciprocal_interval() -> None:
     p = RECIPROCAL[0]
     theta = 0.5 * p.upper
     found = estimate(p, theta, 0.1 * theta, 2.0, "1")
@@ -71,7 +71,9 @@ def test_a_plain_reciprocal_is_one() -> None:
     )
 
 
-def test_what_diverges_is_not_claimed_and_the_rest_is(tmp_path: Path) -> None:
+def test_an_effect_that_makes_the_prediction_diverge_is_rejected_and_the_others_are_kept(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "model.xml").write_text(mjcf())
     realization = load_model(tmp_path / "model.xml").realization
     trials = [
@@ -83,23 +85,23 @@ def test_what_diverges_is_not_claimed_and_the_rest_is(tmp_path: Path) -> None:
     ]
     prepared = prepare(realization, trials[:1], trials[1:], threads=1)
     problem = prepared.problem
-    late, blown = Term("command_delay", 0), Term("quadratic_drag", 1)
-    chosen = Hypothesis((late, blown), np.array([0.02, -200.0]))
+    delay, drag = Term("command_delay", 0), Term("quadratic_drag", 1)
+    chosen = Hypothesis((delay, drag), np.array([0.02, -200.0]))
 
-    def rival(hypothesis: Hypothesis) -> ScoredModel:
+    def scored(hypothesis: Hypothesis) -> ScoredModel:
         fit, held = (problem.residuals([hypothesis], s)[0] for s in (problem.fit, problem.held_out))
         return ScoredModel(
             Fitted(hypothesis, fit, np.zeros((*fit.shape, hypothesis.theta.size)), 1.0), held
         )
 
-    best = rival(chosen)
+    best = scored(chosen)
     assert not np.isfinite(best.held_residual).all()
-    selected = SelectedModel(best, rival(EMPTY), confidence={late: math.nan, blown: math.nan})
+    selected = SelectedModel(best, scored(EMPTY), confidence={delay: math.nan, drag: math.nan})
     found = explain(prepared, selected, prune(prepared.problem, selected), trials)
     assert [(f.effect, f.joint) for f in found.findings] == [("command_delay", "left")]
     (finding,) = found.findings
     assert finding.parameters["delay"].value == pytest.approx(0.02, rel=0.05)
     assert finding.confidence == 0.0
-    said = json.loads(json.dumps(finding_json(finding), allow_nan=False))
-    assert said["held_out_gain"] > 0.9
+    written = json.loads(json.dumps(finding_json(finding), allow_nan=False))
+    assert written["held_out_gain"] > 0.9
     assert any("quadratic_drag at right" in n and "diverges" in n for n in found.notes)

@@ -1,4 +1,4 @@
-"""Many robots in one command: a folder for each, and a bad input stops no other robot."""
+"""Diagnosis of several robots with one command."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ def pytest_twin(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_each_robot_gets_a_folder_and_a_bad_one_stops_no_other(tmp_path: Path) -> None:
+def test_each_robot_gets_an_output_folder_and_a_missing_model_stops_no_other_robot(
+    tmp_path: Path,
+) -> None:
     _, *recordings = case(tmp_path / "good", joints=("left",))
     names = ", ".join(f"good/{Path(r).name}" for r in recordings)
     (tmp_path / "fleet.yaml").write_text(
@@ -35,9 +37,9 @@ def test_each_robot_gets_a_folder_and_a_bad_one_stops_no_other(tmp_path: Path) -
         "diagnose", "--fleet", tmp_path / "fleet.yaml", "--out", tmp_path / "out", "--jobs", 2
     )
     assert done.returncode == 2, done.stderr
-    said = json.loads((tmp_path / "out" / "fleet.json").read_text())
-    jsonschema.validate(said, load_schema("results/fleet.schema.json"))
-    robots = said["robots"]
+    results = json.loads((tmp_path / "out" / "fleet.json").read_text())
+    jsonschema.validate(results, load_schema("results/fleet.schema.json"))
+    robots = results["robots"]
     assert robots["good"]["verdict"] == "no_mismatch"
     assert (tmp_path / "out" / "good" / "diagnosis.json").is_file()
     assert robots["bad"]["verdict"] is None
@@ -46,22 +48,22 @@ def test_each_robot_gets_a_folder_and_a_bad_one_stops_no_other(tmp_path: Path) -
     assert not (tmp_path / "out" / "bad").exists()
 
 
-class Backwards:
-    """An executor that begins at the end."""
+class ReversedExecutor:
+    """An executor that runs the last item first."""
 
     def map(self, function, items):
         return [function(item) for item in reversed(items)][::-1]
 
 
-def test_outcomes_are_in_the_order_of_the_robots_wherever_they_run(tmp_path: Path) -> None:
+def test_outcomes_have_the_order_of_the_robots_with_any_executor(tmp_path: Path) -> None:
     robots = [Robot(name, tmp_path / f"{name}.xml", (tmp_path / "a.mcap",)) for name in "abc"]
-    outcomes = diagnose_fleet(robots, Options(tmp_path / "out"), Backwards())
+    outcomes = diagnose_fleet(robots, Options(tmp_path / "out"), ReversedExecutor())
     assert [o.name for o in outcomes] == ["a", "b", "c"]
     assert all(isinstance(o, Outcome) and o.verdict is None for o in outcomes)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("robots: []", "not a fleet"),
         ("robots: {a: {model: m.xml}}", r"robots\.a: wrong fields"),
@@ -71,10 +73,12 @@ def test_outcomes_are_in_the_order_of_the_robots_wherever_they_run(tmp_path: Pat
         ("robots: {a: {model: 3, recordings: [r.mcap]}}", r"robots\.a\.model: not a file"),
     ],
 )
-def test_a_wrong_fleet_file_names_the_field(tmp_path: Path, text: str, told: str) -> None:
+def test_the_error_for_an_invalid_fleet_file_names_the_field(
+    tmp_path: Path, text: str, message: str
+) -> None:
     path = tmp_path / "fleet.yaml"
     path.write_text(text)
-    with pytest.raises(SpecError, match=told):
+    with pytest.raises(SpecError, match=message):
         read_fleet(path)
 
 
@@ -88,7 +92,7 @@ def test_paths_are_relative_to_the_fleet_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--out", "o"], "nothing to diagnose"),
         (["m.xml", "--fleet", "f.yaml", "--out", "o"], "exclude each other"),
@@ -98,8 +102,10 @@ def test_paths_are_relative_to_the_fleet_file(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_arguments_that_do_not_go_together_are_one_line(words: list[str], told: str) -> None:
+def test_arguments_that_exclude_each_other_give_a_message_of_one_line(
+    words: list[str], message: str
+) -> None:
     done = pytest_twin("diagnose", *words)
     assert done.returncode == 2
-    assert told in done.stderr
+    assert message in done.stderr
     assert done.stderr.count("\n") == 1, done.stderr

@@ -1,4 +1,4 @@
-"""What actuators remember where a window starts amid a motion."""
+"""Internal states of actuators at the start of a window within a motion."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ FIRST = 0.2
     ],
     ids=["filter", "integrator"],
 )
-def test_actuators_have_lived_through_what_came_before(mode: str, drive: str) -> None:
+def test_the_actuator_state_at_a_window_start_is_that_of_the_whole_motion(
+    mode: str, drive: str
+) -> None:
     model = mujoco.MjModel.from_xml_string(PENDULUM.format(drive))
     command_time = 0.01 * np.arange(150)
     command = 0.4 * np.sin(5.0 * command_time)
@@ -39,24 +41,24 @@ def test_actuators_have_lived_through_what_came_before(mode: str, drive: str) ->
     data = mujoco.MjData(model)
     data.qpos[0] = FIRST
     mujoco.mj_forward(model, data)
-    # A joint that rests has its servo wound up by the load; a filter has what it was sent.
+    # At rest an integrator's state holds the load, and a filter's state equals the command.
     data.act[0] = FIRST + (data.qfrc_bias[0] / 40.0 if mode == "velocity" else 0.0)
-    time, position, velocity, memory = [], [], [], {}
+    time, position, velocity, activation = [], [], [], {}
     for k in range(600):
         time.append(data.time)
         position.append(data.qpos.copy())
         velocity.append(data.qvel.copy())
-        memory[k] = float(data.act[0])
+        activation[k] = float(data.act[0])
         data.ctrl[0] = command[int(data.time / 0.01 + 1e-6)]
         mujoco.mj_step(model, data)
     motion = (np.array(time), np.array(position), np.array(velocity))
-    around = HiddenState(
+    hidden = HiddenState(
         model, ("swing",), [mode], Setpoint(command_time, command[:, None], False), motion
     )
     states = [(position[round(s / 0.002)], velocity[round(s / 0.002)]) for s in STARTS]
-    found = around.at(STARTS, states)
+    found = hidden.at(STARTS, states)
     for start, (q, v), rest in zip(STARTS, states, found, strict=True):
-        assert rest.state["act"][0] == pytest.approx(memory[round(start / 0.002)], abs=1e-9)
+        assert rest.state["act"][0] == pytest.approx(activation[round(start / 0.002)], abs=1e-9)
         assert rest.state["qpos"] == pytest.approx(q)
         assert rest.state["qvel"] == pytest.approx(v)
     assert np.ptp([rest.state["act"][0] for rest in found]) > 0.05

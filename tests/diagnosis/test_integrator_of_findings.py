@@ -1,4 +1,4 @@
-"""Recordings of a simulation, told with the effects that were found."""
+"""Recordings of a simulation are detected with the findings in the model."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import JointSeries, write_recording
 
-MORE = 0.8
-"""N*m*s/rad that the joint has more than its model."""
+ADDED = 0.8
+"""Additional viscous friction of the recorded joint, N*m*s/rad."""
 PENDULUM = """
 <mujoco model="pendulum"><compiler angle="radian"/>
   <option timestep="{step}" integrator="implicitfast"/>
@@ -30,10 +30,12 @@ PENDULUM = """
 def recorded(
     path: Path, seed: int, step: float, noise: float = 1e-4, *, with_force: bool = False
 ) -> Path:
-    """What a user logs: set the control, step for 10 ms, log position and command; or log
-    after the step, with the velocity and the actuator's force, which is of the step's beginning.
+    """Write a recording of a simulation as users log it.
+
+    Each period sets the control, logs position and command, and steps for 10 ms. ``with_force``
+    logs after the step, with velocity and actuator force; the force is that before the step.
     """
-    model = mujoco.MjModel.from_xml_string(PENDULUM.format(step=step, damping=0.3 + MORE))
+    model = mujoco.MjModel.from_xml_string(PENDULUM.format(step=step, damping=0.3 + ADDED))
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
     rate, size = rng.uniform(2.0, 12.0, 4), rng.uniform(0.1, 0.3, 4)
@@ -76,23 +78,27 @@ def diagnosed(folder: Path, step: float, *, with_force: bool = False) -> Diagnos
     return diagnose(loaded.realization, trials, threads=1)
 
 
-@pytest.mark.parametrize("step", [0.002, 0.0001], ids=["the model's step", "hardly any step"])
-def test_damping_is_right_whatever_step_made_the_recordings(tmp_path: Path, step: float) -> None:
+@pytest.mark.parametrize(
+    "step", [0.002, 0.0001], ids=["time step of the model", "a twentieth of it"]
+)
+def test_viscous_friction_is_right_for_every_time_step_of_the_recorded_simulation(
+    tmp_path: Path, step: float
+) -> None:
     found = diagnosed(tmp_path, step)
     (finding,) = found.explained.findings
     assert finding.effect == "viscous_friction"
     estimate = finding.parameters["coefficient"]
-    assert estimate.low <= MORE <= estimate.high
+    assert estimate.low <= ADDED <= estimate.high
     assert estimate.high - estimate.low < 0.05
-    said = any("the recordings come from a simulation" in note for note in found.notes)
-    assert said is (step == 0.002)
+    detected = any("the recordings come from a simulation" in note for note in found.notes)
+    assert detected is (step == 0.002)
 
 
-def test_a_force_that_is_one_step_old_hides_no_simulation(tmp_path: Path) -> None:
+def test_a_simulation_that_logs_efforts_one_step_late_is_detected(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, 0.002, with_force=True)
     (finding,) = found.explained.findings
     assert finding.effect == "viscous_friction"
     estimate = finding.parameters["coefficient"]
-    assert estimate.low <= MORE <= estimate.high
+    assert estimate.low <= ADDED <= estimate.high
     assert estimate.high - estimate.low < 0.05
     assert any("the recordings come from a simulation" in note for note in found.notes)

@@ -1,4 +1,4 @@
-"""The findings do not depend on how recordings are written down."""
+"""The findings do not depend on order, time or sign convention of the recordings."""
 
 from __future__ import annotations
 
@@ -22,11 +22,13 @@ DRY, NOISE, SEEDS = 0.06, 1e-4, (1, 2, 3)
 def recorded(
     folder: Path, joints: tuple[str, ...], sign: float = 1.0, later: float = 0.0
 ) -> list[Path]:
-    """Recordings of pendulums of which the first joint has dry friction.
+    """Write recordings of pendulums with dry friction, and their nominal model without it.
 
     Args:
-        sign: of all readings and commands: that of the joint's axis.
-        later: s, added to all stamps.
+        folder: of model and recordings.
+        joints: names of the joints.
+        sign: of the joint axes, and thus of all positions and commands.
+        later: time in s that is added to all stamps.
     """
     folder.mkdir(parents=True)
     text = mjcf(joints)
@@ -37,7 +39,7 @@ def recorded(
     sent, seen = np.arange(0, 22000, 100), np.arange(0, 22000, 50)
     out = []
     for seed in SEEDS:
-        # Each joint has the same motion and noise wherever it stands in a message.
+        # Motion and noise of a joint do not depend on its index in a message.
         wanted = reference(seed, 2.2, 2)[:, : len(joints)]
         moved = swing(wanted, dry=DRY)
         noise = NOISE * np.random.default_rng([seed, 1]).standard_normal((len(seen), 2))
@@ -49,15 +51,15 @@ def recorded(
     return out
 
 
-def findings(paths: Sequence[Path]) -> Diagnosis:
-    """The diagnosis of recordings beside their model, the last one held out."""
+def diagnosed(paths: Sequence[Path]) -> Diagnosis:
+    """The diagnosis of recordings in the folder of their model; the last one is held out."""
     realization = load_model(paths[0].with_name("model.xml")).realization
     trials = [make_trial(read_recording(p), realization.structure) for p in paths]
     return diagnose(realization, TrialSet(tuple(trials[:-1]), (trials[-1],), ()), threads=1)
 
 
-def same(a: Diagnosis, b: Diagnosis, tolerance: float) -> None:
-    """Fail unless both name the same effects at the same joints, with the same parameters."""
+def assert_same_findings(a: Diagnosis, b: Diagnosis, tolerance: float) -> None:
+    """Fail unless both find the same effects at the same joints, with the same parameters."""
     assert a.verdict == b.verdict
     first, second = a.explained.findings, b.explained.findings
     assert [(f.effect, f.joint) for f in first] == [(f.effect, f.joint) for f in second]
@@ -73,21 +75,23 @@ def same(a: Diagnosis, b: Diagnosis, tolerance: float) -> None:
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Diagnosis]:
     paths = recorded(tmp_path_factory.mktemp("usual") / "case", ("left",))
-    found = findings(paths)
+    found = diagnosed(paths)
     assert [(f.effect, f.joint) for f in found.explained.findings] == [("coulomb_friction", "left")]
     return paths, found
 
 
-def test_recordings_in_another_order_at_another_time_give_the_same(
+def test_order_and_start_time_of_the_recordings_do_not_change_the_findings(
     usual: tuple[list[Path], Diagnosis], tmp_path: Path
 ) -> None:
     paths = recorded(tmp_path / "case", ("left",), later=86_400.0)
     first, second, held_out = paths
-    same(usual[1], findings([second, first, held_out]), 0.1)
+    assert_same_findings(usual[1], diagnosed([second, first, held_out]), 0.1)
 
 
-def test_a_joint_that_turns_the_other_way_has_the_same_findings(
+def test_the_sign_of_the_joint_axes_does_not_change_the_findings(
     usual: tuple[list[Path], Diagnosis], tmp_path: Path
 ) -> None:
-    # Gravity and both joints' motion are mirrored with the axis: nothing but signs changes.
-    same(usual[1], findings(recorded(tmp_path / "case", ("left",), sign=-1.0)), 0.1)
+    # Gravity and motion are mirrored with the axis, so only signs change.
+    assert_same_findings(
+        usual[1], diagnosed(recorded(tmp_path / "case", ("left",), sign=-1.0)), 0.1
+    )

@@ -1,4 +1,4 @@
-"""Small deviations as they are carried from sample to sample."""
+"""Propagation of small deviations through the linearized dynamics."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ SEGMENTS, SAMPLES, JOINTS, COLUMNS = 3, 40, 2, 5
 RNG = np.random.default_rng(7)
 
 
-@pytest.mark.parametrize("in_cache", [1, 200, 100_000], ids=["one by one", "three", "all"])
-def test_deviations_are_carried_one_after_the_other(
+@pytest.mark.parametrize(
+    "in_cache",
+    [1, 200, 100_000],
+    ids=["one sample at a time", "three samples at a time", "all samples at once"],
+)
+def test_a_trajectory_of_deviations_follows_the_recursion_over_the_samples(
     in_cache: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(linearized_dynamics, "_IN_CACHE", in_cache)
@@ -22,8 +26,8 @@ def test_deviations_are_carried_one_after_the_other(
     none = np.zeros((SEGMENTS, SAMPLES, JOINTS))
     force = RNG.standard_normal((SEGMENTS, SAMPLES, JOINTS, COLUMNS))
     initial = RNG.standard_normal((SEGMENTS, 2 * JOINTS, COLUMNS))
-    carrying = LinearizedDynamics(step, push, none, none)
-    found = carrying.trajectory(force, initial)
+    dynamics = LinearizedDynamics(step, push, none, none)
+    found = dynamics.trajectory(force, initial)
     for s in range(SEGMENTS):
         for k in range(COLUMNS):
             state = initial[s, :, k]
@@ -34,7 +38,7 @@ def test_deviations_are_carried_one_after_the_other(
                 assert found[s, t + 1, :, k] == pytest.approx(state)
 
 
-def test_a_force_at_one_joint_is_one_that_is_nothing_at_the_others() -> None:
+def test_a_force_at_one_joint_equals_a_force_vector_that_is_zero_at_the_other_joints() -> None:
     step = 0.5 * RNG.standard_normal((SAMPLES - 1, SEGMENTS, 2 * JOINTS, 2 * JOINTS))
     push = RNG.standard_normal((SAMPLES - 1, SEGMENTS, 2 * JOINTS, JOINTS))
     none = np.zeros((SEGMENTS, SAMPLES, JOINTS))
@@ -43,8 +47,8 @@ def test_a_force_at_one_joint_is_one_that_is_nothing_at_the_others() -> None:
     everywhere = np.zeros((SEGMENTS, SAMPLES, JOINTS, COLUMNS))
     everywhere[:, :, joint, range(COLUMNS)] = force
     initial = RNG.standard_normal((SEGMENTS, 2 * JOINTS, COLUMNS))
-    carrying = LinearizedDynamics(step, push, none, none)
-    alone = np.concatenate(list(carrying.of_joints(force, joint, initial))).swapaxes(0, 1)
-    whole = carrying.trajectory(everywhere, initial)
-    assert alone.shape[1] == SAMPLES
-    assert alone == pytest.approx(whole, rel=1e-12)
+    dynamics = LinearizedDynamics(step, push, none, none)
+    single = np.concatenate(list(dynamics.of_joints(force, joint, initial))).swapaxes(0, 1)
+    full = dynamics.trajectory(everywhere, initial)
+    assert single.shape[1] == SAMPLES
+    assert single == pytest.approx(full, rel=1e-12)

@@ -1,4 +1,4 @@
-"""What is seen to first order around a fit serves around another nearby."""
+"""The sensitivities around one fit are reused around a similar fit."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ def problem() -> Problem:
     return problem_of("position", HIDDEN)
 
 
-def test_a_look_from_nearby_is_not_taken_again(
+def test_sensitivities_around_a_similar_fit_are_reused_instead_of_computed_again(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     comparison = ModelComparison(problem)
     before = linearize_around(problem, comparison.nominal)
     best = fitted(comparison, with_true(problem, DRAG, HIDDEN[DRAG]))
     fresh = linearize_around(problem, best)
-    taken: list[Term] = []
-    monkeypatch.setattr(Linear, "sensitivities", lambda self, terms: taken.extend(terms) or [])
-    served = linearize_around(problem, best, before)
-    assert taken == []
-    # The view is of the fit at hand, and what it has named is no candidate any more.
-    assert served.view.residual == pytest.approx(fresh.view.residual)
-    assert served.evaluated == fresh.evaluated == frozenset(candidates(problem)) - {DRAG}
-    assert {r.term for r in served.candidate_sensitivities.responses} == {
+    computed: list[Term] = []
+    monkeypatch.setattr(Linear, "sensitivities", lambda self, terms: computed.extend(terms) or [])
+    reused = linearize_around(problem, best, before)
+    assert computed == []
+    # The residual is that of the current fit, and the effect in this fit is no candidate.
+    assert reused.view.residual == pytest.approx(fresh.view.residual)
+    assert reused.evaluated == fresh.evaluated == frozenset(candidates(problem)) - {DRAG}
+    assert {r.term for r in reused.candidate_sensitivities.responses} == {
         r.term for r in fresh.candidate_sensitivities.responses
     }
-    # What the other fit had named has no response there: it is asked here.
+    # The effect in the other fit has no sensitivity there, so it is computed.
     linearize_around(problem, comparison.nominal, fresh)
-    assert taken == [DRAG]
+    assert computed == [DRAG]

@@ -1,4 +1,4 @@
-"""Which of several names explains most: how far its absence takes the prediction."""
+"""Findings are ordered by how much the prediction changes without each of them."""
 
 from __future__ import annotations
 
@@ -16,50 +16,52 @@ WEAK, DRAG = Term("torque_constant", 0), Term("viscous_friction", ELBOW)
 SOON = 0.25
 
 
-def test_windows_of_an_effort_drive_count_by_what_stands_soon() -> None:
-    """Later an arm that nothing holds has run away from any change, and most from the first."""
+def test_under_effort_commands_only_the_beginning_of_a_window_ranks_findings() -> None:
+    """Later the open-loop motion diverges after any change."""
     problem = problem_of("effort", {WEAK: {"relative_error": 0.3}})
     weak = with_true(problem, WEAK, {"relative_error": 0.3})
     (height,) = _heights(problem, [weak, EMPTY])
     with_it, without = problem.predict([weak, EMPTY], problem.tested)
-    apart = [a.position - b.position for a, b in zip(with_it, without, strict=True)]
-    soon = [
+    difference = [a.position - b.position for a, b in zip(with_it, without, strict=True)]
+    beginning = [
         x[problem.simulator.segments[s].time < problem.simulator.segments[s].start + SOON]
-        for x, s in zip(apart, problem.tested, strict=True)
+        for x, s in zip(difference, problem.tested, strict=True)
     ]
-    expected, later = (np.sqrt(np.mean(np.concatenate(x) ** 2)) for x in (soon, apart))
+    expected, later = (np.sqrt(np.mean(np.concatenate(x) ** 2)) for x in (beginning, difference))
     assert height == pytest.approx(expected / problem.floor[0])
     assert later > 1.5 * expected
 
 
-def test_whole_motions_count_in_full() -> None:
+def test_under_position_commands_all_samples_rank_findings() -> None:
     problem = problem_of("position", {DRAG: {"coefficient": 0.3}})
     drag = with_true(problem, DRAG, {"coefficient": 0.3})
     (height,) = _heights(problem, [drag, EMPTY])
     with_it, without = problem.predict([drag, EMPTY], problem.tested)
-    apart = np.concatenate([a.position - b.position for a, b in zip(with_it, without, strict=True)])
-    level = np.sqrt(np.mean(apart**2, axis=0)) / problem.floor
+    difference = np.concatenate(
+        [a.position - b.position for a, b in zip(with_it, without, strict=True)]
+    )
+    level = np.sqrt(np.mean(difference**2, axis=0)) / problem.floor
     assert height == pytest.approx(level.max())
 
 
-def named(term: Term, joints: tuple[str, ...]) -> Finding:
-    """A finding of which nothing is known but where it acts."""
+def finding_of(term: Term, joints: tuple[str, ...]) -> Finding:
+    """A finding with an effect and a joint only."""
     joint = None if term.joint < 0 else joints[term.joint]
     return Finding(
         term.effect, joint, 1.0, {}, Where("", {}), 1.0, 0.0, (), "", (), term
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("diverges", [False, True])
-def test_findings_of_windows_are_ordered_by_whole_motions(
+@pytest.mark.parametrize("diverges", [False, True], ids=["finite", "diverging"])
+def test_findings_are_ordered_by_their_influence_on_whole_motions(
     diverges: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where whole motions can be compared at all."""
+    """If a prediction diverges, the order in the windows is kept."""
     problem = problem_of("position", {DRAG: {"coefficient": 0.3}})
     both = with_true(problem, DRAG, {"coefficient": 0.3})
     slight = with_true(problem, WEAK, {"relative_error": 0.01})
     both = both.with_term_of(slight, WEAK)
-    wrong = (named(WEAK, problem.joints), named(DRAG, problem.joints))
+    wrong = (finding_of(WEAK, problem.joints), finding_of(DRAG, problem.joints))
     explained = Explained(wrong, both)
     if diverges:
         monkeypatch.setattr(findings, "_heights", lambda *_: [np.inf, 1.0])
@@ -70,13 +72,13 @@ def test_findings_of_windows_are_ordered_by_whole_motions(
         assert found[0].influence > 3.0 * found[1].influence > 0.0
 
 
-def test_what_moves_whole_motions_no_further_than_they_are_off_stays_behind() -> None:
-    """Two motions that have parted say nothing of what parted them."""
+def test_a_finding_that_changes_whole_motions_less_than_the_residual_keeps_its_rank() -> None:
+    """Such motions have diverged, and their differences carry no information."""
     problem = problem_of("position", {})
     far = with_true(problem, WEAK, {"relative_error": -0.3})
     slight = with_true(problem, DRAG, {"coefficient": 0.001})
     both = far.with_term_of(slight, DRAG)
-    order = (named(DRAG, problem.joints), named(WEAK, problem.joints))
+    order = (finding_of(DRAG, problem.joints), finding_of(WEAK, problem.joints))
     found = by_whole_motions(Explained(order, both), problem).findings
     assert [f.effect for f in found] == ["viscous_friction", "torque_constant"]
     assert found[1].influence > found[0].influence

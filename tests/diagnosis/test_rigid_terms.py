@@ -1,4 +1,4 @@
-"""Rigid-body terms along a motion: against the closed form, and a variant's model written once."""
+"""Rigid-body terms along a trajectory."""
 
 from __future__ import annotations
 
@@ -27,9 +27,12 @@ def problem() -> Problem:
 
 
 def planar_arm(q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n, 2, 2) mass matrix and (n, 2) bias of the arm in (n, 2) states, by Lagrange's equations.
+    """(n, 2, 2) mass matrix and (n, 2) bias of the arm from Lagrange's equations.
 
-    Both joints turn about y, which takes a link's x axis down.
+    A positive angle about y turns the x axis of a link downward.
+
+    Args:
+        q, v: (n, 2) joint positions in rad and velocities in rad/s.
     """
     model = mujoco.MjModel.from_xml_string(ARM)
     mass, centre = model.body_mass[1:], model.body_ipos[1:, 0]
@@ -54,7 +57,7 @@ def planar_arm(q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
     return matrix, bias
 
 
-def test_terms_of_a_planar_arm_are_its_closed_form(problem: Problem) -> None:
+def test_mass_matrix_and_bias_of_a_planar_arm_equal_the_closed_form(problem: Problem) -> None:
     motion = measured_trajectory(problem, EMPTY, problem.fit)
     found = rigid_terms(problem.simulator, motion)[0]
     q, v, a = (x[0, found.at] for x in (motion.position, motion.velocity, motion.acceleration))
@@ -66,15 +69,15 @@ def test_terms_of_a_planar_arm_are_its_closed_form(problem: Problem) -> None:
     assert found.effort[0] == pytest.approx(effort, abs=1e-6 * np.abs(effort).max())
 
 
-def test_a_variant_of_the_bodies_is_written_once_for_its_whole_motion(
+def test_each_payload_is_written_into_a_model_once_for_all_samples(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     motion = measured_trajectory(problem, EMPTY, problem.fit)
-    loads = [
+    payloads = [
         EMPTY.with_term(Term("payload", -1), np.array([mass, 1.0, 0.0, 0.0, 0.0]))
         for mass in np.linspace(0.1, 1.0, 100)
     ]
-    values = effect_values(loads, len(problem.joints), problem.scales)
+    values = effect_values(payloads, len(problem.joints), problem.scales)
     effects = [(catalogue()[e], v) for e, v in values.items()]
     written: list[int] = []
     write = BatchModels.written
@@ -84,8 +87,8 @@ def test_a_variant_of_the_bodies_is_written_once_for_its_whole_motion(
         return write(self, rows, *args, **named)
 
     monkeypatch.setattr(BatchModels, "written", counted)
-    found = rigid_terms(problem.simulator, motion, effects, len(loads))
+    found = rigid_terms(problem.simulator, motion, effects, len(payloads))
     assert len(found[0].at) > 100
-    assert written == [len(loads)]
+    assert written == [len(payloads)]
     efforts = np.array([f.effort for f in found])
     assert np.abs(np.diff(efforts, axis=0)).max(axis=(1, 2, 3)).all()

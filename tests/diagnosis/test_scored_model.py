@@ -1,4 +1,4 @@
-"""Which of several rivals a search goes on from."""
+"""Selection among models by evidence, and the confidence of the selected effects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COULOMB, VISCOUS = Term("coulomb_friction", 0), Term("viscous_friction", 0)
 STRIBECK, GAIN = Term("stribeck_friction", 0), Term("controller_gain", 0)
 
 
-def rival(evidence: float, *terms: Term) -> ScoredModel:
+def scored(evidence: float, *terms: Term) -> ScoredModel:
     hypothesis = EMPTY
     for term in terms:
         hypothesis = hypothesis.with_term(term, np.zeros(len(term.parameters)))
@@ -27,28 +27,38 @@ def rival(evidence: float, *terms: Term) -> ScoredModel:
 
 
 @pytest.mark.parametrize(
-    ("rivals", "chosen"),
+    ("models", "chosen"),
     [
-        # A second name for a sixth more of the evidence follows anything: one is enough.
-        ([rival(170.0, GAIN, VISCOUS), rival(143.0, COULOMB)], (COULOMB,)),
-        # Two that explain what neither does are both needed.
-        ([rival(300.0, GAIN, VISCOUS), rival(143.0, COULOMB)], (GAIN, VISCOUS)),
-        # Among laws of one name the better one, unless a simpler one is as good.
-        ([rival(1000.0, STRIBECK), rival(850.0, COULOMB)], (STRIBECK,)),
-        ([rival(1000.0, STRIBECK), rival(995.0, COULOMB)], (COULOMB,)),
-        ([rival(12.0, STRIBECK), rival(8.0, COULOMB)], (COULOMB,)),
+        # A second effect raises the evidence by 19 % only: the single effect is selected.
+        ([scored(170.0, GAIN, VISCOUS), scored(143.0, COULOMB)], (COULOMB,)),
+        # A second effect doubles the evidence: both are selected.
+        ([scored(300.0, GAIN, VISCOUS), scored(143.0, COULOMB)], (GAIN, VISCOUS)),
+        # Of two single effects the one with more evidence, unless the simpler one has similar.
+        ([scored(1000.0, STRIBECK), scored(850.0, COULOMB)], (STRIBECK,)),
+        ([scored(1000.0, STRIBECK), scored(995.0, COULOMB)], (COULOMB,)),
+        ([scored(12.0, STRIBECK), scored(8.0, COULOMB)], (COULOMB,)),
+    ],
+    ids=[
+        "one effect instead of two with 19 % more evidence",
+        "two effects with twice the evidence",
+        "two parameters with 18 % more evidence",
+        "one parameter instead of two with 0.5 % more evidence",
+        "one parameter instead of two with 4 nats more evidence",
     ],
 )
-def test_the_simplest_that_is_as_good(rivals: list[ScoredModel], chosen: tuple[Term, ...]) -> None:
-    assert simplest_good_model(rivals).hypothesis.terms == chosen
+def test_the_simplest_model_with_similar_evidence_is_selected(
+    models: list[ScoredModel], chosen: tuple[Term, ...]
+) -> None:
+    assert simplest_good_model(models).hypothesis.terms == chosen
 
 
-def test_how_sure_a_name_is_comes_of_what_could_stand_in_its_place() -> None:
-    selected = SelectedModel(rival(0.0, COULOMB, GAIN), rival(0.0))
+def test_the_confidence_of_an_effect_follows_from_the_evidence_of_its_single_alternatives() -> None:
+    selected = SelectedModel(scored(0.0, COULOMB, GAIN), scored(0.0))
     evidence: dict[Place, float] = {
         ((COULOMB,), VISCOUS): -np.log(4.0),
         ((COULOMB,), None): -np.log(4.0),
-        # What has it in it says the same; what stands for both is held against neither alone.
+        # A law that contains Coulomb friction is no alternative to it. A replacement of both
+        # effects does not lower the confidence of either.
         ((COULOMB,), STRIBECK): 50.0,
         ((COULOMB, GAIN), VISCOUS): 50.0,
     }

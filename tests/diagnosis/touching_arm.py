@@ -1,6 +1,7 @@
-"""Reality for the tests: an arm of one or two joints whose tip taps and slides on a table.
+"""Simulated reality for the tests: an arm with one or two joints whose tip touches a table.
 
-MuJoCo alone steps it, eight times finer than the model that is diagnosed; one field of it differs.
+The tip hits the table or slides on it. MuJoCo simulates it with an eighth of the time step of the
+diagnosed model; one property differs from that model.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def mjcf(
     friction: float = FRICTION,
     damping: float = 0.1,
 ) -> str:
-    """An arm over a table that is ``offset`` m higher than drawn."""
+    """MJCF of an arm above a table, which is ``offset`` m above its nominal height."""
     inner = ""
     for index, name in reversed(list(enumerate(joints))):
         inner = _LINK.format(
@@ -50,7 +51,7 @@ def mjcf(
 
 
 def wanted(seed: int, time: np.ndarray, joints: int) -> np.ndarray:
-    """(n, joints) rad: into the table and out of it, or along it."""
+    """(n, joints) rad: commands onto the table and off it with one joint, along it with two."""
     rng = np.random.default_rng(seed)
     middle, size = ((0.6,), (0.5,)) if joints == 1 else ((0.15, 0.8), (0.25, 0.5))
     out = np.tile(np.array(middle), (len(time), 1))
@@ -63,7 +64,7 @@ def wanted(seed: int, time: np.ndarray, joints: int) -> np.ndarray:
 def case(
     folder: Path, joints: tuple[str, ...], *, seconds: float = 2.0, **hidden: object
 ) -> list[str]:
-    """A model and three recordings, one held out; the words of a command line for them."""
+    """Write a model and three recordings, one held out; return them as command-line arguments."""
     (folder / "model.xml").write_text(mjcf(joints))
     model = mujoco.MjModel.from_xml_string(mjcf(joints, step=FINE, **hidden))  # type: ignore[arg-type]
     words = [str(folder / "model.xml")]

@@ -1,4 +1,4 @@
-"""Times are read to what their clock can tell."""
+"""An error of one microsecond in a time stamp does not change the diagnosis."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ def diagnosed(folder: Path, reality: Reality, late_ns: int) -> Diagnosis:
     return diagnose(loaded.realization, trials, threads=1)
 
 
-@pytest.mark.parametrize("late_ns", [0, 1_000], ids=["on time", "1 microsecond late"])
-def test_a_stamp_that_is_a_microsecond_late_is_no_physics(tmp_path: Path, late_ns: int) -> None:
+@pytest.mark.parametrize("late_ns", [0, 1_000], ids=["on time", "one microsecond late"])
+def test_a_command_stamp_that_is_one_microsecond_late_causes_no_finding(
+    tmp_path: Path, late_ns: int
+) -> None:
     found = diagnosed(tmp_path / "cell", EFFORTS, late_ns)
     assert found.verdict == "no_mismatch", found.errors
     assert found.explained.findings == ()

@@ -1,4 +1,4 @@
-"""What is named at a joint whose encoder is stuck is doubted."""
+"""Findings at a joint whose encoder is stuck have a low confidence."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pytest_twin.formats.mcap import JointSeries, read_recording, write_recordin
 
 NAMES = ("shoulder", "elbow")
 HIDDEN = 3.0
-"""N*m*s/rad that the elbow has more than its model: the shoulder is off by six of its floors."""
+"""Additional viscous friction of the elbow, N*m*s/rad: an error of 6 floors at the shoulder."""
 
 
 def with_stuck_elbow(path: Path, role: str) -> Path:
-    """The same recording from an elbow whose encoder reads where it started."""
+    """The same recording, with an elbow encoder that reads its first position throughout."""
     series = read_recording(path).series
     state, command = series["state"], series["command"]
     assert state.position is not None
@@ -37,7 +37,9 @@ def with_stuck_elbow(path: Path, role: str) -> Path:
     return out
 
 
-def test_what_other_joints_feel_alone_is_no_sure_name(tmp_path: Path) -> None:
+def test_a_finding_at_a_joint_with_a_stuck_encoder_has_at_most_half_confidence(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "model.xml").write_text(ARM.format(step=STEP, damping=0.3))
     loaded = load_model(tmp_path / "model.xml")
     files = [
@@ -47,11 +49,11 @@ def test_what_other_joints_feel_alone_is_no_sure_name(tmp_path: Path) -> None:
     trials = read_trials(files, (), loaded.topics, loaded.realization.structure)
     found = diagnose(loaded.realization, trials, threads=1)
     assert set(found.errors) == {"shoulder"}
-    there = [f for f in found.explained.findings if f.joint == "elbow"]
-    assert [f.effect for f in there] == ["viscous_friction"]
-    assert all(f.confidence <= 0.5 for f in there)
-    estimate = there[0].parameters["coefficient"]
+    at_elbow = [f for f in found.explained.findings if f.joint == "elbow"]
+    assert [f.effect for f in at_elbow] == ["viscous_friction"]
+    assert all(f.confidence <= 0.5 for f in at_elbow)
+    estimate = at_elbow[0].parameters["coefficient"]
     assert estimate.low < HIDDEN < estimate.high
-    said = [n for n in found.notes if "the encoder of this joint gives no information" in n]
-    assert len(said) == len(there)
-    assert not any("shoulder" in n for n in said)
+    notes = [n for n in found.notes if "the encoder of this joint gives no information" in n]
+    assert len(notes) == len(at_elbow)
+    assert not any("shoulder" in n for n in notes)

@@ -1,4 +1,4 @@
-"""Rivals that come close: what the simulator's step costs each of them is its own."""
+"""Models with similar evidence are compared with the discretization error of each."""
 
 from __future__ import annotations
 
@@ -23,48 +23,52 @@ def problem() -> Problem:
     return problem_of("position", {DRAG: {"coefficient": 0.2}})
 
 
-@pytest.mark.parametrize(("floors", "fitted_on"), [(0.1, False), (1.0, True)])
-def test_a_rival_is_fitted_on_where_its_own_step_moves_it(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch, floors: float, fitted_on: bool
+@pytest.mark.parametrize(
+    ("floors", "fitted_again"),
+    [(0.1, False), (1.0, True)],
+    ids=["change of 0.1 floors", "change of 1 floor"],
+)
+def test_a_model_is_fitted_again_if_its_discretization_error_changes_its_prediction(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch, floors: float, fitted_again: bool
 ) -> None:
     comparison = ModelComparison(problem)
-    rough = fitted(comparison, with_true(problem, DRAG, {"coefficient": 0.15}))
+    inaccurate = fitted(comparison, with_true(problem, DRAG, {"coefficient": 0.15}))
     first = int(problem.fit[0])
     shape = problem.simulator.segments[first].position.shape
     by = floors * problem.signal_floor[: shape[1]]
 
     def refine_at(self: Problem, hypothesis: Hypothesis) -> None:
-        assert hypothesis is rough.hypothesis
+        assert hypothesis is inaccurate.hypothesis
         none = np.zeros(shape)
         self.discretization_error = {first: Predicted(none + by, none, none)}
 
     none = np.zeros(shape)
     monkeypatch.setattr(problem, "discretization_error", {first: Predicted(none, none, none)})
     monkeypatch.setattr(Problem, "refine_at", refine_at)
-    own = comparison.fit_with_own_correction(rough, comparison.weights(comparison.nominal))
-    (here,), (there,) = own.hypothesis.theta, rough.hypothesis.theta
-    assert bool(here != there) is fitted_on
+    own = comparison.fit_with_own_correction(inaccurate, comparison.weights(comparison.nominal))
+    (here,), (there,) = own.hypothesis.theta, inaccurate.hypothesis.theta
+    assert bool(here != there) is fitted_again
 
 
-def test_those_that_come_close_are_judged_eachfit_with_own_correction(
+def test_only_models_with_similar_evidence_get_their_own_discretization_error(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     comparison = ModelComparison(problem)
-    asked: list[tuple[Term, ...]] = []
+    corrected: list[tuple[Term, ...]] = []
 
-    def at_its_own(self: ModelComparison, rival: ScoredModel, weights: FloatArray) -> ScoredModel:
-        asked.append(rival.hypothesis.terms)
+    def record_model(self: ModelComparison, rival: ScoredModel, weights: FloatArray) -> ScoredModel:
+        corrected.append(rival.hypothesis.terms)
         return rival
 
-    monkeypatch.setattr(ModelComparison, "fit_with_own_correction", at_its_own)
+    monkeypatch.setattr(ModelComparison, "fit_with_own_correction", record_model)
     weights = comparison.weights(comparison.nominal)
     right = with_true(problem, DRAG, {"coefficient": 0.15})
     more = right.with_term(ELSEWHERE, np.array([1e-4]))
     far = with_true(problem, DRY, {"coulomb": 0.2})
     found = comparison.race([right, more, far], weights, comparison.nominal)
-    assert sorted(asked) == sorted([right.terms, more.terms])
+    assert sorted(corrected) == sorted([right.terms, more.terms])
     assert found[0].hypothesis.terms == right.terms
-    # Nobody comes near one that is far ahead.
-    asked.clear()
+    # The best model has far more evidence than the other.
+    corrected.clear()
     comparison.race([right, far], weights, comparison.nominal)
-    assert asked == []
+    assert corrected == []

@@ -1,4 +1,4 @@
-"""One limit of a drive for another: what no slope leads to, where the drive is at a limit."""
+"""Exchange of one drive limit for another by simulation: a linearization is invalid at a limit."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ PROFILE = {"inverse_rate": 3.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}
 SLOW, WEAK = Term("rate_limit", ELBOW), Term("torque_speed_limit", ELBOW)
 
 
-def weak(problem: Problem) -> Hypothesis:
-    """A drive whose effort falls to none at 0.4 rad/s."""
+def with_weak_drive(problem: Problem) -> Hypothesis:
+    """A hypothesis whose elbow drive has a torque that decreases to zero at 0.4 rad/s."""
     scale = problem.scales.value(WEAK.parameters[0], ELBOW)
     return EMPTY.with_term(WEAK, np.array([1.0 / (0.4 * scale), 1.0]))
 
 
-def test_a_weak_drive_gives_way_to_the_setpoint_that_moves_slowly() -> None:
+def test_a_wrong_torque_speed_limit_is_replaced_by_the_true_rate_limit() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
     comparison = ModelComparison(problem)
-    best = comparison.fit_to_convergence(comparison.score_without_fit(weak(problem)))
+    best = comparison.fit_to_convergence(comparison.score_without_fit(with_weak_drive(problem)))
     assert best.left[ELBOW] > (5.0 * problem.floor[ELBOW]) ** 2
     assert doubtful_limits(problem, best) == [WEAK]
     (other,) = limits_instead(problem, best, [WEAK])
@@ -33,11 +33,11 @@ def test_a_weak_drive_gives_way_to_the_setpoint_that_moves_slowly() -> None:
     assert abs(other.theta[0] * problem.scales.value(SLOW.parameters[0], ELBOW) - 3.0) < 0.1
 
 
-def test_a_search_goes_on_from_the_better_limit_and_asks_once() -> None:
+def test_the_search_continues_with_the_better_limit_and_exchanges_each_limit_once() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
     selection = StepwiseSelection(problem)
     best = selection.comparison.fit_to_convergence(
-        selection.comparison.score_without_fit(weak(problem))
+        selection.comparison.score_without_fit(with_weak_drive(problem))
     )
     better = selection.exchange_limits(best)
     assert better is not None
@@ -46,7 +46,7 @@ def test_a_search_goes_on_from_the_better_limit_and_asks_once() -> None:
     assert selection.exchange_limits(best) is None
 
 
-def test_a_limit_that_explains_its_joint_is_not_asked_about() -> None:
+def test_a_limit_with_a_residual_at_the_noise_floor_is_not_exchanged() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
     comparison = ModelComparison(problem)
     size = 3.0 / problem.scales.value(SLOW.parameters[0], ELBOW)
@@ -56,7 +56,7 @@ def test_a_limit_that_explains_its_joint_is_not_asked_about() -> None:
     assert doubtful_limits(problem, best) == []
 
 
-def test_what_bends_sharply_elsewhere_is_no_limit() -> None:
+def test_only_limits_of_the_drive_are_exchanged_as_limits() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
     comparison = ModelComparison(problem)
     limits = ["rate_limit", "torque_saturation", "torque_speed_limit"]
