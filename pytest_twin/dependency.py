@@ -172,6 +172,10 @@ class Structure:
         """What a diagnosis put beside the model, for checks that step it."""
         return frozenset(self._known({self._id("effects")}))
 
+    def stage(self) -> frozenset[str]:
+        """The file that another simulator reads itself, for checks that it steps."""
+        return frozenset(self._known({self._id("stage")}))
+
     def everything(self) -> frozenset[str]:
         """All parts but shapes that are only seen: for checks that may look at anything."""
         seen = self._id("geom:")
@@ -204,7 +208,7 @@ class Structure:
             site = self._id(f"frame:{frame}")
             if site in self.part_ids or (not found and frame != WORLD):
                 parts.add(site)
-        return frozenset(parts | self._placed(bodies))
+        return frozenset(parts | self._placed(bodies)) | self.stage()
 
     def _placed(self, bodies: set[str]) -> set[str]:
         """Kinematics of ``bodies`` and of what equalities tie to them."""
@@ -264,7 +268,7 @@ class Structure:
         parts |= {self._id("option:gravity"), self._id("option:integration")}
         if not moving.isdisjoint(self.collision_bodies):
             parts |= self._known({self._id("contact:pairs")})
-        return frozenset(parts)
+        return frozenset(parts) | self.stage()
 
     def _contact(self, names: frozenset[str]) -> frozenset[str]:
         bodies = {self.geom_body.get(name, name) for name in names}

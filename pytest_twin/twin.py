@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pytest_twin.adaptation_spec import ResidualSpec, ShadowPolicy, UpdateSpec, digest_of
 from pytest_twin.budget_spec import BudgetSpec
@@ -35,6 +35,9 @@ EFFECTS_FILE = "effects.json"
 _IN_DIAGNOSIS = ("realization/model.xml", "model.xml")
 DEFAULT_TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
+USD_SUFFIXES = (".usd", ".usda", ".usdc")
+Simulator = Literal["mujoco", "newton"]
+"""What steps a realization: MuJoCo its MJCF or URDF, Newton its USD stage."""
 MODEL_FORMATS = "pytest_twin.model_formats"
 """Entry points of packages that read other formats; the name is the suffix without its dot."""
 
@@ -90,7 +93,7 @@ class RealizationRef:
 
     name: str
     file: Path
-    simulator: str = "mujoco"
+    simulator: Simulator = "mujoco"
 
     @property
     def effects(self) -> Path | None:
@@ -549,7 +552,9 @@ class _Reader:
     def _realizations(self) -> dict[str, RealizationRef]:
         found: dict[str, RealizationRef] = {}
         if "model" in self.data:
-            found["mujoco"] = RealizationRef("mujoco", self._model(self.data["model"], "model"))
+            found["mujoco"] = RealizationRef(
+                "mujoco", self._model(self.data["model"], "model", model_suffixes())
+            )
         for name, declared in self.data.get("realizations", {}).items():
             where = f"realizations.{name}"
             if name in found:
@@ -559,12 +564,29 @@ class _Reader:
                     value=name,
                     expected="another name",
                 )
-            file = self._model(declared["file"], f"{where}.file")
-            found[name] = RealizationRef(name, file, declared.get("simulator", "mujoco"))
+            simulator = declared.get("simulator", "mujoco")
+            suffixes = USD_SUFFIXES if simulator == "newton" else model_suffixes()
+            file = self._model(declared["file"], f"{where}.file", suffixes)
+            found[name] = RealizationRef(name, file, simulator)
         return found
 
-    def _model(self, reference: str, where: str) -> Path:
-        if Path(reference).suffix.lower() not in model_suffixes():
+    def _model(self, reference: str, where: str, suffixes: tuple[str, ...]) -> Path:
+        suffix = Path(reference).suffix.lower()
+        if suffix not in suffixes:
+            if suffixes == USD_SUFFIXES:
+                raise self.section.error(
+                    where,
+                    "not a file that Newton steps",
+                    value=reference,
+                    expected="a USD stage (.usd, .usda, .usdc)",
+                )
+            if suffix in USD_SUFFIXES:
+                raise self.section.error(
+                    where,
+                    "MuJoCo does not step USD",
+                    value=reference,
+                    expected="a realization under realizations: with simulator: newton",
+                )
             for name in _IN_DIAGNOSIS:
                 if (self.path.parent / reference / name).is_file():
                     return self._file(f"{reference}/{name}", where)

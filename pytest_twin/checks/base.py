@@ -13,6 +13,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
 from pytest_twin.trace import Trace
+from pytest_twin.twin import Simulator
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
@@ -68,6 +69,7 @@ class Check(ABC):
         tolerances: name -> the SI unit of the tolerance.
         required_tolerances: those that a spec must state.
         schema: JSON Schema of ``target`` and ``stimulus``, as ``{"target": {}, "stimulus": {}}``.
+        simulators: what can compute it; a realization on another is an error.
         recorded: whether goldens hold a realization against a recording, ``target.recording``:
             ``trial`` then reads it, and a failure can be diagnosed.
     """
@@ -78,6 +80,7 @@ class Check(ABC):
     tolerances: ClassVar[Mapping[str, str]]
     required_tolerances: ClassVar[frozenset[str]] = frozenset()
     schema: ClassVar[Mapping[str, Any]]
+    simulators: ClassVar[tuple[Simulator, ...]] = ("mujoco",)
     recorded: ClassVar[bool] = False
 
     @abstractmethod

@@ -159,7 +159,7 @@ def prepare(golden: Golden, realization: Realization, extremes: tuple[float, flo
         )
     _check_range(golden, realization, item, (hold + extremes[0], hold + extremes[1]), unit)
     if settle > 0.0:
-        simulate.simulate(model, data, simulate.steps_in(model, settle))
+        simulate.run(realization, model, data, simulate.steps_in(model, settle))
     dof = realization.joint_dof_index(joint)
     return Drive(
         joint=joint,

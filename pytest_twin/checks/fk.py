@@ -32,6 +32,7 @@ from pytest_twin.metrics.pose import (
     position_error,
     rotation_of,
 )
+from pytest_twin.twin import Simulator
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
@@ -48,6 +49,7 @@ class ForwardKinematics(Check):
     """
 
     kind: ClassVar[str] = "fk"
+    simulators: ClassVar[tuple[Simulator, ...]] = ("mujoco", "newton")
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "pin")
     tolerances: ClassVar[Mapping[str, str]] = {"position": "m", "orientation": "rad"}
     required_tolerances: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
@@ -81,8 +83,8 @@ class ForwardKinematics(Check):
         }
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Frames at every pose, by MuJoCo and by Pinocchio."""
-        import mujoco
+        """Frames at every pose, by the realization's simulator and by Pinocchio."""
+        from pytest_twin.realization import simulate
 
         structure = realization.structure
         frames = [
@@ -91,15 +93,11 @@ class ForwardKinematics(Check):
         ]
         moved = joints_above(structure, [structure.frame_body[frame] for frame in frames])
         poses = resolve_poses(golden, realization, moved=moved)
-        data = mujoco.MjData(realization.model)
         found: dict[str, dict[str, list[float]]] = {}
         reference: dict[str, dict[str, list[float]]] = {}
         for number, pose in enumerate(poses):
-            data.qpos[:] = pose.qpos
-            mujoco.mj_kinematics(realization.model, data)
-            found[pose.name] = {
-                frame: pose_vector(realization.frame_pose(data, frame)).tolist() for frame in frames
-            }
+            frame_pose = simulate.frame_poses(realization, pose.qpos)
+            found[pose.name] = {frame: pose_vector(frame_pose(frame)).tolist() for frame in frames}
             reference[pose.name] = {
                 frame: pose_vector(realization.reference.frame_pose(pose.joints, frame)).tolist()
                 for frame in frames

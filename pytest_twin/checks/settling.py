@@ -24,6 +24,7 @@ from pytest_twin.golden import Golden
 from pytest_twin.metrics.energy import energy_growth
 from pytest_twin.metrics.pose import orientation_error, position_error, rotation_of
 from pytest_twin.metrics.time_response import settling_time
+from pytest_twin.twin import Simulator
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
@@ -43,6 +44,7 @@ class Settling(Check):
     """
 
     kind: ClassVar[str] = "settling"
+    simulators: ClassVar[tuple[Simulator, ...]] = ("mujoco", "newton")
     tolerances: ClassVar[Mapping[str, str]] = {
         "angle": "rad",
         "position": "m",
@@ -142,7 +144,8 @@ class Settling(Check):
             known_name(golden, place, joint, pose.joints, "hinge or slide joint")
             unit = POSITION_UNIT[structure.joint_type[joint]]
             data.qpos[realization.joint_qpos_index(joint)] += quantity(golden, place, value, unit)
-        run = simulate.simulate(model, data, simulate.steps_in(model, duration), progress=progress)
+        steps = simulate.steps_in(model, duration)
+        run = simulate.run(realization, model, data, steps, progress=progress)
         bands = {
             unit: quantity(golden, f"stimulus.band.{name}", given, unit)
             for name, unit in (("angle", "rad"), ("position", "m"))

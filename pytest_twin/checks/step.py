@@ -24,6 +24,7 @@ from pytest_twin.checks.scalars import sample_grid, scalar_measures
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.time_response import step_metrics, worst_sample
+from pytest_twin.twin import Simulator
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
@@ -55,6 +56,7 @@ class Step(Check):
     """
 
     kind: ClassVar[str] = "step"
+    simulators: ClassVar[tuple[Simulator, ...]] = ("mujoco", "newton")
     tolerances: ClassVar[Mapping[str, str]] = {
         **_METRICS,
         **{name: unit for unit, name in _TRACE.items()},
@@ -118,7 +120,7 @@ class Step(Check):
             )
         drive.apply(drive.hold + amplitude)
         steps = simulate.steps_in(drive.model, duration)
-        run = simulate.simulate(drive.model, drive.data, steps, progress=progress)
+        run = simulate.run(realization, drive.model, drive.data, steps, progress=progress)
         time = run.time - run.time[0]
         response = drive.series(run.qpos, run.qvel)
         same = drive.command == drive.response

@@ -68,17 +68,24 @@ def _between(own: Outcome, other: Outcome) -> str:
     mine, its = max(pairs, key=lambda pair: _share(*pair))
     if _share(mine, its) < _AGREES:
         return f"the same to within {number(100.0 * _AGREES)} % of the tolerance"
-    difference = abs(its.measured - mine.measured)
+    found, own_found = _compared(its), _compared(mine)
+    difference = abs(found - own_found)
+    deviation = "" if mine.time is None else " off by"
     return (
-        f"{mine.name} of {mine.subject} {quantity(its.measured, its.unit)} and "
-        f"{quantity(mine.measured, mine.unit)}, {quantity(difference, mine.unit)} apart, "
+        f"{mine.name} of {mine.subject}{deviation} {quantity(found, its.unit)} and "
+        f"{quantity(own_found, mine.unit)}, {quantity(difference, mine.unit)} apart, "
         f"{number(100.0 * _share(mine, its))} % of the tolerance (largest of {len(pairs)})"
     )
 
 
+def _compared(measure: Measure) -> float:
+    """The value, or the error of a series: its worst sample is at another time in each."""
+    return measure.measured if measure.time is None else measure.error
+
+
 def _share(mine: Measure, its: Measure) -> float:
     """The difference in multiples of the tolerance."""
-    difference = abs(its.measured - mine.measured)
+    difference = abs(_compared(its) - _compared(mine))
     if mine.tolerance > 0.0:
         return difference / mine.tolerance
     return 0.0 if difference == 0.0 else float("inf")

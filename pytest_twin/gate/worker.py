@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.checks import Check, Observation, Trace, check_of
-from pytest_twin.errors import TwinError
+from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats.trace import read_trace, trace_text
 from pytest_twin.gate.noise import without_noise
 from pytest_twin.gate.specs import load_golden
@@ -182,7 +182,16 @@ def _compared(
 def _open(twin: Path, spec: Path, realization: str) -> tuple[Golden, Realization, Check]:
     loaded = _twin(twin)
     golden = load_golden(spec, loaded)
-    return golden, _realization(twin, realization), check_of(golden.kind)
+    check, simulator = check_of(golden.kind), loaded.realizations[realization].simulator
+    if simulator not in check.simulators:
+        raise SpecError(
+            f"a golden of kind {golden.kind} is not computed on {simulator}",
+            path=golden.path,
+            where="realizations",
+            value=realization,
+            expected=f"realizations on {' or '.join(check.simulators)}",
+        )
+    return golden, _realization(twin, realization), check
 
 
 def _stored(golden: Golden) -> Trace | None:
@@ -208,7 +217,8 @@ def _twin(path: Path) -> Twin:
 @lru_cache(maxsize=8)
 def _realization(twin: Path, name: str) -> Realization:
     loaded = _twin(twin)
-    return load(loaded.realizations[name].file, twin=loaded, name=name)
+    reference = loaded.realizations[name]
+    return load(reference.file, twin=loaded, name=name, simulator=reference.simulator)
 
 
 def features(twin: str, realization: str) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.model_formats import as_mjcf
 from pytest_twin.realization.source import Source
-from pytest_twin.twin import Fit, Twin, effects_file_next_to
+from pytest_twin.twin import USD_SUFFIXES, Fit, Simulator, Twin, effects_file_next_to
 
 
 # A public function whose arguments are given by keyword.
@@ -34,6 +34,7 @@ def load(  # noqa: PLR0913
     accept_invalid_inertia: bool = False,
     shapes: bool = True,
     limits: ModelLimits = LIMITS,
+    simulator: Simulator = "mujoco",
 ) -> Realization:
     """Load an MJCF or URDF file, or one of a format that an installed package turns into MJCF.
 
@@ -51,8 +52,11 @@ def load(  # noqa: PLR0913
         shapes: of a URDF, with the collision shapes. Without them its meshes need not be there;
             what moves in contact with nothing moves the same.
         limits: bounds on what may be loaded.
+        simulator: what steps it. ``newton`` takes a USD stage; fit, controllers and payloads then
+            change an MJCF of the stage, whose masses, joints and drives Newton gets.
 
     Raises:
+        NewtonMissingError, UsdMissingError: an extra that a USD stage needs is not installed.
         FormatError: not well-formed XML, or beyond a bound.
         PathError: a reference that leaves the roots or leads nowhere.
         ModelError: no model that could be simulated.
@@ -62,7 +66,14 @@ def load(  # noqa: PLR0913
     path = path.parent.resolve() / path.name
     effects = effects_file_next_to(path)
     fit = None if twin is None or effects is not None else twin.fit
-    text = as_mjcf(path)
+    text = _stage_as_mjcf(path) if simulator == "newton" else as_mjcf(path)
+    if text is None and path.suffix.lower() in USD_SUFFIXES:
+        raise ModelError(
+            "MuJoCo does not step USD",
+            path=path,
+            expected="MJCF or URDF; goldens step a USD stage that twin.yaml declares with "
+            "simulator: newton",
+        )
     tag = xml.parse(path).tag if text is None else "mujoco"
     if tag not in ("mujoco", "robot"):
         raise ModelError("not a robot model", path=path, value=tag, expected="<mujoco> or <robot>")
@@ -109,7 +120,27 @@ def load(  # noqa: PLR0913
     said = tuple(f"{path}: MuJoCo warns: {words}" for words in warned)
     chosen = () if twin is not None else located.words()
     source = replace(source, notes=chosen + source.notes + said, effects=effects, located=located)
-    return Realization(name=name, path=path, spec=spec, model=model, source=source, twin=twin)
+    loaded = Realization(
+        name=name,
+        path=path,
+        spec=spec,
+        model=model,
+        source=source,
+        twin=twin,
+        simulator=simulator,
+    )
+    if simulator == "newton":
+        from pytest_twin.realization import newton
+
+        loaded.source = replace(source, notes=(*source.notes, *newton.left_out(loaded)))
+    return loaded
+
+
+def _stage_as_mjcf(path: Path) -> bytes:
+    from pytest_twin.realization import newton, usd_model
+
+    newton.require(path)
+    return usd_model.as_mjcf(path)
 
 
 def _fit_error(fit: Fit) -> patch.Refuse:

@@ -72,6 +72,7 @@ class Realization(NamedModel):
             twin=twin,
             controller=controller,
             payload=payload,
+            simulator=self.simulator,
         )
 
     # -- other views

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pytest_twin.errors import SpecError
 from pytest_twin.realization import patch
 from pytest_twin.realization.source import Source
-from pytest_twin.twin import Twin
+from pytest_twin.twin import Simulator, Twin
 
 Vector = NDArray[np.float64]
 _OBJECTS = {
@@ -40,6 +40,7 @@ class NamedModel:
         source: the checked text and files that it was built from.
         spec, model: MuJoCo's, with the twin's fit applied.
         controller, payload: ids of the variant, None for the model as it stands.
+        simulator: what steps it.
     """
 
     # A plain record, by keyword.
@@ -54,6 +55,7 @@ class NamedModel:
         twin: Twin | None = None,
         controller: str | None = None,
         payload: str | None = None,
+        simulator: Simulator = "mujoco",
     ) -> None:
         self.name = name
         self.path = path
@@ -63,6 +65,7 @@ class NamedModel:
         self.twin = twin
         self.controller = controller
         self.payload = payload
+        self.simulator: Simulator = simulator
 
     @property
     def notes(self) -> tuple[str, ...]:

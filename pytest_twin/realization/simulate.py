@@ -298,6 +298,47 @@ def steps_in(model: mujoco.MjModel, duration: float) -> int:
     return max(1, math.ceil(duration / float(model.opt.timestep) - 1e-6))
 
 
+def run(
+    realization: Realization,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    steps: int,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
+    """Step ``data`` on by the realization's own simulator, under constant controls and forces.
+
+    Args:
+        realization: what ``model`` is the bench of.
+        progress: called with the fraction done.
+
+    Raises:
+        SpecError: what its simulator cannot step.
+        SimulationError: it diverged.
+    """
+    if realization.simulator == "newton":
+        from pytest_twin.realization import newton
+
+        return newton.simulate(realization, model, data, steps, progress)
+    return simulate(model, data, steps, progress=progress)
+
+
+def frame_poses(realization: Realization, qpos: Vector) -> Callable[[str], Vector]:
+    """Forward kinematics at ``qpos`` (nq,) by the realization's own simulator.
+
+    Returns:
+        A function: name of a body or site -> ``transform_world_to_frame`` (4, 4), m.
+    """
+    if realization.simulator == "newton":
+        from pytest_twin.realization import newton
+
+        return newton.frame_poses(realization, qpos)
+    data = mujoco.MjData(realization.model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(realization.model, data)
+    return lambda frame: realization.frame_pose(data, frame)
+
+
 def simulate(
     model: mujoco.MjModel,
     data: mujoco.MjData,

@@ -30,6 +30,8 @@ class UsdJoint:
         limits: (lower, upper) in rad or m; None where it has none.
         gap: how far its two frames stand apart as the stage is drawn: (m, rad).
         max_force: of its drive, N*m or N; None without a drive.
+        stiffness, drive_damping: of its drive, N*m/rad and N*m*s/rad, or N/m and N*s/m; 0
+            without a drive.
         velocity: rad/s or m/s, None where the stage states none (no part of UsdPhysics).
         damping, friction: N*m*s/rad or N*s/m; N*m or N (no part of UsdPhysics).
         has_collision: whether the bodies on its two sides collide.
@@ -42,6 +44,8 @@ class UsdJoint:
     limits: tuple[float, float] | None
     gap: tuple[float, float]
     max_force: float | None
+    stiffness: float
+    drive_damping: float
     velocity: float | None
     damping: float | None
     friction: float | None
@@ -241,6 +245,8 @@ class _Reader:
             limits,
             self._gap(first, second, frames),
             None if force is None else float(force),
+            float(drive.GetStiffnessAttr().Get() or 0.0) / per_degree if drive else 0.0,
+            float(drive.GetDampingAttr().Get() or 0.0) / per_degree if drive else 0.0,
             None if velocity is None else velocity * per_degree,
             None if damping is None else damping / per_degree,
             _plain(prim, "newton:friction"),

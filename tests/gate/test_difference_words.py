@@ -10,14 +10,14 @@ from pytest_twin.gate.authority import difference_lines
 from pytest_twin.outcome import Measure, Outcome
 
 
-def said(measured: float) -> str:
+def said(measured: float, error: float = 0.0, time: float | None = None) -> str:
     golden = SimpleNamespace(id="fk/tool", realizations=("mujoco", "supplier"))
     outcomes = {
         f"fk/tool@{name}": Outcome(
             golden="fk/tool", kind="fk", realization=name, criticality="critical", status="passed",
-            measures=(Measure("position", "tcp", value, 1.0, 0.0, 0.01, "m"),),
+            measures=(Measure("position", "tcp", value, 1.0, off, 0.01, "m", time=time),),
         )
-        for name, value in (("mujoco", 1.0), ("supplier", measured))
+        for name, value, off in (("mujoco", 1.0, 0.0), ("supplier", measured, error))
     }  # fmt: skip
     (line,) = difference_lines([golden], outcomes, {"mujoco": "mujoco", "supplier": "mujoco"})
     return line
@@ -32,3 +32,10 @@ def said(measured: float) -> str:
 )
 def test_a_difference_is_told_only_where_there_is_one(measured: float, words: str) -> None:
     assert words in said(measured)
+
+
+def test_series_are_compared_by_their_errors_as_their_worst_samples_are_at_different_times() -> (
+    None
+):
+    words = said(0.2, error=0.001, time=0.4)
+    assert "position of tcp off by 0.001 m and 0 m, 0.001 m apart, 10 % of the tolerance" in words

@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import pytest
 
 from pytest_twin.errors import SpecError
 from pytest_twin.twin import load_twin
 
+WARP_CACHE = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache/warp")
 BOTH = "authority: [{realization: light, kinds: [mass_properties]}]\n"
+
+FLAT = """<robot name="flat"><link name="base"/>
+  <link name="lever"><inertial><origin xyz="0.1 0 0"/><mass value="0.5"/>
+    <inertia ixx="0.001" iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="hinge" type="revolute"><parent link="base"/><child link="lever"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="5" velocity="5"/></joint>
+</robot>
+"""
+STEP = """schema: 1
+kind: step
+realizations: [mujoco, stage]
+target: {joint: hinge}
+stimulus: {amplitude: 0.2 rad, duration: 0.5 s, contact: false}
+tolerance: {rise_time: 5 ms, angle: 5 mrad}
+"""
 
 
 @pytest.fixture
@@ -56,3 +75,37 @@ def test_a_golden_that_leaves_the_authority_out_is_refused(two) -> None:
     two.edit("golden/mass/arm.yaml", "[mujoco, light]", "[mujoco]")
     result = two.run()
     result.stdout.fnmatch_lines(["*does not run on 'light', which is authoritative for it*"])
+
+
+def test_newton_steps_a_stage_and_its_difference_is_a_line_of_its_own(
+    twin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    warp = pytest.importorskip("newton") and pytest.importorskip("warp")
+    # The home of these tests is empty: Warp would compile its kernels again, for a minute.
+    monkeypatch.setenv("WARP_CACHE_PATH", str(WARP_CACHE / warp.__version__))
+    from pytest_twin.realization import usd
+
+    twin.write("flat.urdf", FLAT)
+    usd.convert(twin.root / "flat.urdf", twin.root / "flat.usda")
+    twin.write(
+        "twin.yaml",
+        "name: arm\nrealizations:\n  mujoco: {file: flat.urdf}\n"
+        "  stage: {file: flat.usda, simulator: newton}\n"
+        "fit: {id: gains, actuator: {hinge: {kp: 5, kv: 0.5}}}\n",
+    )
+    for old in ("fk/home", "mass/arm"):
+        (twin.root / f"golden/{old}.yaml").unlink()
+    twin.write("golden/step.yaml", STEP)
+    assert twin.run("--twin-update").ret == 0
+    result = twin.run()
+    result.stdout.fnmatch_lines(
+        ["golden/step: stage (newton) against mujoco (mujoco), which is authoritative: * apart, *"]
+    )
+    assert result.ret == 0
+
+
+def test_a_kind_that_newton_does_not_compute_is_one_line(two) -> None:
+    two.write("flat.usda", "#usda 1.0")
+    two.edit("twin.yaml", "light.xml", "flat.usda, simulator: newton")
+    result = two.run()
+    result.stdout.fnmatch_lines(["*a golden of kind mass_properties is not computed on newton*"])

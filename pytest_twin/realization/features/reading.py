@@ -19,6 +19,8 @@ def parts(realization: NamedModel) -> dict[str, Part]:
     """Part id -> part of a realization, ids with the realization's name in front."""
     found = model_parts(realization.model, realization.name, realization.velocity_limit)
     more = {"additions": additions(realization.spec)}
+    if realization.simulator != "mujoco":
+        more["stage"] = {"sha256": file_sha256(realization.path)}
     if realization.source.effects is not None:
         more["effects"] = {"sha256": file_sha256(realization.source.effects)}
     idents = ((f"{realization.name}/{key}", content) for key, content in more.items())

@@ -1,0 +1,106 @@
+"""A USD stage stepped by Newton beside the same robot stepped by MuJoCo."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from model_texts import ARM, written
+
+from pytest_twin.errors import ModelError, SpecError
+from pytest_twin.realization import Realization, load, simulate, usd
+
+needs_newton = pytest.mark.skipif(
+    importlib.util.find_spec("newton") is None or importlib.util.find_spec("pxr") is None,
+    reason="needs the extra newton: pip install 'pytest-twin[newton]'",
+)
+FRICTIONLESS = ARM.replace('friction="0.2"', "")
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tests' arm without dry friction as a stage."""
+    folder = tmp_path_factory.mktemp("stage")
+    usd.convert(written(folder, FRICTIONLESS, "arm.urdf"), folder / "arm.usda")
+    return folder / "arm.usda"
+
+
+@pytest.fixture(scope="module")
+def both(stage: Path) -> tuple[Realization, Realization]:
+    """The arm on MuJoCo and on Newton."""
+    return load(stage.with_suffix(".urdf")), load(stage, simulator="newton")
+
+
+def fallen(realization: Realization, seconds: float = 0.15) -> simulate.Run:
+    """A fall from a pose, without contacts and ends of ranges, in steps of 1 ms."""
+    model = simulate.bench(realization, contact=False)
+    model.opt.timestep = 0.001
+    data = simulate.start(model, realization, np.array([0.4, 0.1]))
+    return simulate.run(realization, model, data, simulate.steps_in(model, seconds))
+
+
+@needs_newton
+def test_frames_are_where_mujoco_has_them(both: tuple[Realization, Realization]) -> None:
+    mujoco, newton = (simulate.frame_poses(one, np.array([0.7, 0.2])) for one in both)
+    for frame in ("base", "upper", "lower", "tool"):
+        np.testing.assert_allclose(newton(frame), mujoco(frame), atol=2e-6)
+
+
+@needs_newton
+def test_a_falling_arm_moves_as_in_mujoco(both: tuple[Realization, Realization]) -> None:
+    mujoco, newton = (fallen(one) for one in both)
+    motion = np.ptp(mujoco.qpos, axis=0)
+    assert (motion > 0.01).all()
+    assert (np.abs(newton.qpos - mujoco.qpos).max(axis=0) < 0.01 * motion).all()
+
+
+@needs_newton
+def test_nothing_but_drives_and_damping_changes_the_energy(
+    both: tuple[Realization, Realization],
+) -> None:
+    run = fallen(both[1])
+    assert abs(run.constraint_work[-1]) < 1e-3 * np.ptp(run.energy)
+
+
+@needs_newton
+def test_a_locked_joint_stays(both: tuple[Realization, Realization]) -> None:
+    newton = both[1]
+    model = simulate.bench(newton, contact=False, locked=["elbow"])
+    data = simulate.start(model, newton, np.array([0.4, 0.1]))
+    run = simulate.run(newton, model, data, simulate.steps_in(model, 0.3))
+    shoulder, elbow = np.ptp(run.qpos, axis=0)
+    assert shoulder > 0.1
+    assert elbow < 1e-4
+
+
+@needs_newton
+def test_contacts_are_refused(both: tuple[Realization, Realization]) -> None:
+    newton = both[1]
+    model = simulate.bench(newton)
+    data = simulate.start(model, newton, np.zeros(2))
+    with pytest.raises(SpecError, match="stepped without contacts"):
+        simulate.run(newton, model, data, 1)
+
+
+@needs_newton
+def test_dry_friction_that_newton_leaves_out_is_noted(tmp_path: Path) -> None:
+    usd.convert(written(tmp_path, ARM, "arm.urdf"), tmp_path / "arm.usda")
+    (note,) = load(tmp_path / "arm.usda", simulator="newton").notes
+    assert note.endswith("has no dry friction; the model states them for 1 of 2")
+
+
+def test_mujoco_does_not_step_a_stage(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="MuJoCo does not step USD"):
+        load(written(tmp_path, "#usda 1.0", "arm.usda"))
+
+
+def test_without_the_extra_the_error_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pytest_twin.realization import newton
+
+    monkeypatch.setattr(newton.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(newton.NewtonMissingError, match=r"pip install 'pytest-twin\[newton\]'"):
+        load(written(tmp_path, "#usda 1.0", "arm.usda"), simulator="newton")
