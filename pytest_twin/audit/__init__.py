@@ -1,1 +1,1 @@
-"""What a robot's file says, compared with what a robot can be: one file per layer of the asset."""
+"""Check a robot's file for impossible, implausible and missing values: one module per layer."""

@@ -1,4 +1,4 @@
-"""A robot as its file states it, faults included, in one form for every format."""
+"""Data classes for a robot as stated in its file, faults included, independent of the format."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ JointKind = Literal["hinge", "slide", "ball", "free", "planar"]
 
 @dataclass(slots=True)
 class Body:
-    """A link.
+    """A link of the robot.
 
     Attributes:
-        mass: kg, None where it is not stated.
+        mass: kg, None if it is not stated.
         com: (3,) centre of mass in the body's frame, m.
-        inertia: (3, 3) about the centre of mass, body axes, kg*m^2, None where it is not stated.
-        stated: False where a compiler took mass and inertia from the geometry.
-        inertial: where mass and inertia stand.
+        inertia: (3, 3) about the centre of mass, body axes, kg*m^2, None if it is not stated.
+        stated: False if a compiler computed mass and inertia from the geometry.
+        inertial: file and line of mass and inertia.
     """
 
     name: str
@@ -45,12 +45,13 @@ class Body:
 
 @dataclass(slots=True)
 class Edge:
-    """What places a body in its parent.
+    """Placement of a body relative to its parent.
 
     Attributes:
-        name: of the joint in a URDF, of the child elsewhere.
-        position: (3,) of the child in the parent as drawn, m; rotation: (3, 3).
-        rpy: (3,) rad as stated, None where the format states no angles.
+        name: name of the joint in a URDF, of the child body in other formats.
+        position: (3,) of the child in the parent's frame at the reference pose, m.
+        rotation: (3, 3) child to parent at the reference pose.
+        rpy: (3,) roll, pitch and yaw as stated, rad; None if the format states no angles.
     """
 
     name: str
@@ -64,23 +65,27 @@ class Edge:
 
 @dataclass(slots=True)
 class Joint:
-    """A degree of freedom, or a few, between a body and its parent.
+    """A joint, with one or more degrees of freedom, between a body and its parent.
 
     Attributes:
-        body: the one that it moves.
+        body: the body that it moves.
         axis: (3,) unit vector in the body's frame.
         anchor: (3,) in the body's frame, m.
-        axis_stated: (3,) as the file states it, None where it does not.
-        lower, upper: rad or m, None where not stated.
-        is_limited: whether ``lower`` and ``upper`` bind.
-        velocity: rad/s or m/s; effort: N*m or N; None where not stated.
-        damping: N*m*s/rad or N*s/m; friction: N*m or N; None where not stated.
-        reference: position in the pose as drawn, rad or m.
+        axis_stated: (3,) axis as in the file, None if the file states none.
+        lower, upper: rad or m, None if not stated.
+        is_limited: whether ``lower`` and ``upper`` limit the motion.
+        is_continuous: whether the joint turns without limit.
+        velocity: largest speed, rad/s or m/s, None if not stated.
+        effort: largest torque or force, N*m or N, None if not stated.
+        damping: N*m*s/rad or N*s/m, None if not stated.
+        friction: Coulomb friction, N*m or N, None if not stated.
+        reference: position at the reference pose, rad or m.
         has_stated_limit: whether there is a ``limit`` element.
-        idle_range: (lower, upper) that stand at a continuous joint, where they bind nothing, rad.
-        soft: (lower, upper) of a safety controller, rad or m; 0 where it states none.
+        idle_range: (lower, upper) stated at a continuous joint, where they have no effect, rad.
+        soft: (lower, upper) of a safety controller, rad or m; 0 if it states none.
         has_stated_soft_limit: whether the safety controller states soft limits.
         soft_gain: k_velocity of the safety controller, N*m*s/rad or N*s/m.
+        soft_place: file and line of the safety controller.
     """
 
     name: str
@@ -113,22 +118,22 @@ class Joint:
 
     @property
     def unit(self) -> str:
-        """Of its position."""
+        """Return the unit of its position."""
         return "m" if self.kind == "slide" else "rad"
 
     @property
     def effort_unit(self) -> str:
-        """Of its force or torque."""
+        """Return the unit of its force or torque."""
         return "N" if self.kind == "slide" else "N*m"
 
     @property
     def is_scalar(self) -> bool:
-        """Whether one number is its position."""
+        """Whether its position is one number."""
         return self.kind in ("hinge", "slide")
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom."""
+        """Return the number of degrees of freedom."""
         return {"hinge": 1, "slide": 1, "ball": 3, "planar": 3, "free": 6}[self.kind]
 
 
@@ -148,7 +153,7 @@ class Mimic:
 
 @dataclass(slots=True)
 class Coupling:
-    """An equality or tendon beyond one joint that follows another."""
+    """An equality constraint or tendon that is not a plain mimic joint."""
 
     place: Place
     kind: str
@@ -163,8 +168,11 @@ class Shape:
     Attributes:
         size: full sizes, m: box (3,), sphere (radius,), cylinder and capsule (radius, length),
             ellipsoid (3,) half axes.
-        file: of a mesh; scale: (3,) as stated.
-        triangles: of a mesh, scaled, m; None for primitives and where it could not be read.
+        position: (3,) in the body's frame, m.
+        rotation: (3, 3) shape to body.
+        file: file of a mesh.
+        scale: (3,) scale of a mesh as stated.
+        triangles: triangles of a mesh, scaled, m; None for primitives and unreadable meshes.
     """
 
     place: Place
@@ -181,11 +189,11 @@ class Shape:
 
 @dataclass(slots=True)
 class Transmission:
-    """How a motor drives joints.
+    """Transmission between actuators and joints.
 
     Attributes:
-        reductions: of joints and actuators, as stated.
-        interfaces: hardware interfaces by joint.
+        reductions: reductions of joints and actuators, as stated.
+        interfaces: hardware interface of each joint.
     """
 
     place: Place
@@ -199,14 +207,14 @@ class Transmission:
 
 @dataclass(slots=True)
 class Actuator:
-    """What a simulator's model says of a drive.
+    """An actuator of a simulation model.
 
     Attributes:
-        joints: those that it pulls on.
-        means: what its command is (``torque``, ``position setpoint``), None where it is not plain.
-        lower, upper: of the command, None where unlimited.
-        force: largest force or torque at its output, None where unlimited.
-        gear: command to generalized force.
+        joints: joints that it drives.
+        means: quantity of its command (``torque``, ``position setpoint``), None if undetermined.
+        lower, upper: limits of the command, None if unlimited.
+        force: largest force or torque at its output, None if unlimited.
+        gear: ratio of generalized force to command.
     """
 
     place: Place
@@ -221,7 +229,7 @@ class Actuator:
 
 @dataclass(slots=True)
 class Sensor:
-    """A sensor and what bears it."""
+    """A sensor and the link or joint that carries it."""
 
     place: Place
     name: str
@@ -243,17 +251,18 @@ class Controlled:
 
 @dataclass
 class Asset:
-    """Everything that was read.
+    """Content of a robot's file and of the files that it refers to.
 
     Attributes:
         kind: ``urdf``, ``mjcf`` or ``usd``.
-        named: (kind, name, place) of everything whose names have to differ.
-        sites: named frames beside the bodies: name -> (body, position (3,), place).
-        poses: name -> joint -> rad or m, as the file declares them (keyframes).
+        named: (kind, name, place) of all elements whose names have to differ.
+        sites: named frames other than bodies: name -> (body, position (3,) [m], place).
+        poses: poses that the file declares (keyframes): name -> joint -> rad or m.
         custom: elements and attributes that no format defines: path -> places.
-        faults: what could not be read as it should.
-        files: every file that was read; located: where they may lie, None for the default.
-        unseen: layers that were not audited, and why.
+        faults: findings of the reader.
+        files: every file that was read.
+        located: folders that may contain its files, None for the default.
+        unseen: layer that was not audited -> reason.
     """
 
     kind: Literal["urdf", "mjcf", "usd"]
@@ -281,12 +290,12 @@ class Asset:
 
     @property
     def place(self) -> Place:
-        """The root element."""
+        """Return file and line of the root element."""
         return Place(self.path, None if self.root is None else self.root.line)
 
     @cached_property
     def body(self) -> dict[str, Body]:
-        """By name, the first of each."""
+        """Return name -> body, the first of each name."""
         found: dict[str, Body] = {}
         for body in self.bodies:
             found.setdefault(body.name, body)
@@ -294,7 +303,7 @@ class Asset:
 
     @cached_property
     def joint(self) -> dict[str, Joint]:
-        """By name, the first of each."""
+        """Return name -> joint, the first of each name."""
         found: dict[str, Joint] = {}
         for joint in self.joints:
             found.setdefault(joint.name, joint)
@@ -302,7 +311,7 @@ class Asset:
 
     @cached_property
     def joints_of(self) -> dict[str, list[Joint]]:
-        """Body -> the joints that move it against its parent."""
+        """Return body -> joints between it and its parent."""
         found: dict[str, list[Joint]] = {}
         for joint in self.joints:
             found.setdefault(joint.body, []).append(joint)
@@ -310,7 +319,7 @@ class Asset:
 
     @cached_property
     def below(self) -> dict[str, list[Edge]]:
-        """Body -> edges to its children."""
+        """Return body -> edges to its children."""
         found: dict[str, list[Edge]] = {}
         for edge in self.edges:
             found.setdefault(edge.parent, []).append(edge)
@@ -318,7 +327,7 @@ class Asset:
 
     @cached_property
     def above(self) -> dict[str, Edge]:
-        """Body -> the first edge that places it."""
+        """Return body -> first edge to its parent."""
         found: dict[str, Edge] = {}
         for edge in self.edges:
             found.setdefault(edge.child, edge)
@@ -326,11 +335,11 @@ class Asset:
 
     @cached_property
     def roots(self) -> list[str]:
-        """Bodies without a parent."""
+        """Return the bodies without a parent."""
         return [name for name in self.body if name not in self.above]
 
     def in_order(self) -> Iterator[Edge]:
-        """Edges from the roots outwards, each body reached once."""
+        """Yield edges from the roots to the leaves, each body once."""
         reached = set(self.roots)
         waiting = list(reversed(self.roots))
         while waiting:
@@ -342,11 +351,15 @@ class Asset:
 
     @cached_property
     def drawn(self) -> dict[str, tuple[Vector, Vector]]:
-        """Body -> (3,) position [m] and (3, 3) rotation in its root, as drawn; reached ones."""
+        """Return body -> (3,) position [m] and (3, 3) rotation in its root, reference pose."""
         return self.at({})
 
     def at(self, values: Mapping[str, float]) -> dict[str, tuple[Vector, Vector]]:
-        """The same with hinges [rad] and slides [m] at ``values``; the others stand as drawn."""
+        """Return body -> position and rotation in its root, with joints at ``values``.
+
+        Args:
+            values: joint -> rad (hinges) or m (slides); other joints keep the reference pose.
+        """
         found = {name: (np.zeros(3), np.eye(3)) for name in self.roots}
         for edge in self.in_order():
             position, rotation = found[edge.parent]
@@ -365,7 +378,7 @@ class Asset:
 
     @cached_property
     def group(self) -> dict[str, str]:
-        """Body -> the topmost body that it does not move against."""
+        """Return body -> topmost body to which it is rigidly fixed."""
         found = {name: name for name in self.body}
         for edge in self.in_order():
             if not self.joints_of.get(edge.child):
@@ -374,12 +387,12 @@ class Asset:
 
     @cached_property
     def moving(self) -> set[str]:
-        """Topmost bodies of groups that move against what carries them."""
+        """Return the topmost bodies of rigid groups that a joint moves."""
         return {name for name in set(self.group.values()) if self.joints_of.get(name)}
 
     @cached_property
     def span(self) -> float:
-        """Length of the longest way from a root to a body along the tree, m."""
+        """Return the length of the longest path from a root to a body along the tree, m."""
         length = dict.fromkeys(self.roots, 0.0)
         for edge in self.in_order():
             length[edge.child] = length[edge.parent] + float(np.linalg.norm(edge.position))
@@ -387,7 +400,7 @@ class Asset:
 
     @cached_property
     def beyond(self) -> dict[str, tuple[float, float]]:
-        """Body -> mass of it and all that it carries, kg, and its longest way outwards, m."""
+        """Return body -> mass of its subtree, kg, and length of the longest path in it, m."""
         found = {name: (self.body[name].mass or 0.0, 0.0) for name in self.drawn}
         for edge in reversed(list(self.in_order())):
             mass, reach = found[edge.parent]
@@ -397,7 +410,7 @@ class Asset:
         return found
 
     def shapes_of(self, body: str) -> list[Shape]:
-        """Geometries of a body."""
+        """Return the geometries of a body."""
         return self._shapes_by_body.get(body, [])
 
     @cached_property

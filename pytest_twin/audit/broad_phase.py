@@ -1,4 +1,4 @@
-"""Pairs of shapes that may be near each other, without a look at every pair of them."""
+"""Find pairs of shapes that may be near each other, without testing every pair."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from scipy.spatial import KDTree
 from pytest_twin.audit.asset import Vector
 
 MOST_CANDIDATES = 1_000_000
-"""Pairs that are listed at most: 16 MB of indices, and a second to sort them by their gap."""
+"""Largest number of pairs: 16 MB of indices, and a second to sort them by their gap."""
 
 
 def near_pairs(
     centres: Vector, radii: Vector, margin: float, *, most: int = MOST_CANDIDATES
 ) -> NDArray[np.int64] | None:
-    """(m, 2) indices, the lower first, of bounding spheres with a gap below ``margin``.
+    """Return (m, 2) indices, the lower first, of bounding spheres with a gap below ``margin``.
 
-    Spheres are sorted into classes whose radii differ by less than a factor of 2; a k-d tree of
-    centres answers for each pair of classes. The time grows with the shapes and with the pairs
-    that are found, not with the square of the shapes.
+    Spheres are sorted into classes whose radii differ by less than a factor of 2. For each pair of
+    classes, a k-d tree of centres finds the pairs. The time grows with the number of shapes and of
+    pairs found, not with the square of the number of shapes.
 
     Args:
-        centres: (n, 3) m.
-        radii: (n,) m.
-        margin: m.
-        most: bound on the candidates.
+        centres: (n, 3) centres in one frame, m.
+        radii: (n,) radii, m.
+        margin: largest gap, m.
+        most: largest number of candidates.
 
     Returns:
-        None where there are more than ``most`` candidates.
+        None if there are more than ``most`` candidates.
     """
     found = [np.zeros((0, 2), dtype=np.int64)]
     classes = np.floor(np.log2(np.maximum(radii, 1e-6))).astype(np.int64)
@@ -39,7 +39,7 @@ def near_pairs(
         for second in range(first, len(members)):
             mine, other = members[first], members[second]
             reach = float(radii[mine].max() + radii[other].max()) + margin
-            # Within one class each pair is counted from both sides, and each shape with itself.
+            # Within one class the tree returns each pair twice, and each shape paired with itself.
             count = int(trees[first].count_neighbors(trees[second], reach))
             left -= (count - len(mine)) // 2 if first == second else count
             if left < 0:

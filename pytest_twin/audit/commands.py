@@ -16,7 +16,7 @@ _INTERFACES = {
 
 
 def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
-    """The meaning of each command, as far as anything declares it."""
+    """Yield findings about the meaning of each command: declared, implied or unknown."""
     interfaces = {item.joint: item for item in asset.controlled if item.commands}
     for name in evidence.commands:
         if name not in asset.joint and name not in {a.name for a in asset.actuators}:

@@ -1,4 +1,4 @@
-"""Controllers and sensors: soft limits, interfaces, where a sensor is mounted, its rate."""
+"""Controllers and sensors: soft limits, interfaces, mounting and rate of sensors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pytest_twin.audit.finding import Finding
 
 
 def check(asset: Asset) -> Iterator[Finding]:
-    """Faults and unknown properties of controllers and sensors."""
+    """Yield faults and unknown properties of controllers and sensors."""
     yield from _safety(asset)
     yield from _interfaces(asset)
     yield from _sensors(asset)

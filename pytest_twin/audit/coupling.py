@@ -13,13 +13,14 @@ _WHY_MIMIC = "tools resolve the mimic differently, or refuse the file"
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """Degrees of freedom, counted.
+    """Numbers of degrees of freedom.
 
     Attributes:
-        total: of all joints.
+        total: degrees of freedom of all joints.
+        independent: degrees of freedom that do not follow another joint.
         follower: names of joints that follow another.
-        passive: names of joints that nothing drives and that follow none.
-        sensed: names of joints whose state an interface or a sensor reads.
+        passive: names of joints that are neither driven nor followers.
+        sensed: names of joints whose state an interface or a sensor measures.
     """
 
     total: int
@@ -30,13 +31,13 @@ class Freedom:
 
 
 def freedom(asset: Asset) -> Freedom:
-    """The degrees of freedom of an asset."""
+    """Count the degrees of freedom of an asset."""
     followers = tuple(dict.fromkeys(m.follower for m in asset.mimics if m.follower in asset.joint))
     driven = {joint for actuator in asset.actuators for joint in actuator.joints}
     driven |= {joint for item in asset.transmissions for joint in item.joints}
     driven |= {item.joint for item in asset.controlled if item.commands}
     if asset.kind == "urdf":
-        # URDF states no drive: an effort is as much as it can say of one.
+        # URDF has no element for a drive: a stated effort is the only sign of one.
         driven |= {joint.name for joint in asset.joints if joint.effort}
     sensed = {item.joint for item in asset.controlled if item.states}
     sensed |= {sensor.bearer for sensor in asset.sensors if sensor.bearer in asset.joint}
@@ -52,7 +53,7 @@ def freedom(asset: Asset) -> Freedom:
 
 
 def check(asset: Asset) -> Iterator[Finding]:
-    """Faults and unknown properties of couplings."""
+    """Yield faults and unknown properties of couplings."""
     yield from _chains(asset)
     for mimic in asset.mimics:
         yield from _mimic(asset, mimic)
@@ -75,7 +76,7 @@ def check(asset: Asset) -> Iterator[Finding]:
 
 
 def _chains(asset: Asset) -> Iterator[Finding]:
-    """Chains and loops of joints that follow each other; each joint is visited once."""
+    """Yield findings of chains and loops of mimic joints; each joint is visited once."""
     leader_of: dict[str, Mimic] = {}
     for mimic in asset.mimics:
         leader_of.setdefault(mimic.follower, mimic)
@@ -129,7 +130,7 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
         fixed = any(kind == "joint" and name == mimic.leader for kind, name, _ in asset.named)
         yield Finding(
             "coupling.mimic_master",
-            # MuJoCo and Pinocchio hold such a follower at its offset.
+            # MuJoCo and Pinocchio keep such a follower at its offset.
             "warning" if fixed else "critical",
             mimic.place,
             element,

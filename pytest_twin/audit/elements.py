@@ -1,4 +1,4 @@
-"""Elements and attributes of a URDF that no realization carries, or that no format defines."""
+"""Elements and attributes of a URDF that no realization preserves, or that no format defines."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.finding import Finding, Place
 
 _SHOWN = 4
-"""Values that a finding lists; the rest are in the file."""
+"""Largest number of values that a finding lists."""
 
 
 def check(asset: Asset) -> Iterator[Finding]:
-    """One finding for each kind of element, with the first place and the values."""
+    """Yield one finding for each kind of element, with its first place and its values."""
     yield from _custom(asset)
     if asset.kind != "urdf" or asset.root is None:
         return
@@ -39,7 +39,7 @@ def _left_out(label: str, found: list[Stated]) -> Finding:
         "warning" if first.entry.is_physical else "info",
         Place(first.node.path, first.node.line),
         label,
-        f"stated {count}, and no realization carries it",
+        f"stated {count}, and no realization preserves it",
         shown + more,
         None,
         None,

@@ -1,4 +1,4 @@
-"""Declared evidence about a robot, and whether its file agrees with it."""
+"""Read declared evidence about a robot, and compare it with the robot's file."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from pytest_twin.formats import yaml
 from pytest_twin.formats.schema import load_schema, validate
 
 _STEP = 1e-5
-"""rad or m: step of the difference quotient that gives the direction of a frame."""
+"""rad or m: step of the difference quotient for the direction in which a frame moves."""
 _PLAIN = 0.3
-"""Cosine below which a declared direction does not decide the sign."""
+"""Smallest cosine between motion and declared direction that determines the sign."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointEvidence:
-    """What is declared about one joint.
+    """Declared evidence about one joint.
 
     Attributes:
         limits: (lower, upper) in rad or m; velocity: rad/s or m/s; effort: N*m or N.
         direction: frame, (3,) direction in the base, and name of the pose at which it holds.
-        zero: the pose at which its encoder reads 0, in words.
+        zero: description of the pose at which its encoder reads 0.
     """
 
     place: Place
@@ -42,7 +42,7 @@ class JointEvidence:
 
 @dataclass(frozen=True, slots=True)
 class FrameEvidence:
-    """A measured position of a frame: (3,) in the base, and its tolerance, m."""
+    """A measured position of a frame: (3,) in the base frame, and its tolerance, m."""
 
     place: Place
     source: str
@@ -54,11 +54,11 @@ class FrameEvidence:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Everything that is declared; empty where nothing is.
+    """All declared evidence; empty by default.
 
     Attributes:
         mass: kg, tolerance in kg, place, source.
-        commands: joint or actuator -> what its command means, with unit and source.
+        commands: joint or actuator -> quantity of its command, with unit and source.
         poses: name -> joint -> rad or m.
     """
 
@@ -75,8 +75,8 @@ def load(path: Path) -> Evidence:
     """Read an evidence file.
 
     Raises:
-        FormatError: no strict YAML.
-        SpecError: it does not fit the schema, or names a pose that it does not declare.
+        FormatError: not strict YAML.
+        SpecError: the file violates the schema, or refers to an undeclared pose.
     """
     document = yaml.load(path)
     validate(document, load_schema("evidence.schema.json"), path)
@@ -155,7 +155,7 @@ def load(path: Path) -> Evidence:
 
 
 def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
-    """Contradictions between the file and the declared evidence."""
+    """Yield contradictions between the file and the declared evidence."""
     for name, known in evidence.joints.items():
         joint = asset.joint.get(name)
         if joint is None:
@@ -179,7 +179,7 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
 
 
 def frame_position(asset: Asset, frame: str, values: Mapping[str, float]) -> Vector | None:
-    """(3,) origin of a body or site in the base, m; None where there is no such frame."""
+    """Return the (3,) origin of a body or site in the base frame, m; None if it does not exist."""
     body, offset = frame, np.zeros(3)
     if frame in asset.sites:
         body, offset, _ = asset.sites[frame]
@@ -270,7 +270,7 @@ def _direction(
             "unknown",
             known.place,
             element,
-            f"the declared direction does not decide the sign: '{frame}' moves almost across it",
+            f"the declared direction does not determine the sign: '{frame}' moves almost across it",
             cosine,
             "1",
             f"a cosine of at least {_PLAIN:g} between motion and declared direction",

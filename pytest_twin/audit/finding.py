@@ -1,4 +1,4 @@
-"""One finding of the audit: what is wrong where, why it matters, and what to do next."""
+"""Data class of an audit finding: fault, place, consequence and next step."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ LAYERS: tuple[str, ...] = (
     "controllers",
 )
 PLANNING = "planning"
-"""The layer of an SRDF, which is audited alone."""
+"""The layer of findings in an SRDF, which is audited separately."""
 _LAYER_RANKS = {layer: rank for rank, layer in enumerate((*LAYERS, PLANNING))}
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where in which file."""
+    """A file and a line in it."""
 
     path: Path
     line: int | None = None
@@ -38,19 +38,19 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A fault, a doubt, a fact, or a property that the file does not state.
+    """A fault, a suspicious value, a fact, or a property that the file does not state.
 
     Attributes:
         code: ``layer.what``, the same for every element with the same fault.
-        severity: ``critical`` no robot can have it, or it misleads every simulator; ``warning``
-            it is seldom intended; ``info`` a fact; ``unknown`` the file does not state it.
+        severity: ``critical``: physically impossible, or every simulator misinterprets it;
+            ``warning``: rarely intended; ``info``: a fact; ``unknown``: the file does not state it.
         place: file and line.
-        element: as people name it, ``link 'wrist'``.
-        title: what is found there, one sentence without a final stop.
-        value: as stated or computed, with ``unit``.
-        expected: the right value, or the values that are plausible.
-        why: what goes wrong with it.
-        settle: what to do next: the correction, or the source or test that gives the value.
+        element: description of the element, such as ``link 'wrist'``.
+        title: the fault, one sentence without a final full stop.
+        value: stated or computed value, in ``unit``.
+        expected: correct value, or range of plausible values.
+        why: consequence of the fault.
+        settle: next step: the correction, or the source or test that gives the value.
     """
 
     code: str
@@ -66,11 +66,11 @@ class Finding:
 
     @property
     def layer(self) -> str:
-        """The layer that found it."""
+        """Return the audit layer of the finding."""
         return self.code.partition(".")[0]
 
     def to_json(self, identifier: str) -> dict[str, Any]:
-        """Plain data; ``identifier`` is unique within one audit."""
+        """Return the finding as JSON data; ``identifier`` is unique within one audit."""
         return {
             "id": identifier,
             "code": self.code,
@@ -89,7 +89,7 @@ class Finding:
 
 
 def _plain(value: float | str | None) -> float | str | None:
-    """JSON has no infinity."""
+    """Replace infinity, which JSON cannot represent."""
     if isinstance(value, int | float) and not math.isfinite(value):
         return str(value)
     return value
@@ -104,7 +104,7 @@ def from_error(
     why: str = "",
     settle: str = "",
 ) -> Finding:
-    """The finding that reports an error of a reader."""
+    """Build the finding for a reader's error."""
     value = error.value
     return Finding(
         code,
@@ -121,7 +121,7 @@ def from_error(
 
 
 def to_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
-    """Findings by severity, layer and place, each with an id of its own."""
+    """Return findings as JSON data, sorted by severity, layer and place, with unique ids."""
     ordered = sorted(
         findings,
         key=lambda f: (

@@ -1,4 +1,4 @@
-"""Frames: links without mass and shape, the base, the tool."""
+"""Frames: links without mass and shape, the base, the tool centre point."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WORLD = re.compile(r"(^|_)(world|map|odom)$", re.IGNORECASE)
 
 
 def marks(asset: Asset) -> list[str]:
-    """Bodies without mass and shape: frames, which are no fault."""
+    """Return the bodies without mass and shape, which are frames and not faults."""
     return [
         body.name
         for body in asset.body.values()
@@ -30,7 +30,7 @@ def marks(asset: Asset) -> list[str]:
 
 
 def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
-    """Faults and unknown properties of frames."""
+    """Yield faults and unknown properties of frames."""
     yield from _names(asset)
     yield from _base(asset)
     yield from _tool(asset, evidence)
@@ -123,7 +123,7 @@ def _tool(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
 
 
 def _far(asset: Asset) -> Iterator[Finding]:
-    """Frames that lie far outside the rest of the robot."""
+    """Yield findings of frames far away from the rest of the robot."""
     if len(asset.drawn) < 4:
         return
     positions = np.array([position for position, _ in asset.drawn.values()])

@@ -1,7 +1,7 @@
-"""Shapes as solids of uniform density: their volume, centroid, inertia and size.
+"""Compute volume, centroid, inertia and size of shapes as solids of uniform density.
 
-Round primitives are polyhedra of many sides, at most 2 % too small. A mesh is its convex hull: it
-is closed even where the mesh is not, and never smaller than the body.
+Round primitives are approximated by polyhedra, at most 2 % too small. A mesh is replaced by its
+convex hull, which is closed even if the mesh is not, and never smaller than the body.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class Solid:
     """A body of uniform density, in the body's frame.
 
     Attributes:
-        volume: m^3.
-        centroid: (3,) m.
+        volume: volume, m^3.
+        centroid: (3,) centroid, m.
         inertia: (3, 3) about the centroid, per unit mass, m^2.
-        lower, upper: (3,) corners of the box around it, m.
-        points: (n, 3) corners of its hulls, m.
+        lower, upper: (3,) corners of the axis-aligned bounding box, m.
+        points: (n, 3) vertices of its convex hulls, m.
     """
 
     volume: float
@@ -41,27 +41,27 @@ class Solid:
 
     @property
     def size(self) -> float:
-        """Diagonal of the box around it, m."""
+        """Return the diagonal of the bounding box, m."""
         return float(np.linalg.norm(self.upper - self.lower))
 
     @property
     def gyration(self) -> float:
-        """Radius of gyration about the centroid, sqrt(tr(I) / 2 m), m."""
-        # Far from the origin rounding can leave less than nothing of a small shape.
+        """Return the radius of gyration about the centroid, sqrt(tr(I) / 2 m), m."""
+        # For a small shape far from the origin, rounding can make the trace negative.
         return float(np.sqrt(max(float(np.trace(self.inertia)), 0.0) / 2))
 
     def reach(self, point: Vector) -> float:
-        """Distance from ``point`` to the corner farthest from it, m."""
+        """Return the distance from ``point`` (3,) to the farthest vertex, m."""
         return float(np.linalg.norm(self.points - point, axis=1).max())
 
     def outside(self, point: Vector) -> float:
-        """Distance from ``point`` to the box around it, 0 inside, m."""
+        """Return the distance from ``point`` (3,) to the bounding box, 0 inside, m."""
         beyond = np.maximum(np.maximum(self.lower - point, point - self.upper), 0.0)
         return float(np.linalg.norm(beyond))
 
 
 def triangles(shape: Shape) -> tuple[Vector, Faces] | None:
-    """(n, 3) vertices in the body's frame, m, and (m, 3) faces; None where there is no surface."""
+    """Return (n, 3) vertices in the body's frame, m, and (m, 3) faces; None without a surface."""
     found = _local(shape)
     if found is None:
         return None
@@ -79,7 +79,7 @@ def _local(shape: Shape) -> tuple[Vector, Faces] | None:
 
 @lru_cache(maxsize=256)
 def _primitive(kind: str, size: tuple[float, ...]) -> tuple[Vector, Faces] | None:
-    """Vertices [m] and faces of a box, sphere, ellipsoid, cylinder or capsule; read only."""
+    """Return read-only vertices [m] and faces of a box, sphere, ellipsoid, cylinder or capsule."""
     import trimesh
 
     if kind == "box":
@@ -103,7 +103,7 @@ def _primitive(kind: str, size: tuple[float, ...]) -> tuple[Vector, Faces] | Non
 
 
 class Geometry:
-    """Solids of an asset's shapes and bodies, each computed once."""
+    """Computes and caches the solids of an asset's shapes and bodies."""
 
     def __init__(self, asset: Asset) -> None:
         self.asset = asset
@@ -113,15 +113,15 @@ class Geometry:
         self._properties: dict[tuple[object, ...], tuple[float, Vector, Vector] | None] = {}
 
     def shape(self, shape: Shape) -> Solid | None:
-        """A shape's convex hull as a solid; None where it has no volume."""
+        """Return a shape's convex hull as a solid; None if it has no volume."""
         if id(shape) not in self._shapes:
             self._shapes[id(shape)] = self._solid(shape)
         return self._shapes[id(shape)]
 
     def body(self, name: str, role: str | None = None) -> Solid | None:
-        """All shapes of a body together; the visual ones where it has any, or those of ``role``.
+        """Merge a body's shapes of ``role`` into one solid; by default its visual shapes if any.
 
-        Overlapping shapes count twice.
+        The volume of an overlap counts twice.
         """
         key = (name, role)
         if key not in self._bodies:
@@ -133,7 +133,7 @@ class Geometry:
         return self._bodies[key]
 
     def hull_volume(self, shape: Shape) -> float:
-        """Of the convex hull, m^3, 0 where there is none."""
+        """Return the volume of the convex hull, m^3; 0 if there is none."""
         solid = self.shape(shape)
         return 0.0 if solid is None else solid.volume
 
@@ -155,7 +155,7 @@ class Geometry:
         )
 
     def _own_properties(self, shape: Shape) -> tuple[float, Vector, Vector] | None:
-        """Volume, centroid and inertia of the hull in the shape's own frame."""
+        """Return volume, centroid and inertia of the hull in the shape's own frame."""
         key = _key(shape)
         if key not in self._properties:
             found = self.hull(shape)
@@ -163,7 +163,7 @@ class Geometry:
         return self._properties[key]
 
     def hull(self, shape: Shape) -> tuple[Vector, Faces] | None:
-        """(n, 3) corners [m] and (m, 3) faces of the convex hull in the shape's own frame."""
+        """Return (n, 3) vertices [m] and (m, 3) faces of the convex hull, in the shape's frame."""
         key = _key(shape)
         if key not in self._hulls:
             self._hulls[key] = _hull_of(_local(shape))
@@ -171,7 +171,7 @@ class Geometry:
 
 
 def _key(shape: Shape) -> tuple[object, ...]:
-    """The same key for shapes of the same form and size, wherever they are placed."""
+    """Return a key that is equal for shapes of the same form and size at any pose."""
     if shape.file is not None:
         return (shape.file, *shape.scale.tolist())
     return (shape.kind, shape.size)
@@ -189,7 +189,7 @@ def _hull_of(found: tuple[Vector, Faces] | None) -> tuple[Vector, Faces] | None:
 
 
 def together(solids: Iterable[Solid]) -> Solid | None:
-    """Several solids of one density as one; None where there is none."""
+    """Merge several solids of equal density into one; None if there are none."""
     found = list(solids)
     if not found:
         return None

@@ -13,19 +13,19 @@ from pytest_twin.audit.geometry import Geometry, Solid
 from pytest_twin.realization.inertia import MASS_FLOOR, ROUNDING, of_point, violation
 
 _DENSITY = (20.0, 12_000.0)
-"""kg/m^3: mass over hull volume, from a hollow cover to solid lead."""
+"""kg/m^3: plausible range of mass over hull volume, from a hollow cover to solid lead."""
 _FACTOR = 30.0
-"""Ratio of stated to geometric moments, beyond which one of the two is wrong."""
+"""Ratio of stated to geometric moments beyond which one of the two is reported as wrong."""
 _CAD = "copy mass properties about the centre of mass from CAD, and check their units"
 
 
 def principal(inertia: Vector) -> Vector:
-    """(3,) principal moments, ascending."""
+    """Return the (3,) principal moments, ascending, kg*m^2."""
     return np.asarray(np.linalg.eigvalsh((inertia + inertia.T) / 2))
 
 
 def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
-    """Faults of masses and inertias."""
+    """Yield faults of masses and inertias."""
     seen: dict[tuple[float, ...], Body] = {}
     for body in asset.body.values():
         if not _finite(body):
@@ -61,10 +61,13 @@ class Comparison:
     """A body compared with the convex hull of its shape at uniform density.
 
     Attributes:
-        mass: kg; density: mass over the hull's volume, kg/m^3.
-        moments: (3,) principal, kg*m^2; uniform: the same of the hull with the body's mass.
-        com_offset: from the hull's centroid to the centre of mass, m.
-        stated: False where a compiler took mass and inertia from the geometry.
+        body: name of the body.
+        mass: mass, kg.
+        moments: (3,) principal moments, kg*m^2.
+        stated: False if a compiler computed mass and inertia from the geometry.
+        density: mass over the hull's volume, kg/m^3.
+        uniform: (3,) principal moments of the hull with the body's mass, kg*m^2.
+        com_offset: distance from the hull's centroid to the centre of mass, m.
     """
 
     body: str
@@ -77,7 +80,7 @@ class Comparison:
 
 
 def comparisons(asset: Asset, geometry: Geometry) -> list[Comparison]:
-    """Every body with mass compared with its shape; None where its shape has no volume."""
+    """Compare every body that has mass with its shape; fields are None if it has no volume."""
     found = []
     for body in asset.body.values():
         if not body.mass or body.inertia is None or not _finite(body):
@@ -146,7 +149,7 @@ def _possible(body: Body) -> Iterator[Finding]:
     moments = principal(body.inertia)
     text = ", ".join(f"{value:.6g}" for value in moments)
     scale = float(np.abs(moments).max())
-    # Eigenvalues of a sum that cancels are not better than its digits.
+    # Cancellation limits the accuracy of the eigenvalues to the digits of the sum.
     if moments[0] < -1e-12 * scale and moments[0] < -ROUNDING * scale:
         yield Finding(
             "inertia.negative_moment",
@@ -157,7 +160,7 @@ def _possible(body: Body) -> Iterator[Finding]:
             float(moments[0]),
             "kg*m^2",
             f"three positive moments (they are {text})",
-            "no body has it: turning about that axis gains energy",
+            "no body has it: rotation about that axis would have negative energy",
             _CAD,
         )
         return
@@ -176,11 +179,11 @@ def _possible(body: Body) -> Iterator[Finding]:
             text,
             "kg*m^2",
             "three positive moments",
-            "only a line without thickness has it; about that axis nothing resists a torque",
+            "only a line without thickness has it; about that axis it has no inertia",
             _CAD,
         )
     elif share > ROUNDING:
-        # tr(I)/2 - I_max is the least eigenvalue of the pseudo-inertia's 3 x 3 block.
+        # tr(I)/2 - I_max is the smallest eigenvalue of the pseudo-inertia's 3 x 3 block.
         lowest = float(moments.sum() / 2 - moments[2])
         yield Finding(
             "inertia.triangle",
@@ -234,7 +237,7 @@ def _default(body: Body) -> Iterator[Finding]:
 
 
 def _one_digit(value: float) -> bool:
-    """Whether a number has one significant digit."""
+    """Whether a number has only one significant digit."""
     return value > 0 and float(f"{value:.0e}") == value
 
 
@@ -265,7 +268,7 @@ def _copied(
 
 
 def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator[Finding]:
-    """Comparison with the convex hull of its shapes at uniform density."""
+    """Yield findings from the comparison with the convex hull of its shapes at uniform density."""
     element = _element(body)
     outside = solid.outside(body.com)
     if outside > 0.1 * solid.size:
@@ -302,7 +305,7 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
     if stated <= 0 or uniform <= 0:
         return
     reach = solid.reach(body.com)
-    # No mass within the hull has more about the centre of mass: all of it at the farthest corner.
+    # Upper bound about the centre of mass: the whole mass at the farthest vertex of the hull.
     most = mass * reach**2
     shifted = of_point(mass, body.com)
     about_origin = inertia - shifted
@@ -327,7 +330,7 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
             "critical" if ratio > 2e5 and plausible else "warning",
             body.inertial,
             element,
-            "its inertia is larger than its mass can have anywhere in its shape"
+            "its inertia is larger than any distribution of its mass within its shape allows"
             + _unit_guess(ratio),
             stated,
             "kg*m^2",
@@ -342,7 +345,7 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
             "warning",
             body.inertial,
             element,
-            "its inertia is far smaller than its shape has" + _unit_guess(ratio),
+            "its inertia is far smaller than that of its shape" + _unit_guess(ratio),
             stated,
             "kg*m^2",
             f"half the trace near {uniform:.3g} kg*m^2",
@@ -354,7 +357,7 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
 def _about_origin(stated: Vector, shifted_back: Vector, uniform: Vector, shift: Vector) -> bool:
     """Whether the inertia fits its shape only after a shift to the centre of mass."""
     size = float(np.linalg.norm(uniform))
-    # Of a mass near the smallest number nothing is left of its square.
+    # The square of a mass near the smallest double is 0.
     if size <= 0 or float(np.linalg.norm(shift)) < size or violation(shifted_back) > 0.05:
         return False
     before = float(np.linalg.norm(stated - uniform)) / size
@@ -370,7 +373,7 @@ def _unit_guess(ratio: float) -> str:
 
 
 def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
-    """Moving bodies without mass or inertia."""
+    """Yield findings of moving bodies without mass or inertia."""
     members: dict[str, list[Body]] = {}
     for name, top in asset.group.items():
         if name not in asset.drawn:
@@ -424,7 +427,7 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
 
 
 def _flat(body: Body) -> bool:
-    """Whether its own inertia has been found not to be positive definite."""
+    """Whether a finding already reports its own inertia as not positive definite."""
     if body.inertia is None or np.abs(body.inertia).max() < MASS_FLOOR:
         return False
     moments = principal(body.inertia)
@@ -432,7 +435,7 @@ def _flat(body: Body) -> bool:
 
 
 def _together(bodies: list[Body], asset: Asset) -> tuple[float, Vector]:
-    """Mass, and inertia about the common centre of mass, of bodies fixed to each other."""
+    """Return mass and inertia about the common centre of mass of bodies fixed to each other."""
     parts = []
     for body in bodies:
         if not body.mass or body.mass < 0:

@@ -1,7 +1,7 @@
-"""Layers of the audit that installed packages add.
+"""Run audit layers from installed packages.
 
-A layer is a class under the entry points ``pytest_twin.audit_layers``. The entry point's name is
-the layer's, with which the codes of its findings begin: ``cell_speed.too_fast``.
+A layer is a class registered under the entry points ``pytest_twin.audit_layers``. The name of the
+entry point is the name of the layer and the prefix of its finding codes: ``cell_speed.too_fast``.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class Layer(Protocol):
     """One layer of the audit."""
 
     def check(self, asset: Asset, known: Evidence, geometry: Geometry) -> Iterable[Finding]:
-        """Findings of this layer.
+        """Return the findings of this layer.
 
         Args:
-            asset: the robot as its file states it, faults included.
+            asset: the robot as stated in its file, faults included.
             known: values from data sheets and measurements (``--evidence``).
             geometry: solids of the shapes of each body.
         """
@@ -34,16 +34,16 @@ class Layer(Protocol):
 
 
 def names() -> tuple[str, ...]:
-    """Layers of installed packages, sorted."""
+    """Return the names of layers of installed packages, sorted."""
     return tuple(sorted(points_by_name(_GROUP)))
 
 
 def check(asset: Asset, known: Evidence, geometry: Geometry) -> Iterator[Finding]:
-    """Findings of all installed layers.
+    """Yield the findings of all installed layers.
 
     Raises:
-        SpecError: a layer cannot be loaded, fails, has the name of another, or returns a finding
-            that cannot be reported.
+        SpecError: a layer cannot be loaded, fails, has the name of another layer, or returns an
+            invalid finding.
     """
     for name in names():
         yield from _findings(name, asset, known, geometry)
@@ -64,7 +64,7 @@ def _findings(name: str, asset: Asset, known: Evidence, geometry: Geometry) -> l
         wrong = [f for f in found if f.layer != name or f.severity not in SEVERITIES]
     except TwinError:
         raise
-    except Exception as error:  # an installed package's own code
+    except Exception as error:  # foreign code may raise anything
         raise SpecError(
             f"the audit layer of {package_of(point)} fails: {type(error).__name__}: {error}",
             path=asset.path,

@@ -1,4 +1,4 @@
-"""Joints: axis, origin, range, velocity, effort, damping; degrees in place of radians."""
+"""Joints: axis, origin, range, velocity, effort, damping; degrees instead of radians."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pytest_twin.audit.evidence import Evidence
 from pytest_twin.audit.finding import Finding
 
 _TURNS = 4 * math.pi
-"""rad: two turns to either side; few robot joints go farther."""
+"""rad: two turns in each direction; few robot joints turn farther."""
 _ROUNDED = (1e-6, 2e-3)
-"""rad: the error of a right angle with few digits, 1.57 for example."""
+"""rad: error of a right angle stated with few digits, such as 1.57."""
 _LONG = 100.0
 """m: no robot has a larger distance between two links."""
 _FAST = 100.0
@@ -23,13 +23,13 @@ _DATASHEET = "the data sheet or manual of this joint"
 
 
 def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
-    """Faults and unknown properties of each joint."""
+    """Yield faults and unknown properties of each joint."""
     followers = {mimic.follower for mimic in asset.mimics}
     for edge in asset.edges:
         yield from _origin(asset, edge)
     for joint in asset.joints:
         if asset.kind == "urdf":
-            # The other formats normalize by definition.
+            # The other formats normalize the axis by definition.
             yield from _axis(joint)
         if joint.is_scalar:
             yield from _range(asset, joint)
@@ -94,7 +94,7 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
     element = f"joint '{edge.name}'" if asset.kind == "urdf" else f"body '{edge.child}'"
     distance = float(np.linalg.norm(edge.position))
     if distance > _LONG:
-        # A scene may place a body that far; no robot has a link that far from the one before.
+        # A scene may place a body that far; no link of a robot is that far from its parent.
         in_scene = asset.kind == "mjcf" and edge.parent == "world"
         yield Finding(
             "joints.origin_far",
@@ -129,7 +129,7 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
         )
         return
     off = edge.rpy - np.round(edge.rpy / (math.pi / 2)) * (math.pi / 2)
-    # A right angle stated with few digits; small angles may be meant.
+    # A right angle stated with few digits; small angles may be intended.
     cut = [
         abs(float(o))
         for o, v in zip(off, edge.rpy, strict=True)
@@ -160,7 +160,7 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
             "warning",
             joint.place,
             element,
-            "a continuous joint states a range: it binds in no simulator, and some planners use it",
+            "a continuous joint states a range: simulators ignore it, and some planners use it",
             f"{low:g} .. {high:g}",
             unit,
             "type 'revolute' with this range, or a continuous joint without one",
@@ -259,7 +259,7 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
 
 def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
     if asset.kind != "urdf":
-        # MJCF and USD state no speed limit, and state forces at actuators.
+        # MJCF and USD have no speed limits, and state force limits at actuators.
         return
     element = _element(joint)
     for name, value, unit in (
@@ -279,7 +279,7 @@ def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
                 value,
                 unit,
                 f"a {name} limit above 0 {unit}",
-                "with a limit of 0 the joint cannot move; without a limit nothing bounds a command",
+                "with a limit of 0 the joint cannot move; without a limit nothing limits a command",
                 f"state the limit from {_DATASHEET}; a joint without a motor keeps 0",
             )
     if joint.velocity is not None and _FAST < joint.velocity < 1e4:
@@ -295,7 +295,7 @@ def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
             joint.velocity,
             f"{joint.unit}/s",
             f"{math.radians(joint.velocity):.4g} rad/s" if degrees else f"less than {_FAST:g}",
-            "nothing bounds a command",
+            "nothing limits a command",
             f"state the limit from {_DATASHEET} in {joint.unit}/s",
         )
 
@@ -348,7 +348,7 @@ def _sign_and_zero(joint: Joint, evidence: Evidence) -> Iterator[Finding]:
 
 
 def _like_degrees(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
-    """Whether numbers are multiples of half a degree, up to two turns."""
+    """Whether numbers are multiples of 0.5, up to 720, as angles in degrees usually are."""
     rounded = np.round(values * 2) / 2
     return bool(
         np.all(np.abs(values - rounded) < 1e-9)

@@ -1,4 +1,4 @@
-"""Mesh files of an asset, each read once, and bounded together."""
+"""Read the mesh files of an asset, each once, with a limit on their total size."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pytest_twin.realization.limits import ModelLimits
 
 
 class MeshFiles:
-    """Reads meshes, and remembers each mesh or its error."""
+    """Reads meshes, and caches each mesh or its error."""
 
     def __init__(self, limits: ModelLimits) -> None:
         self.limits = limits
@@ -19,11 +19,11 @@ class MeshFiles:
         self.faces = 0
 
     def read(self, path: Path) -> mesh.Triangles:
-        """The triangles of a file, in m.
+        """Return the triangles of a file, in m.
 
         Raises:
-            FormatError: not a mesh that can be read; the same each time.
-            LimitError: beyond the bounds of one mesh or of all together.
+            FormatError: the mesh cannot be read; repeated calls raise the same error.
+            LimitError: the file exceeds the limits for one mesh or for all meshes together.
         """
         if path not in self.found:
             self.found[path] = self._read(path)

@@ -1,4 +1,4 @@
-"""Visual and collision shapes: present, of the right size, closed, convex, and their cost."""
+"""Visual and collision shapes: presence, size, closedness, convexity and cost."""
 
 from __future__ import annotations
 
@@ -19,25 +19,27 @@ from pytest_twin.realization.shapes import polyhedron
 _MANY_FACES = 20_000
 """Triangles of one collision mesh, above which loading and contact become slow."""
 _HOLLOW = 1.5
-"""Hull volume over mesh volume, above which the hull fills holes that matter."""
+"""Hull volume over mesh volume above which the hull fills holes or notches that matter."""
 _REACH = "the robot's reach"
 _OTHER = "the link's other shape"
 _GYRATION = "the size that the link's inertia implies"
 _BULK = "the size that the link's mass implies"
 _DENSITY = 2000.0
-"""kg/m^3: of links, between plastic and steel; the cube root forgives a factor of 10 by 2.2."""
+"""kg/m^3: typical for links, between plastic and steel. An error by a factor of 10 changes a length
+only by 2.2, the cube root."""
 _TOO_LARGE, _TOO_SMALL = 100.0, 0.01
-"""Ratio to another length of the same link, beyond which one of them is in another unit."""
+"""Ratio of two lengths of one link beyond which one of them is in another unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeshFacts:
-    """One mesh file at one scale.
+    """Properties of one mesh file at one scale.
 
     Attributes:
-        extents: (3,) sides of the box around it, scaled, m.
+        extents: (3,) sides of the scaled bounding box, m.
         watertight: whether every edge has two faces.
-        volume: m^3, None where it is not watertight; hull: volume of its convex hull, m^3.
+        volume: volume, m^3; None if the mesh is not watertight.
+        hull: volume of its convex hull, m^3.
     """
 
     file: Path
@@ -50,12 +52,12 @@ class MeshFacts:
 
     @property
     def convexity(self) -> float | None:
-        """Volume over hull volume, 1 for a convex mesh; None where it is not closed."""
+        """Return volume over hull volume, 1 for a convex mesh; None if the mesh is not closed."""
         return None if self.volume is None or self.hull <= 0 else self.volume / self.hull
 
 
 def facts(asset: Asset, geometry: Geometry) -> list[MeshFacts]:
-    """Facts of each mesh file at each of its scales."""
+    """Return the properties of each mesh file at each of its scales."""
     found: dict[tuple[Path, tuple[float, ...]], list[Shape]] = {}
     for shape in asset.shapes:
         if shape.file is not None and shape.triangles is not None:
@@ -82,7 +84,7 @@ def facts(asset: Asset, geometry: Geometry) -> list[MeshFacts]:
 
 
 def watertight(mesh: Triangles) -> bool:
-    """Whether every edge has one face on each side, both turned the same way."""
+    """Whether every edge has two faces with consistent orientation."""
     faces = mesh.faces.astype(np.int64)
     edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edges = edges[edges[:, 0] != edges[:, 1]]
@@ -93,7 +95,7 @@ def watertight(mesh: Triangles) -> bool:
 
 
 def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
-    """Faults and costs of shapes."""
+    """Yield faults of shapes, and findings about their cost."""
     for shape in asset.shapes:
         yield from _size(shape)
     yield from _units(asset, geometry)
@@ -110,7 +112,7 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
 
 
 def _up_axis(path: Path, shapes: list[Shape]) -> Iterator[Finding]:
-    """A COLLADA or glTF file whose axes tools read in two ways."""
+    """Yield a finding if tools interpret the axes of a COLLADA or glTF file differently."""
     collada = path.suffix.lower() == ".dae"
     if not (collada or path.suffix.lower() in gltf.SUFFIXES) or shapes[0].triangles is None:
         return
@@ -181,7 +183,7 @@ def _size(shape: Shape) -> Iterator[Finding]:
 
 
 def _units(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
-    """Meshes in another unit: compared with mass, inertia, the other shape and the robot."""
+    """Yield findings of meshes in another unit, judged by mass, inertia, other shape and reach."""
     for name, body in asset.body.items():
         for role in ("collision", "visual"):
             shapes = [s for s in asset.shapes_of(name) if s.role == role and s.kind == "mesh"]
@@ -199,7 +201,7 @@ def _units(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
 
 
 def _inertial_ratios(body: Body, solid: Solid) -> dict[str, float]:
-    """Lengths of a solid over those that the body's mass and inertia imply."""
+    """Return ratios of a solid's lengths to those that the body's mass and inertia imply."""
     if not body.stated or not body.mass or body.mass < 0:
         return {}
     found = {_BULK: float(np.cbrt(solid.volume * _DENSITY / body.mass))}
@@ -211,22 +213,22 @@ def _inertial_ratios(body: Body, solid: Solid) -> dict[str, float]:
 
 
 def _span_ratio(solid: Solid, span: float) -> float:
-    """Size over the robot's reach; a part may be small beside its robot, never far larger."""
+    """Return size over the robot's reach; a part may be far smaller, but not far larger."""
     ratio = solid.size / span
     return ratio * 5 if ratio > 20 else min(max(ratio, 1.0), 20.0)
 
 
 def _verdict(shape: Shape, solid: Solid, ratios: dict[str, float]) -> Iterator[Finding]:
-    """A mesh is in another unit where more than half of what can judge its size says so.
+    """Yield a finding if more than half of the ratios indicate another unit.
 
-    A minority says that its input is implausible: the layer `inertia` names an inertia or mass that
-    does not fit its shape, and here the other shape alone is left to name.
+    If only a minority does, its reference is implausible instead. The layer ``inertia`` reports an
+    inertia or mass that contradicts the shape; this function reports the other shape.
     """
     for words, beyond in (
         ("large", {what: ratio for what, ratio in ratios.items() if ratio > _TOO_LARGE}),
         ("small", {what: ratio for what, ratio in ratios.items() if ratio < _TOO_SMALL}),
     ):
-        # A part may be small beside its robot: the reach does not judge that.
+        # A part may be far smaller than its robot, so the reach gives no lower limit.
         judges = [what for what in ratios if words == "large" or what != _REACH]
         agreed = len(beyond) > len(judges) / 2
         if not agreed and _OTHER not in beyond:
@@ -273,7 +275,7 @@ def _roles(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "warning",
                 body.place,
                 f"link '{name}'",
-                "its visual and its collision shape lie apart",
+                "its visual and its collision shape are apart",
                 off,
                 "m",
                 "shapes at the same place",

@@ -1,4 +1,4 @@
-"""From a file to an :class:`Asset`, by what the file is."""
+"""Read a URDF, MJCF or USD file into an :class:`Asset`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def read(path: Path, search: SearchFolders | None = None) -> Asset:
     """Read a URDF, MJCF or USD file for the audit.
 
     Args:
-        search: folders that the user names for its files.
+        path: the robot's file.
+        search: folders that the user names for meshes and included files.
 
     Raises:
         TwinError: the file holds no robot that can be read.
@@ -42,7 +43,7 @@ def read(path: Path, search: SearchFolders | None = None) -> Asset:
 
 
 def _irregular(asset: Asset) -> Asset:
-    """The asset with what its file breaks of the XML standard among its faults."""
+    """Add the file's violations of the XML standard to the asset's faults."""
     for found in xml.irregularities(asset.path):
         asset.faults.append(
             Finding(

@@ -1,4 +1,4 @@
-"""An MJCF for the audit: the compiled model, or the text where it does not compile."""
+"""Read an MJCF for the audit: the compiled model, or the XML text if it does not compile."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ _MEANS = {
     "effort": "torque or force",
 }
 _RADIANS_READ_AS_DEGREES = math.radians(2 * math.pi)
-"""rad: what a whole turn in radians becomes where it is read as degrees."""
+"""rad: a full turn in radians, interpreted as degrees."""
 
 
 def read(path: Path, located: Located, *, limits: ModelLimits = LIMITS) -> Asset:
     """Read an MJCF file and everything that it refers to.
 
     Raises:
-        FormatError: not well-formed, or beyond a bound.
-        PathError: a reference that leaves the roots or leads nowhere.
+        FormatError: not well-formed, or a limit is exceeded.
+        PathError: a reference leaves the roots or does not exist.
         ModelError: MuJoCo's parser refuses it for another reason than a duplicate name.
     """
     try:
@@ -115,7 +115,7 @@ def _named_asset(path: Path, root: Node, nodes: _Nodes) -> Asset:
 
 
 def _of_text(path: Path, root: Node, nodes: _Nodes) -> Asset:
-    """The tree alone, of a model that MuJoCo refuses for a duplicate name."""
+    """Read only the tree of a model that MuJoCo refuses because of a duplicate name."""
     out = _named_asset(path, root, nodes)
     _bodies_of_text(root, out)
     out.unseen = dict.fromkeys(LAYERS[1:], "MuJoCo refuses a model with two elements of one name")
@@ -123,7 +123,7 @@ def _of_text(path: Path, root: Node, nodes: _Nodes) -> Asset:
 
 
 class _Nodes:
-    """Elements of the text by kind and name."""
+    """Lines of elements in the text, by kind and name."""
 
     def __init__(self, root: Node) -> None:
         self.root = Place(root.path, root.line)
@@ -165,7 +165,7 @@ class _Nodes:
 
 
 def _bodies_of_text(root: Node, out: Asset) -> None:
-    """Bodies and edges, from the text."""
+    """Read bodies and edges from the XML text."""
     out.bodies.append(Body("world", out.place, stated=False))
     world = root.find("worldbody")
     waiting = [("world", node) for node in (world.all("body") if world else [])]
@@ -179,7 +179,7 @@ def _bodies_of_text(root: Node, out: Asset) -> None:
 
 
 def _bodies_of_spec(spec: mujoco.MjSpec, nodes: _Nodes, out: Asset) -> None:
-    """Mass and inertia as stated, of a model that does not compile."""
+    """Read stated mass and inertia of a model that does not compile."""
     for body in spec.bodies:
         name = body.name or f"body {body.id}"
         place = nodes.place("body", name)
@@ -480,7 +480,7 @@ class _Compiled:
                 self.nodes.place("site", name),
             )
         for index in range(model.nkey):
-            # Joints stand here in the order of the compiled model; not all of them have names.
+            # Keyframes follow the joint order of the compiled model; not all joints have names.
             pose = {
                 joint.name: float(model.key_qpos[index, address])
                 for joint, address in zip(self.out.joints, model.jnt_qposadr, strict=True)
@@ -489,7 +489,7 @@ class _Compiled:
             self.out.poses[self.name("key", index)] = pose
 
     def _angles(self) -> None:
-        """Radians in a file whose angles are read as degrees."""
+        """Report ranges that look like radians in a file whose angles are degrees."""
         limited = [j for j in self.out.joints if j.kind == "hinge" and j.is_limited]
         largest = max((max(abs(j.lower or 0), abs(j.upper or 0)) for j in limited), default=0.0)
         if len(limited) > 1 and self.spec.compiler.degree and largest <= _RADIANS_READ_AS_DEGREES:

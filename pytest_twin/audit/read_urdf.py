@@ -1,4 +1,4 @@
-"""A URDF for the audit: what cannot be read is a finding, and the rest is still audited."""
+"""Read a URDF for the audit: unreadable elements become findings, the rest is still audited."""
 
 from __future__ import annotations
 
@@ -51,11 +51,12 @@ def read(
     """Read a URDF file and its meshes.
 
     Args:
-        located: where meshes may lie.
+        path: the URDF.
+        located: folders that may contain meshes.
 
     Raises:
-        FormatError: not well-formed, or beyond a bound.
-        ModelError: no URDF, or one without a link.
+        FormatError: not well-formed, or a limit is exceeded.
+        ModelError: not a URDF, or without a link.
     """
     root = urdf.document(path, limits=limits)
     if not root.all("link"):
@@ -195,7 +196,7 @@ class _Reader:
                     error,
                     "meshes.escapes" if escapes else "meshes.missing",
                     element,
-                    # A visual mesh moves nothing: it is left out, wherever it lies.
+                    # A visual mesh does not affect motion, so it is omitted wherever it is.
                     severity="critical" if shape.role == "collision" else "warning",
                     why="without this shape the link collides with nothing"
                     if shape.role == "collision"
@@ -282,7 +283,7 @@ class _Reader:
             )
 
     def _edge_alone(self, node: Node, name: str, place: Place) -> None:
-        """The edge of a joint whose numbers cannot be read."""
+        """Add the edge of a joint whose numbers cannot be read."""
         ends = [node.find(end) for end in ("parent", "child")]
         links = ["" if end is None else end.attributes.get("link", "") for end in ends]
         if all(links):
@@ -293,7 +294,7 @@ class _Reader:
             self.out.edges.append(Edge(name, place, links[0], links[1], position, rotation))
 
     def _idle_range(self, node: Node, joint: urdf.Joint) -> tuple[float, float] | None:
-        """Lower and upper of a continuous joint, which no parser applies, rad."""
+        """Return the limits stated at a continuous joint, which no parser applies, rad."""
         limit = node.find("limit")
         if joint.type != "continuous" or limit is None:
             return None
@@ -332,7 +333,7 @@ class _Reader:
         joints, actuators = node.all("joint"), node.all("actuator")
         reductions: list[float] = []
         for part in (*joints, *actuators, node):
-            # Old and new forms: an attribute of the joint, or an element of the actuator.
+            # The old form is an attribute of the joint, the new one an element of the actuator.
             for child in part.children:
                 if child.tag == "mechanicalReduction":
                     reductions += self._text_number(child, name)

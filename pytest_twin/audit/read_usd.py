@@ -1,4 +1,4 @@
-"""A USD stage for the audit: bodies, joints and shapes of UsdPhysics, in metres."""
+"""Read a USD stage for the audit: bodies, joints and shapes of UsdPhysics, in metres."""
 
 from __future__ import annotations
 
@@ -48,14 +48,15 @@ def read(path: Path, further: Sequence[Path] = (), *, limits: ModelLimits = LIMI
     """Read a stage and every layer that it is composed of.
 
     Args:
-        further: folders that layers may lie in beside the stage's own.
+        path: the stage's root layer.
+        further: folders besides the stage's own that may contain layers.
 
     Raises:
         UsdMissingError: OpenUSD is not installed.
-        PathError: a layer outside the stage's folder, or none.
-        LimitError: too many layers, or too large.
-        FormatError: no stage.
-        ModelError: a stage without a rigid body.
+        PathError: a layer is missing or outside the allowed folders.
+        LimitError: the layers are too many or too large.
+        FormatError: not a USD stage.
+        ModelError: the stage has no rigid body.
     """
     try:
         from pxr import Tf, Usd
@@ -73,7 +74,7 @@ def read(path: Path, further: Sequence[Path] = (), *, limits: ModelLimits = LIMI
 
 
 def _layers(path: Path, further: Sequence[Path], limits: ModelLimits) -> list[Path]:
-    """Every file that the stage is composed of, none of them outside its folder."""
+    """Return every file of the stage, after checking that it is inside the allowed folders."""
     from pxr import Sdf
 
     roots = Roots(path.parent, tuple(further))
@@ -184,7 +185,7 @@ class _Reader:
                 axes = _rotation(api.GetPrincipalAxesAttr().Get())
                 scale = self.kilogram * self.metre**2
                 body.inertia = axes @ np.diag(moments * scale) @ axes.T
-                # A mass of 0 means: compute it from the shapes; then it is not stated.
+                # A mass of 0 means that it is computed from the shapes, so it is not stated.
                 body.stated = mass != 0
         self.out.bodies.append(body)
         self.out.named.append(("body", name, place))
@@ -197,7 +198,7 @@ class _Reader:
     # -- joints
 
     def _tree(self, joints: list[Any]) -> None:
-        """Joints as edges away from the base; those that close a loop are couplings."""
+        """Direct joints away from the base as edges; joints that close a loop become couplings."""
         from pxr import UsdPhysics
 
         ends = {}
@@ -245,7 +246,7 @@ class _Reader:
                     self._joint(prim, parent, child, flipped=child == first)
 
     def _above(self, target: Any) -> str:
-        """The body that contains a path; the world where none does."""
+        """Return the body that contains a path, or the world."""
         prim = self.stage.GetPrimAtPath(target)
         while prim and prim.GetPath() not in self.bodies:
             prim = prim.GetParent()
@@ -381,7 +382,7 @@ class _Reader:
         elif kind in ("Cylinder", "Capsule"):
             typed = getattr(UsdGeom, kind)(prim)
             along = _AXES.get(str(typed.GetAxisAttr().Get()), 2)
-            # Here round shapes stand along z.
+            # Asset shapes of revolution have their axis along z.
             shape.rotation = shape.rotation @ np.roll(np.eye(3), along - 2, axis=0)
             shape.kind = kind.lower()
             shape.size = (
@@ -421,7 +422,7 @@ class _Reader:
 
 
 def fan(counts: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(m, 3) triangles of polygons: each from its first corner; empty where counts do not fit."""
+    """Split polygons into (m, 3) triangles from their first corner; empty if counts disagree."""
     if int(counts.sum()) != len(corners):
         return np.zeros((0, 3), dtype=np.int64)
     starts = np.cumsum(counts) - counts
@@ -432,7 +433,7 @@ def fan(counts: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.int
 
 
 def _lines(path: Path) -> dict[str, int]:
-    """Prim -> line where it is first defined, in a text layer."""
+    """Return prim -> line of its first definition, for a text layer."""
     data = path.read_bytes()
     if not data.startswith(b"#usda"):
         return {}
@@ -445,7 +446,7 @@ def _lines(path: Path) -> dict[str, int]:
 
 
 def _rotation(quaternion: Any) -> Vector:
-    """(3, 3) of a Gf quaternion; the identity for one of length 0."""
+    """Return the (3, 3) rotation of a Gf quaternion; the identity for one of length 0."""
     values = np.array([*quaternion.GetImaginary(), quaternion.GetReal()], dtype=np.float64)
     if not np.isfinite(values).all() or np.linalg.norm(values) < 1e-6:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""Pictures of the collision shapes: three orthographic views, each body in its own colour."""
+"""Draw collision shapes in three orthographic views, each body in its own colour."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _VIEWS = (
     ("side", (0, 2), (0.0, -1.0, 0.0), ("x", "z")),
     ("top", (1, 0), (0.0, 0.0, 1.0), ("-y", "x")),
 )
-"""Name, axes to the right and up, direction to the viewer; front is seen from +x."""
+"""Name, axes to the right and up, direction to the viewer; the front view is from +x."""
 _LIGHT = np.array([0.45, -0.55, 0.7])
 _WIDTH, _HEIGHT, _GAP = 11.0, 4.2, 0.5
-"""Of a picture, in inches: its width, the tallest view, room for labels."""
+"""In inches: width of a picture, largest height of a view, space for labels."""
 _DIM = "#5c6675"
 _MOST_FACES = 40_000
-"""Triangles of one picture; finer meshes are drawn with merged corners."""
+"""Largest number of triangles in a picture; finer meshes are drawn with merged vertices."""
 _FACES_PER_CELL = 8
-"""Triangles of a sphere that is merged on a grid of n cells, over n squared; measured: 5 to 8."""
+"""Triangles of a sphere merged on a grid of n cells, divided by n squared; measured: 5 to 8."""
 _LEAST_CELLS = 3
-"""Cells along a shape below which it is drawn as its box."""
+"""A shape with fewer cells along it is drawn as its bounding box."""
 _Drawn = tuple[Shape, tuple[Vector, Faces]]
 _OVERLAP = (0.85, 0.29, 0.20)
 _BASE = (0.74, 0.76, 0.78)
@@ -51,11 +51,13 @@ def views(
     role: str = "collision",
     marked: Collection[str] = (),
 ) -> bytes | None:
-    """PNG of the shapes of a ``role`` at a pose; None where there is none.
+    """Return a PNG of the shapes of a ``role`` at a pose; None if there are none.
 
     Args:
+        asset: the robot.
         values: joint -> rad or m.
-        marked: bodies that are drawn in red.
+        role: ``visual`` or ``collision``.
+        marked: bodies to draw in red.
     """
     import matplotlib as mpl
 
@@ -76,7 +78,7 @@ def views(
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     margin = 0.05 * float(spans.max())
     sizes = [(spans[right] + 2 * margin, spans[up] + 2 * margin) for _, (right, up), _, _ in _VIEWS]
-    # One scale for all three, so that lengths compare across them.
+    # One scale for all three views, so that lengths can be compared.
     inch = min(
         (_WIDTH - 4 * 1.5 * _GAP) / sum(width for width, _ in sizes),
         _HEIGHT / max(height for _, height in sizes),
@@ -97,7 +99,7 @@ def views(
             order = np.argsort(corners.mean(axis=1) @ direction)
             shade = 0.62 + 0.25 * np.abs(normals @ direction) + 0.22 * np.abs(normals @ _LIGHT)
             sign = -1.0 if labels[0].startswith("-") else 1.0
-            # One array: a list would be made into paths one by one.
+            # One array: matplotlib converts a list into paths one by one.
             flat: Any = np.stack([sign * corners[..., right], corners[..., up]], axis=-1)[order]
             fill = np.clip(colours * np.minimum(shade, 1.1)[:, None], 0, 1)[order]
             axis.add_collection(
@@ -125,7 +127,7 @@ def views(
 def _surface(
     asset: Asset, shapes: list[Shape], values: Mapping[str, float], marked: Collection[str]
 ) -> tuple[Vector | None, Vector]:
-    """(n, 3, 3) corners of every triangle in the root, m, and (n, 3) their colours."""
+    """Return (n, 3, 3) triangle vertices in the root frame, m, and their (n, 3) colours."""
     places = asset.at(values)
     number = {name: index for index, name in enumerate(asset.body)}
     found = [
@@ -152,10 +154,11 @@ def _surface(
 
 
 def _within_budget(found: list[_Drawn]) -> list[_Drawn]:
-    """The same surfaces with fewer triangles, where there are more than a picture needs.
+    """Reduce surfaces to at most ``_MOST_FACES`` triangles.
 
-    Meshes get a coarser grid, the more of them there are; beyond that the largest shapes are drawn
-    as boxes, and the rest is left out: it is smaller than a pixel beside so many others.
+    The grid is coarser, the more meshes there are. If that is not enough, the largest shapes are
+    drawn
+    as boxes and the others, which are smaller than a pixel, are omitted.
     """
     if sum(len(faces) for _, (_, faces) in found) <= _MOST_FACES:
         return found
@@ -167,7 +170,7 @@ def _within_budget(found: list[_Drawn]) -> list[_Drawn]:
 
 
 def _box(vertices: Vector) -> tuple[Vector, Faces]:
-    """The box around vertices, along the axes of their frame."""
+    """Return the axis-aligned bounding box of vertices."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -176,7 +179,7 @@ def _box(vertices: Vector) -> tuple[Vector, Faces]:
 
 
 def coarse(vertices: Vector, faces: Faces, cells: int = 40) -> tuple[Vector, Faces]:
-    """A mesh with its corners merged on a grid of ``cells`` along its longest side."""
+    """Merge a mesh's vertices on a grid of ``cells`` along its longest side."""
     low = vertices.min(axis=0)
     step = max(float(np.ptp(vertices, axis=0).max()) / cells, 1e-12)
     keys = np.floor((vertices - low) / step).astype(np.int64)
@@ -198,7 +201,7 @@ def coarse(vertices: Vector, faces: Faces, cells: int = 40) -> tuple[Vector, Fac
 
 
 def split(corners: Vector, colours: Vector, longest: float) -> tuple[Vector, Vector]:
-    """Triangles (n, 3, 3) with no side above ``longest``: far and near ones then sort rightly."""
+    """Split (n, 3, 3) triangles until no side exceeds ``longest``, for correct depth sorting."""
     for _ in range(16):
         sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
         worst = sides.argmax(axis=1)

@@ -1,4 +1,4 @@
-"""The whole audit of one file, run in the child process."""
+"""Run the complete audit of one file, in the child process."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _MOST_PICTURES = 6
 
 
 def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
-    """Every finding of the layers that need no simulator, those of installed packages last."""
+    """Return the findings of all layers that need no simulator; installed packages come last."""
     return [
         *asset.faults,
         *(_unseen(asset, layer, why) for layer, why in asset.unseen.items()),
@@ -80,7 +80,7 @@ def audit_file(
     roots: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """The content of the JSON report of a file, and PNG pictures as base64 under ``renders``.
+    """Return the JSON report of a file, with PNG pictures as base64 under ``renders``.
 
     Raises:
         TwinError: the file holds no robot that can be read.
@@ -105,7 +105,7 @@ def audit_file(
 
 
 def criticals(path: str) -> list[str]:
-    """Critical findings of a file, one line each: file, line, element and fault.
+    """Return critical findings of a file, one line of text each: file, line, element and fault.
 
     Raises:
         TwinError: the file holds no robot that can be read.
@@ -129,7 +129,7 @@ def criticals(path: str) -> list[str]:
 
 
 def _finite(data: Any) -> Any:
-    """Plain data with None where a number is not finite: JSON has no other."""
+    """Replace non-finite numbers, which JSON cannot represent, by None."""
     if isinstance(data, dict):
         return {key: _finite(value) for key, value in data.items()}
     if isinstance(data, list):
@@ -138,7 +138,7 @@ def _finite(data: Any) -> Any:
 
 
 def pictures(asset: Asset, results: list[PoseResult]) -> list[dict[str, str]]:
-    """Collision shapes at each pose, or as drawn where no pose was measured; PNG as base64."""
+    """Draw the collision shapes at each measured pose, or the reference pose; PNG as base64."""
     shown = results or [PoseResult("as drawn", {}, (), 0, 0)]
     made = []
     for result in shown[:_MOST_PICTURES]:
@@ -166,7 +166,7 @@ def pictures(asset: Asset, results: list[PoseResult]) -> list[dict[str, str]]:
 
 
 def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[str, Any]:
-    """The report as plain data."""
+    """Return the report as JSON data."""
     rows = finding.to_json(findings)
     counts = Counter(row["severity"] for row in rows)
     free = coupling.freedom(asset)

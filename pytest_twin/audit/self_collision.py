@@ -1,4 +1,4 @@
-"""Distances between collision shapes at declared poses, by two engines."""
+"""Compute distances between collision shapes at declared poses, with MuJoCo and coal."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ BASE_POSE = "zeros, within the ranges"
 _NEAR = 0.05
 """m: pairs farther apart than this are not listed."""
 _MOST_PAIRS = 1000
-"""Pairs of one pose whose distance is computed, the nearest by their bounding spheres."""
+"""Largest number of pairs per pose whose distance is computed, nearest bounding spheres first."""
 _MOST_POSES = 20
 _MOST_SHAPES = 20_000
-"""Collision shapes of one model; the broad phase of so many takes some seconds."""
+"""Largest number of collision shapes in a model; the broad phase then takes a few seconds."""
 _TOUCH = 1e-3
-"""m: overlap that rounded origins and the hulls of meshes do not explain."""
+"""m: larger overlaps are not explained by rounded origins and hulls of meshes."""
 _AGREE = 1e-4
-"""m: how far two engines may differ."""
+"""m: largest difference between the two engines."""
 _GOLDEN = "add a golden of kind collision_distance for the pairs of bodies that can meet"
 
 
@@ -42,8 +42,9 @@ class Near:
     """Two bodies near each other.
 
     Attributes:
-        distance: m, negative where they overlap, by MuJoCo; by_coal: the same, None where coal
-            finds none.
+        first, second: names of the bodies.
+        distance: distance by MuJoCo, m, negative for an overlap.
+        by_coal: distance by coal, m; None if coal computed none.
     """
 
     first: str
@@ -54,13 +55,16 @@ class Near:
 
 @dataclass(frozen=True, slots=True)
 class PoseResult:
-    """One pose: values of joints in rad or m, and what is near what, the nearest first.
+    """Distances at one pose.
 
     Attributes:
-        looked_at: pairs of shapes whose distance was computed.
-        pairs: pairs of shapes that may be near by their bounding spheres; None where they are
-            more than the broad phase lists, and no distance was computed.
-        engine: that computed the distances of ``near``.
+        name: name of the pose.
+        values: joint -> rad or m.
+        near: pairs of near bodies, the nearest first.
+        looked_at: number of pairs of shapes whose distance was computed.
+        pairs: number of pairs of shapes with near bounding spheres; None if they exceed the
+            limit of the broad phase, and no distance was computed.
+        engine: engine that computed the distances of ``near``.
     """
 
     name: str
@@ -72,17 +76,17 @@ class PoseResult:
 
     @property
     def overlapping(self) -> frozenset[str]:
-        """Bodies that overlap with another."""
+        """Return the bodies that overlap with another."""
         return frozenset(name for near in self.overlaps for name in (near.first, near.second))
 
     @property
     def overlaps(self) -> tuple[Near, ...]:
-        """Pairs that overlap by more than rounding explains."""
+        """Return the pairs that overlap by more than ``_TOUCH``."""
         return tuple(near for near in self.near if near.distance < -_TOUCH)
 
 
 def poses(asset: Asset, declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Name -> joint -> rad or m: zeros moved into the ranges, keyframes, and what is declared."""
+    """Return pose -> joint -> rad or m: the base pose, keyframes and declared poses."""
     base = base_pose(asset)
     found = {BASE_POSE: base}
     for source in (asset.poses, declared):
@@ -94,7 +98,7 @@ def poses(asset: Asset, declared: Mapping[str, Mapping[str, float]]) -> dict[str
 
 
 def base_pose(asset: Asset) -> dict[str, float]:
-    """Joint -> rad or m: zeros moved into the ranges, followers where their leaders put them."""
+    """Return joint -> rad or m: zeros clipped to the ranges, followers at their leaders' values."""
     base = {}
     for joint in asset.joints:
         if joint.is_scalar:
@@ -106,7 +110,7 @@ def base_pose(asset: Asset) -> dict[str, float]:
 
 
 def with_followers(asset: Asset, values: Mapping[str, float]) -> dict[str, float]:
-    """The values with those of joints that follow another, rad or m."""
+    """Add the values of mimic joints, rad or m."""
     found = dict(values)
     for mimic in asset.mimics:
         if mimic.follower in found and mimic.leader in found:
@@ -117,17 +121,19 @@ def with_followers(asset: Asset, values: Mapping[str, float]) -> dict[str, float
 def measure(
     asset: Asset, geometry: Geometry, declared: Mapping[str, Mapping[str, float]]
 ) -> tuple[list[PoseResult], list[Finding]]:
-    """Distances at every pose, and their findings.
+    """Compute the distances at every pose, and the findings about them.
 
-    URDF and MJCF are compiled and measured by MuJoCo, and pairs that are near by coal too. A USD
-    stage, and a model that does not compile, are measured by coal alone, between the convex hulls
+    MuJoCo compiles URDF and MJCF and computes the distances; coal confirms those of near pairs. For
+    a
+    USD stage or a model that does not compile, coal alone computes distances between the convex
+    hulls
     of the shapes that could be read.
     """
     if not any(shape.role == "collision" for shape in asset.shapes):
         return [], [_unknown(asset, "it has no collision shape", "add collision shapes from CAD")]
     realization = None
     if asset.kind != "usd":
-        # A model that no simulator takes is still measured, between hulls.
+        # Coal can measure hulls even if the model does not compile.
         with contextlib.suppress(TwinError):
             realization = load(asset.path, located=asset.located, accept_invalid_inertia=True)
     count = len(asset.shapes) if realization is None else realization.model.ngeom
@@ -158,7 +164,7 @@ def _unknown(asset: Asset, why: str, settle: str) -> Finding:
         asset.place,
         f"robot '{asset.name}'",
         f"distances between collision shapes were not computed: {why}",
-        why="a self-collision that is not found here is found by the robot",
+        why="a self-collision that this audit misses first appears on the robot",
         settle=settle,
     )
 
@@ -197,7 +203,7 @@ def _at(
 
 
 class Hulls:
-    """Convex hulls of an asset's collision shapes, each made once for all poses."""
+    """Convex hulls of an asset's collision shapes, computed once for all poses."""
 
     def __init__(self, asset: Asset, geometry: Geometry) -> None:
         self.asset = asset
@@ -213,7 +219,7 @@ class Hulls:
                 self._faces.append(hull[1])
 
     def near(self, name: str, values: Mapping[str, float], *, joined: bool = False) -> PoseResult:
-        """Distances between convex hulls by coal, at one pose.
+        """Compute distances between convex hulls with coal, at one pose.
 
         Args:
             values: joint -> rad or m.
@@ -263,7 +269,7 @@ class Hulls:
 
     @cached_property
     def _adjacent(self) -> set[frozenset[str]]:
-        """Pairs of groups of fixed bodies that are one, or meet at a joint."""
+        """Return pairs of rigid groups that are the same or share a joint."""
         group = self.asset.group
         found = {frozenset((top,)) for top in group.values()}
         for edge in self.asset.in_order():
@@ -273,7 +279,7 @@ class Hulls:
     def _distance(
         self, pair: tuple[int, int], places: Mapping[str, tuple[Vector, Vector]]
     ) -> float:
-        """Of two shapes, m; negative where they overlap."""
+        """Return the distance of two shapes, m; negative for an overlap."""
         request = coal.DistanceRequest()
         request.enable_signed_distance = True
         placed: list[object] = []
@@ -305,7 +311,7 @@ def _near(
 
 
 def _near_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64] | None:
-    """(n, 2) geoms near each other that MuJoCo would let collide; None where they are too many."""
+    """Return (n, 2) near geoms whose collision MuJoCo allows; None if there are too many."""
     colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     geoms = np.flatnonzero(colliding & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)))
     near = near_pairs(data.geom_xpos[geoms], model.geom_rbound[geoms], _NEAR)
@@ -313,7 +319,7 @@ def _near_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]
 
 
 def _allowed(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Those pairs of geoms that MuJoCo would let collide."""
+    """Return the pairs of geoms whose collision MuJoCo allows."""
     contype, conaffinity = model.geom_contype, model.geom_conaffinity
     first, second = pairs[:, 0], pairs[:, 1]
     a, b = model.geom_bodyid[first], model.geom_bodyid[second]
@@ -368,7 +374,7 @@ def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:
 
 
 def to_json(results: Sequence[PoseResult]) -> list[dict[str, object]]:
-    """Plain data."""
+    """Return the results as JSON data."""
     return [
         {
             "pose": result.name,

@@ -1,4 +1,4 @@
-"""Sources that settle what a file leaves unknown, each many findings at once."""
+"""Sources of the values that a file does not state; one source often resolves several findings."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One document, recording or test.
+    """One document, recording or test that resolves findings.
 
     Attributes:
-        name: in the JSON.
-        what: as people call it, with what to look for in it.
-        next_step: what to do with it.
-        codes: findings that it settles; ``*.what`` for those of every layer.
+        name: name in the JSON report.
+        what: description, with the values to look for.
+        next_step: what to do with these values.
+        codes: findings that it resolves; ``*.what`` applies to every layer.
     """
 
     name: str
@@ -93,7 +93,7 @@ SOURCES: tuple[Source, ...] = (
         ("*.not_looked_at",),
     ),
 )
-"""In the order in which they are listed where they settle equally many findings."""
+"""Sources that resolve equally many findings are listed in this order."""
 
 
 @cache
@@ -102,13 +102,13 @@ def _by_code() -> Mapping[str, Source]:
 
 
 def source_of(code: str) -> Source | None:
-    """The source that settles findings of a code; None where none is known."""
+    """Return the source that resolves findings of a code, or None."""
     table = _by_code()
     return table.get(code) or table.get(f"*.{code.partition('.')[2]}")
 
 
 def settled(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What each source settles of the findings ``rows``, the source of most of them first.
+    """Return the findings of ``rows`` that each source resolves, most findings first.
 
     Only findings of severity ``unknown`` count.
     """

@@ -1,4 +1,4 @@
-"""Transmissions and hardware interfaces: what is between a motor and its joint."""
+"""Transmissions and hardware interfaces between motors and joints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pytest_twin.audit.asset import Asset, Transmission
 from pytest_twin.audit.finding import Finding
 
 INTERFACES = ("PositionJointInterface", "VelocityJointInterface", "EffortJointInterface")
-"""Command interfaces of ros_control; a package name may be in front of them."""
+"""Command interfaces of ros_control; a package name may precede them."""
 
 
 def check(asset: Asset) -> Iterator[Finding]:

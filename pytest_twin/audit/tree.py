@@ -1,4 +1,4 @@
-"""The tree of links: one base, every link reached once, no loop, unique names."""
+"""Check the tree of links: one base, no loop, one parent for each link, unique names."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _duplicates(asset: Asset) -> Iterator[Finding]:
                 f"its name differs from '{alike}' in upper and lower case alone",
                 name,
                 None,
-                "names that differ without regard to case",
+                "names that differ by more than upper and lower case",
                 "some file systems and formats treat the two as one name",
                 "rename one of them",
             )

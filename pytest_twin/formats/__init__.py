@@ -1,1 +1,1 @@
-"""The only room that reads or writes files."""
+"""Readers and writers of files: the only package that reads or writes them."""

@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all."""
+"""Atomic writes of files and folders: readers see the old content or the new, never a part."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from pytest_twin.errors import FormatError, PathError
 
 @contextlib.contextmanager
 def open_replacement(path: Path) -> Iterator[BinaryIO]:
-    """A binary stream that becomes ``path`` when the block ends without an error.
+    """Open a binary stream whose content replaces ``path`` when the block ends without an error.
 
-    The stream is a temporary file in the same folder; it is synced to the disk and renamed over
-    ``path``, whose mode it keeps. An error or a crash leaves the old content.
+    The stream is a temporary file in the same folder. It is synced to the disk and renamed to
+    ``path``, and keeps the mode of the replaced file. An error or a crash leaves the old content.
 
     Raises:
         PathError: ``path`` is a link, a folder or a device, or its folder cannot be written.
@@ -48,10 +48,10 @@ def open_replacement(path: Path) -> Iterator[BinaryIO]:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it, where they are missing.
+    """Create a folder and its missing parents.
 
     Raises:
-        PathError: a file lies in the way, or the disk refuses.
+        PathError: a file has that name, or the operating system refuses.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -60,7 +60,7 @@ def make_folder(path: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write ``data`` as ``path``, whole or not at all.
+    """Write ``data`` to ``path`` atomically.
 
     Raises:
         PathError: as :func:`open_replacement`.
@@ -70,11 +70,11 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` as UTF-8, line ends as they are, whole or not at all.
+    """Write ``text`` to ``path`` as UTF-8, atomically and with unchanged line ends.
 
     Raises:
         PathError: as :func:`open_replacement`.
-        FormatError: the text holds half of a surrogate pair.
+        FormatError: the text contains half of a surrogate pair.
     """
     try:
         data = text.encode("utf-8")
@@ -86,14 +86,15 @@ def write_text(path: Path, text: str) -> None:
 
 
 def replace_directory(staging: Path, final: Path) -> None:
-    """Make the finished folder ``staging`` appear as ``final``; an old ``final`` goes.
+    """Rename the finished folder ``staging`` to ``final`` and delete an existing ``final``.
 
-    Both lie in the same folder's file system. Everything in ``staging`` is synced first. Where
-    ``final`` does not exist yet the step is one rename; where it does, the old folder is moved
-    aside first and moved back if the rename fails, so that no half of either is ever there.
+    Both have to be on the same file system. Everything in ``staging`` is synced first. If
+    ``final`` does not exist, one rename suffices. If it exists, the old folder is moved to a
+    temporary name first, and moved back if the rename fails.
 
     Raises:
-        PathError: ``staging`` is no folder, ``final`` is a link or a file, or the disk refuses.
+        PathError: ``staging`` is not a folder, ``final`` is a link or a file, or the operating
+            system refuses.
     """
     if staging.is_symlink() or not staging.is_dir():
         raise PathError("not a folder", path=staging, expected="the folder to move into place")
@@ -121,15 +122,15 @@ def replace_directory(staging: Path, final: Path) -> None:
 
 
 def create_directory(staging: Path, final: Path) -> bool:
-    """Make the finished folder ``staging`` appear as ``final`` unless that is taken.
+    """Rename the finished folder ``staging`` to ``final`` unless ``final`` exists.
 
-    Everything in ``staging`` is synced first; of several writers exactly one gets ``final``.
+    Everything in ``staging`` is synced first. If several processes try, exactly one succeeds.
 
     Returns:
-        False where ``final`` was there already; ``staging`` then stays as it is.
+        True if the folder was renamed; False if ``final`` existed, and ``staging`` is unchanged.
 
     Raises:
-        PathError: ``staging`` is no folder, or the disk refuses.
+        PathError: ``staging`` is not a folder, or the operating system refuses.
     """
     if staging.is_symlink() or not staging.is_dir():
         raise PathError("not a folder", path=staging, expected="the folder to move into place")
@@ -140,7 +141,7 @@ def create_directory(staging: Path, final: Path) -> bool:
         staging.rename(final)
         _sync_folder(final.parent)
     except OSError as error:
-        # A folder with something in it is never renamed over.
+        # A rename never replaces a folder that is not empty.
         if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
             return False
         raise PathError(f"cannot be made: {error.strerror or error}", path=final) from error

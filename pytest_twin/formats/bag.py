@@ -1,4 +1,4 @@
-"""A bag: messages of several topics, as the files of a recorder hold them."""
+"""Data classes for the content of a bag file: schemas, channels, and blocks of messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pytest_twin.formats.serialized import Integers
 
 @dataclass(frozen=True)
 class Schema:
-    """What a channel's messages are."""
+    """Message type of a channel."""
 
     name: str
     encoding: str
@@ -18,7 +18,7 @@ class Schema:
 
 @dataclass(frozen=True)
 class Channel:
-    """A topic and how its messages are encoded."""
+    """One topic and the encoding of its messages."""
 
     schema_id: int
     topic: str
@@ -27,11 +27,11 @@ class Channel:
 
 @dataclass(frozen=True)
 class Region:
-    """Messages that lie in one piece of memory.
+    """Messages that share one block of bytes.
 
     Attributes:
-        data: the bytes.
-        place: where the piece is in the file.
+        data: the block.
+        place: position of the block in the file, for messages to people.
         channel, log_time, start, size: (n,) per message; ``log_time`` in ns, ``start`` and
             ``size`` of its payload in ``data`` in bytes.
     """
@@ -46,13 +46,13 @@ class Region:
 
 @dataclass
 class Contents:
-    """What one file of a bag declares and holds beside the messages.
+    """Everything in one bag file except the messages.
 
     Attributes:
-        notes: what is lost or damaged.
-        schemas, channels: by number.
+        notes: lost or damaged parts.
+        schemas, channels: number in the file -> declaration.
         metadata: name and fields of each metadata record.
-        message_counts: channel -> messages.
+        message_counts: channel -> number of messages.
         has_checksum: whether a checksum covers the whole data section, metadata records included.
     """
 

@@ -1,4 +1,4 @@
-"""Batches of messages as one table of joints."""
+"""Merge batches of messages into one table with a row per message and a column per joint."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pytest_twin.formats.serialized import Batch, Floats, Integers
 def table_of(
     batches: Sequence[Batch], name: str, names: tuple[str, ...], order: Integers
 ) -> Floats | None:
-    """(n, j) of one quantity, NaN where a message does not carry a joint; None where all are empty.
+    """Return one quantity as (n, j); NaN where a message lacks a joint, None if all are empty.
 
     Args:
-        batches: of one topic.
-        name: the quantity.
-        names: joints of the table.
-        order: (n,) from the messages as batches have them to the order of the file.
+        batches: batches of one topic.
+        name: the quantity, such as ``position``.
+        names: joint of each column.
+        order: (n,) permutation from the order of the batches to the order of the file.
     """
     if all(batch.values[name] is None for batch in batches):
         return None
@@ -42,7 +42,7 @@ def table_of(
 def carried_by(
     batches: Sequence[Batch], names: tuple[str, ...], order: Integers
 ) -> NDArray[np.bool_]:
-    """(n, j) which joints each message names."""
+    """Return which joints each message names, as (n, j) booleans."""
     parts = []
     for batch in batches:
         named = set(batch.names)
@@ -59,18 +59,18 @@ def note_not_finite(
     names: tuple[str, ...],
     carried: NDArray[np.bool_],
 ) -> None:
-    """Note where a quantity of joints that messages name is empty or not finite."""
+    """Note the messages in which a named joint has an empty or non-finite value."""
     table = tables[name]
     if table is None:
         return
-    # Of joints with different modes each fills one field and has NaN throughout in the others.
+    # Joints with different control modes each fill one field and are NaN throughout in the others.
     others = [t for key, t in tables.items() if key != name and t is not None]
     elsewhere = [np.isfinite(t).any(axis=0) for t in others]
     unused = np.isnan(table).all(axis=0) & np.any([np.zeros(len(names), bool), *elsewhere], 0)
     bad = carried & ~unused & ~np.isfinite(table)
     if not bad.any():
         return
-    # A whole row of NaN is how an empty field reads.
+    # An empty field is read as a row of NaN.
     empty = np.isnan(table).all(axis=1)
     odd = np.flatnonzero(bad.any(axis=1) & ~empty)
     if odd.size:

@@ -1,4 +1,4 @@
-"""``calibration.json`` as a twin reads it."""
+"""Read ``calibration.json`` for use in a twin."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Transform = tuple[tuple[float, ...], tuple[float, ...] | None]
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """A deviation of a link from its nominal geometry.
+    """One deviation of the nominal placement of a joint on its parent link.
 
     Attributes:
-        joint: whose placement on the link before it deviates.
+        joint: the joint whose placement deviates.
         rotation: True for an angle (rad), False for an offset (m).
-        direction: (3,) in the joint's frame.
-        value: rad or m.
+        direction: (3,) axis of rotation or translation, in the joint's frame.
+        value: size of the deviation, rad or m.
     """
 
     joint: str
@@ -42,32 +42,32 @@ class Deviation:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationRecord:
-    """What a twin takes from one calibration.
+    """Content of one ``calibration.json`` that a twin uses.
 
     Attributes:
-        id: of the record.
+        id: name of the calibration.
         path: the file.
-        sha256: of the file, hex.
+        sha256: SHA-256 of the file, hex.
         verdict: ``accepted``, ``rejected`` or ``degenerate``.
-        joint_zeros: joint -> what is added to its reading, rad or m: an encoder's home, where no
-            external measurement of the joint is in the record.
-        homes: joint -> sign of the reading with which its encoder's home was found.
+        joint_zeros: joint -> offset added to its reading, rad or m. It is the encoder's home
+            position where the record has no external measurement of the joint.
+        homes: joint -> sign of the reading (1 or -1) with which the home position was found.
         base_world: position (m) and quaternion w x y z of the base in the world, or None.
-        held_out: root mean squares on observations that nothing was fitted on, m and rad.
+        held_out: root mean square errors on held-out observations, m and rad.
         transforms: record -> position (m) and quaternion w x y z of its child in its parent; the
             quaternion is None where a point was estimated.
-        points: marker, or ``pivot.NAME`` -> its place in the record's parent, m.
-        held_out_ids: observations that nothing was fitted on.
-        seen: observation -> position (m) and quaternion w x y z of the target in the camera, from
-            its image.
+        points: marker, or ``pivot.NAME`` -> (3,) position in the record's parent frame, m.
+        held_out_ids: held-out observations.
+        seen: observation -> position (m) and quaternion w x y z of the target in the camera
+            frame, from its image.
         inputs: file, relative to the plan's folder -> SHA-256, hex.
-        frames: record -> its parent and child.
-        covariances: record -> covariance of its x y z [m] and, of a pose, rx ry rz [rad].
-        covariance_names, covariance: of all unknowns together, as the fit had them.
+        frames: record -> its parent frame and child frame.
+        covariances: record -> covariance of x y z [m] and, for a pose, rx ry rz [rad].
+        covariance_names, covariance: names and joint covariance of all estimated parameters.
         deviations: label -> deviation of a link.
-        time_offset: of one clock against the other and its standard deviation, s, or None.
-        clock_drift: by which the offset grows, s/s; 0 where none was used.
-        scale: of the camera's positions against m, or None where they are in m.
+        time_offset: offset between the two clocks and its standard deviation, s, or None.
+        clock_drift: rate at which the offset grows, s/s; 0 if none was estimated.
+        scale: scale of the camera's positions relative to m, or None if they are in m.
     """
 
     id: str
@@ -99,7 +99,7 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
     Raises:
         PathError: missing, a link, or no regular file.
         LimitError: beyond ``limits.OBSERVATIONS``.
-        FormatError: not what ``pytest-twin calibrate`` writes.
+        FormatError: the content is not what ``pytest-twin calibrate`` writes.
     """
     content, data = read_record(path, "calibration.json of pytest-twin calibrate")
     try:
@@ -188,7 +188,7 @@ def _drift(offset: Mapping[str, Any] | None) -> float:
 
 
 def _of_homes(homes: Mapping[str, Any]) -> dict[str, Any]:
-    """Covariance of encoders' homes, which are independent of one another."""
+    """Return the diagonal covariance of the home positions, whose errors are independent."""
     sizes = [standard_deviation(one["ci95"]) ** 2 for one in homes.values()]
     count = range(len(sizes))
     matrix = [[sizes[row] if row == column else 0.0 for column in count] for row in count]

@@ -1,4 +1,4 @@
-"""Zstandard as rosbag2 uses it: around each message, or around a whole file."""
+"""Decompress rosbag2's Zstandard compression, of each message or of a whole file."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _BLOCK_BYTES = 4 * 2**20
 def unpacked_messages(
     region: Region, rows: Integers, bytes_left: int, path: Path, topic: str
 ) -> Region:
-    """Messages that are each a Zstandard frame, unpacked; a broken one becomes an empty message.
+    """Decompress messages that are Zstandard frames; a damaged one becomes an empty message.
 
     Args:
-        region: where they lie.
-        rows: which of its messages.
-        bytes_left: how much they may unpack to.
-        path, topic: for errors.
+        region: block with the compressed messages.
+        rows: indices of the messages to decompress.
+        bytes_left: largest total size after decompression, bytes.
+        path, topic: named in errors.
 
     Raises:
-        LimitError: they unpack to more than that, or one to more than ``limits.MCAP`` allows.
+        LimitError: the total exceeds ``bytes_left``, or one message exceeds ``limits.MCAP``.
     """
     import zstandard
 
@@ -42,7 +42,7 @@ def unpacked_messages(
         packed = region.data[start : start + size]
         try:
             stated = zstandard.frame_content_size(packed)
-            # A frame's own size would be allocated as it says.
+            # The library would allocate the size that the frame states, so check it first.
             if stated > min(limits.MCAP.message_bytes, bytes_left - total):
                 raise LimitError(
                     "a compressed message is too large",
@@ -71,15 +71,15 @@ def unpacked_messages(
 
 @contextlib.contextmanager
 def unpacked_file(stream: BinaryIO, path: Path) -> Iterator[BinaryIO]:
-    """A temporary file with the content of a Zstandard file, gone after the block.
+    """Decompress a Zstandard file into a temporary file, which is deleted after the block.
 
     Args:
         stream: the compressed file.
-        path: its name, for errors.
+        path: its name, used in errors.
 
     Raises:
-        FormatError: damaged.
-        LimitError: it unpacks to more than ``limits.MCAP`` allows for a file of its size.
+        FormatError: the file is damaged.
+        LimitError: the content is larger than ``limits.MCAP`` allows for a file of this size.
     """
     import zstandard
 
@@ -95,14 +95,14 @@ def unpacked_file(stream: BinaryIO, path: Path) -> Iterator[BinaryIO]:
                     written += len(block)
                     if written > bound:
                         raise LimitError(
-                            "the compressed file unpacks to too much",
+                            "the compressed file is too large after decompression",
                             path=path,
                             expected=f"at most {bound} bytes from {packed_bytes}",
                         )
                     out.write(block)
         except (zstandard.ZstdError, MemoryError) as error:
             if not written:
-                raise FormatError(f"cannot be unpacked: {str(error)[:80]}", path=path) from None
+                raise FormatError(f"cannot be decompressed: {str(error)[:80]}", path=path) from None
         out.flush()
         out.seek(0)
         yield cast("BinaryIO", out)

@@ -18,7 +18,7 @@ LINE_ENDINGS_ADVICE = (
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a regular file's bytes, hex.
+    """Return the SHA-256 of a regular file's bytes, hex.
 
     Raises:
         PathError: missing, unreadable, a link, or no regular file.
@@ -43,16 +43,16 @@ def file_sha256(path: Path) -> str:
 
 
 def bytes_sha256(data: bytes) -> str:
-    """SHA-256 of ``data``, hex."""
+    """Return the SHA-256 of ``data``, hex."""
     return hashlib.sha256(data).hexdigest()
 
 
 def only_line_endings(data: bytes, sha256: str) -> str | None:
-    """What to do where ``data`` has another digest only because LF became CR LF; else None.
+    """Return advice if only CR LF line ends make the digest of ``data`` differ, else None.
 
     Args:
         data: the file's bytes.
-        sha256: the digest that was recorded, hex.
+        sha256: the recorded digest, hex.
     """
     if b"\r\n" not in data or bytes_sha256(data.replace(b"\r\n", b"\n")) != sha256:
         return None

@@ -1,7 +1,7 @@
-"""File names for the names that robots use: valid on every system, one file for each name.
+"""Convert names of joints, links and goldens to unique file names, valid on every system.
 
-A name keeps its spelling where that is a valid file name everywhere: letters of ASCII, digits,
-``_``, ``-`` and ``.``. Any other name gets a readable form and the start of its SHA-256:
+A name of ASCII letters, digits, ``_``, ``-`` and ``.`` is a valid file name everywhere and is kept.
+Any other name gets a readable form and the start of its SHA-256:
 ``robot0:FFJ3`` becomes ``robot0_FFJ3-cc9add09``.
 """
 
@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 MAX_LENGTH = 80
-"""Characters: leaves room for a suffix, folders and Windows' 260 characters of a whole path."""
+"""Characters: leaves room for a suffix and folders within Windows' limit of 260 for a path."""
 
 _DIGEST_LENGTHS = (8, 16, 32, 64)
 _VALID = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]*[A-Za-z0-9_-])?")
@@ -24,11 +24,11 @@ _DEVICE = re.compile(r"(?:con|prn|aux|nul|conin\$|conout\$|com[0-9]|lpt[0-9])(?:
 
 
 def portable_names(names: Iterable[str]) -> dict[str, str]:
-    """Each name with its file name, without suffix.
+    """Return name -> file name without suffix.
 
-    Two names never share a file, on systems that ignore case neither: names that would, such as
-    ``FFJ3`` and ``ffj3``, all get a part of their SHA-256. Apart from such a group, the file name
-    depends on the name alone, not on the other names or their order.
+    Two names never share a file, not even on systems that ignore case: names that would collide,
+    such as ``FFJ3`` and ``ffj3``, all get a part of their SHA-256. For all other names the file
+    name depends on the name alone, not on the other names or their order.
     """
     digits = dict.fromkeys(names, 0)
     for name in digits:
@@ -41,19 +41,19 @@ def portable_names(names: Iterable[str]) -> dict[str, str]:
         if not shared:
             return found
         for name in shared:
-            # Two full digests never agree, so the lengths stop growing before they end.
+            # Two full digests are never equal, so one of the lengths suffices.
             digits[name] = next((n for n in _DIGEST_LENGTHS if n > digits[name]), digits[name])
 
 
 def portable_name(name: str) -> str:
-    """The file name, without suffix, of a name that has a folder of its own."""
+    """Return the file name, without suffix, of a name that is alone in its folder."""
     return portable_names([name])[name]
 
 
 def portable_paths(paths: Iterable[str]) -> dict[str, str]:
-    """Each relative POSIX path with one whose every part is valid everywhere; none coincide.
+    """Return relative POSIX path -> unique path whose parts are all valid on every system.
 
-    Files keep their suffix where it is valid.
+    Files keep a valid suffix.
     """
     given = list(dict.fromkeys(paths))
     tree: dict[str, set[str]] = {}
@@ -71,7 +71,7 @@ def portable_paths(paths: Iterable[str]) -> dict[str, str]:
 
 
 def _with_suffixes(parts: Iterable[str]) -> dict[str, str]:
-    """Names of one folder's files and folders, each as ``portable_names`` has it, with suffix."""
+    """Return portable names, suffix included, for the files and folders of one folder."""
     parts = sorted(parts)
     folded = Counter(part.casefold() for part in parts)
     kept = {part for part in parts if _fits(part) and folded[part.casefold()] == 1}
@@ -88,7 +88,7 @@ def _with_suffixes(parts: Iterable[str]) -> dict[str, str]:
 
 
 def _fits(part: str) -> bool:
-    """Whether a file or folder that exists can keep its name: letters of any alphabet are fine."""
+    """Whether an existing file or folder can keep its name; letters of any alphabet are valid."""
     return (
         unicodedata.normalize("NFC", part) == part
         and not part.endswith((".", " "))
@@ -109,7 +109,7 @@ def _spelled(name: str, digest_length: int) -> str:
     if not digest_length:
         return name
     digest = _digest(name, digest_length)
-    # Accents go, other alphabets too: not every system writes them as the same bytes.
+    # Drop accents and other alphabets: systems encode them as different bytes.
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     words = _OTHER.sub("_", plain).strip("_-")[: MAX_LENGTH - digest_length - 1].rstrip("_-")
     return f"{words}-{digest}" if words else digest

@@ -1,4 +1,4 @@
-"""A recording gathered from the messages of one bag file or several."""
+"""Collect the messages of one or more bag files into a recording."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from pytest_twin.formats.serialized import QUANTITIES, Batch, Encoding, Integers
 from pytest_twin.formats.topic_reader import TopicReader
 
 _ROLES = ("state", "command")
-# A look at another topic's first messages costs no more than this.
+# Limits the bytes read from topics that are listed but not used.
 _LOOK_BYTES = 2**20
 
 
 class Gatherer:
-    """Takes the messages of a bag's files, one after another, and makes a recording of them.
+    """Collects the messages of a bag's files, file by file, and builds a recording.
 
     Args:
-        path: the file or folder that the recording is named by.
-        topics: role -> topic.
+        path: the file or folder of the recording.
+        topics: role (``state``, ``command``) -> topic.
     """
 
     def __init__(self, path: Path, topics: Mapping[str, str]) -> None:
@@ -48,19 +48,19 @@ class Gatherer:
         self.topics: dict[str, Topic] = {}
 
     def wants(self, topic: str, schema: str) -> bool:
-        """Whether messages of a topic are to be read; others are only counted."""
+        """Whether a topic's messages have to be read; messages of other topics are only counted."""
         if any(reader.topic == topic for reader in self.readers.values()):
             return True
         return any(message_type(schema, role) is not None for role in _ROLES)
 
     def file(self, path: Path) -> Contents:
-        """Begin with one file: what it declares and holds goes into the contents returned."""
+        """Begin a file; the reader fills the returned contents with the file's declarations."""
         contents = Contents()
         self.files.append((path, contents))
         return contents
 
     def take(self, region: Region, contents: Contents) -> None:
-        """Take all messages of a region; channels that are not declared are noted."""
+        """Collect all messages of a region, and note messages of undeclared channels."""
         for number in np.unique(region.channel).tolist():
             rows = np.flatnonzero(region.channel == number)
             channel = contents.channels.get(number)
@@ -78,7 +78,7 @@ class Gatherer:
             self.look(region, rows, channel, schema)
 
     def count(self, contents: Contents, counts: Mapping[int, int]) -> None:
-        """Count messages that are not taken: channel -> how many."""
+        """Add counts of messages that are not read: channel -> number of messages."""
         for number, messages in counts.items():
             channel = contents.channels[number]
             schema = contents.schemas.get(channel.schema_id)
@@ -87,14 +87,14 @@ class Gatherer:
             self.topics[channel.topic] = replace(known, messages=known.messages + messages)
 
     def look(self, region: Region, rows: Integers, channel: Channel, schema: str | None) -> None:
-        """Count the messages of a topic, and find out the joints of the first."""
+        """Count the messages of a topic, and decode the first for its joints."""
         known = self.topics.get(channel.topic)
         name = long_name(schema or "")
         roles = tuple(role for role in _ROLES if message_type(name, role) is not None)
         if known is None:
             known = Topic(channel.topic, name, 0, roles)
         if not roles and channel.encoding == "json":
-            # JSON needs no schema: a JointState is known by its fields.
+            # JSON needs no schema: a JointState is recognized by its fields.
             name, roles = SCHEMA_NAME, _ROLES
         if roles and not known.joints:
             first = _first(region, rows[:1], channel, message_type(name, roles[0]), self.path)
@@ -104,7 +104,7 @@ class Gatherer:
         self.topics[channel.topic] = replace(known, messages=known.messages + len(rows))
 
     def recording(self) -> Recording:
-        """What has been gathered.
+        """Return the recording.
 
         Raises:
             RecordingError: no message of a topic can be decoded, or metadata records ``trial``
@@ -142,7 +142,7 @@ class Gatherer:
         ]
 
     def trial_metadata(self) -> dict[str, str]:
-        """What the recording says of itself: the record ``trial`` over what its folder says.
+        """Return the trial's metadata; the record ``trial`` overrides that of ``metadata.yaml``.
 
         Raises:
             RecordingError: metadata records ``trial`` that differ.
@@ -152,12 +152,12 @@ class Gatherer:
             raise RecordingError(
                 "metadata records 'trial' differ",
                 path=self.path,
-                expected="the same record in each file; give the files of two trials one by one",
+                expected="the same record in each file; pass files of different trials separately",
             )
         return self.metadata | dict(found[0] if found else {})
 
     def _guarded(self) -> bool:
-        """Whether a checksum covers the metadata, or there is none."""
+        """Whether all metadata records are covered by a checksum, or there are none."""
         found = self._trial_records()
         return not found or any(guarded for _, guarded in found)
 
@@ -173,7 +173,7 @@ class Gatherer:
 def _first(
     region: Region, rows: Integers, channel: Channel, kind: MessageType | None, path: Path
 ) -> Batch | None:
-    """The first message of a topic, where it can be decoded."""
+    """Decode the first message of a topic; None if that fails."""
     if kind is None or int(region.size[rows[0]]) > _LOOK_BYTES:
         return None
     try:

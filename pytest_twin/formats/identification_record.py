@@ -1,4 +1,4 @@
-"""``identification.json`` as a twin reads it."""
+"""Read ``identification.json`` for use in a twin."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ Laid = Mapping[str, Mapping[str, Mapping[str, float | tuple[float, ...]]]]
 
 @dataclass(frozen=True, slots=True)
 class EncoderChange:
-    """What an identification says of one encoder: ``model = sign * scale * measured + offset``.
+    """Calibration of one encoder, ``model = sign * scale * measured + offset``, before and after.
 
     Attributes:
-        before: ``offset`` (rad or m), ``sign`` and ``scale`` of the twin that was identified,
+        before: ``offset`` (rad or m), ``sign`` and ``scale`` in the twin that was identified,
             without its records of identifications.
-        after: what the efforts say in its place.
+        after: the same fields, estimated from the measured efforts.
     """
 
     before: Mapping[str, float]
@@ -43,28 +43,30 @@ class EncoderChange:
 
 @dataclass(frozen=True, slots=True)
 class IdentificationRecord:
-    """What a twin takes from one identification.
+    """Content of one ``identification.json`` that a twin uses.
 
     Attributes:
-        id: of the record.
+        id: name of the identification.
         path: the file.
-        sha256: of the file, hex.
+        sha256: SHA-256 of the file, hex.
         verdict: ``accepted``, ``improved`` or ``rejected``.
-        fit: what it lays over the model.
-        stages: stage -> its state.
-        values: parameter -> value in its unit, of the accepted stages.
-        covariance_names, covariance: of the parameters.
+        fit: model attributes that the identification replaces.
+        stages: stage -> its state, such as ``accepted``.
+        values: parameter -> value in its unit, for the accepted stages.
+        covariance_names, covariance: names and covariance of the parameters.
         held_out: joint -> relative error of its effort on held-out recordings.
         recordings: names of the held-out recordings.
-        filter: cutoff, parallel cutoff and rate, Hz; None without measured effort.
+        filter: cutoff of the low-pass, cutoff of the decimation filter (applied to regressor and
+            effort alike) and sample rate, Hz; None without measured effort.
         inputs: file -> SHA-256, hex.
         units: parameter -> unit.
         deviations: parameter -> standard deviation in its unit.
-        position_rms: joint -> error of its simulated position on held-out recordings, rad or m.
-        without_effort: joints whose motion was measured, and whose effort was not.
-        sensors: sensors that it estimated.
-        encoder_steps: joint -> quantization of its encoder, rad or m.
-        encoders: joint -> how its encoder relates to the model, before and after.
+        position_rms: joint -> root mean square error of its simulated position on held-out
+            recordings, rad or m.
+        without_effort: joints with measured motion but without measured effort.
+        sensors: calibrated sensors.
+        encoder_steps: joint -> quantization step of its encoder, rad or m.
+        encoders: joint -> calibration of its encoder, before and after.
     """
 
     id: str
@@ -95,7 +97,7 @@ def read_identification_record(path: Path) -> IdentificationRecord:
     Raises:
         PathError: missing, a link, or no regular file.
         LimitError: beyond ``limits.OBSERVATIONS``.
-        FormatError: not what ``pytest-twin identify`` writes.
+        FormatError: the content is not what ``pytest-twin identify`` writes.
     """
     content, data = read_record(path, _EXPECTED)
     try:
@@ -162,7 +164,7 @@ def read_identification_record(path: Path) -> IdentificationRecord:
 
 def _positive(value: Any) -> float:
     if not number(value) > 0.0:
-        raise ValueError(f"{value!r} is no step of an encoder")
+        raise ValueError(f"{value!r} is not a positive encoder step")
     return number(value)
 
 

@@ -28,10 +28,10 @@ uint32 nanosec
 
 
 def layout_of(cursor: Cursor) -> Layout:
-    """Where the fields of one serialized message lie.
+    """Return the byte positions of the fields of one serialized message.
 
     Raises:
-        MessageError: not a JointState.
+        MessageError: the message is not a JointState.
     """
     stamp_at = cursor.header()
     names = cursor.names()
@@ -44,7 +44,7 @@ def decode_json(message: bytes, row: int) -> Batch:
     """Decode one JSON message with the fields of a JointState.
 
     Raises:
-        MessageError: no JSON, or not these fields.
+        MessageError: the message is not JSON, or lacks these fields.
     """
     found = object_of(message)
     names = names_of(found.get("name"))
@@ -59,13 +59,13 @@ def encode_cdr(
     values: dict[str, list[float] | None],
     name_bytes: dict[tuple[str, ...], bytes],
 ) -> bytes:
-    """One JointState as little-endian CDR with an empty ``frame_id``.
+    """Encode one JointState as little-endian CDR with an empty ``frame_id``.
 
     Args:
         names: joints.
         stamp: ``header.stamp`` in ns.
-        values: quantity -> one value per joint, or None for an empty sequence.
-        name_bytes: cache of encoded names, filled here.
+        values: quantity -> one value per joint (SI units), or None for an empty sequence.
+        name_bytes: cache of encoded names, which this function fills.
     """
     fixed = name_bytes.get(names)
     if fixed is None:

@@ -12,10 +12,10 @@ from pytest_twin.formats.serialized import Floats, MessageError, check_names
 
 
 def object_of(message: bytes) -> dict[str, object]:
-    """A message that is a JSON object.
+    """Parse a message that has to be a JSON object.
 
     Raises:
-        MessageError: it is not.
+        MessageError: the message is not a JSON object.
     """
     try:
         found = json.loads(message)
@@ -27,13 +27,13 @@ def object_of(message: bytes) -> dict[str, object]:
 
 
 def names_of(found: object, field: str = "name") -> list[str]:
-    """Joint names.
+    """Return the joint names of a field.
 
     Raises:
-        MessageError: no list of distinct names.
+        MessageError: the value is not a list of distinct names.
     """
     if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
-        raise MessageError(f"{field} is no list of text")
+        raise MessageError(f"{field} is not a list of text")
     if len(found) > limits.MCAP.joints_count:
         raise MessageError(f"{len(found)} joints, more than {limits.MCAP.joints_count}")
     check_names(found)
@@ -41,12 +41,12 @@ def names_of(found: object, field: str = "name") -> list[str]:
 
 
 def stamp_of(header: object) -> tuple[int, int]:
-    """``header.stamp`` in ns, 0 where there is none, and 1 where ``nanosec`` is out of range.
+    """Return ``header.stamp`` in ns (0 if missing), and 1 if ``nanosec`` is out of range, else 0.
 
-    The stamp is ``{"sec": ..., "nanosec": ...}`` (``nsec`` too).
+    The stamp is ``{"sec": ..., "nanosec": ...}``; ``nsec`` is accepted too.
 
     Raises:
-        MessageError: not whole numbers of the range of ROS.
+        MessageError: the fields are not whole numbers in the range of ROS.
     """
     stamp = header.get("stamp") if isinstance(header, dict) else None
     if stamp is None:
@@ -55,36 +55,36 @@ def stamp_of(header: object) -> tuple[int, int]:
 
 
 def time_of(stamp: object, field: str) -> tuple[int, int]:
-    """A time or duration in ns, and 1 where ``nanosec`` is out of range.
+    """Return a time or duration in ns, and 1 if ``nanosec`` is out of range, else 0.
 
     Raises:
-        MessageError: not whole numbers of the range of ROS.
+        MessageError: the fields are not whole numbers in the range of ROS.
     """
     if not isinstance(stamp, dict):
-        raise MessageError(f"{field} is no object")
+        raise MessageError(f"{field} is not an object")
     sec, nanosec = stamp.get("sec"), stamp.get("nanosec", stamp.get("nsec"))
     for name, value, low, high in (("sec", sec, -(2**31), 2**31), ("nanosec", nanosec, 0, 2**32)):
         if type(value) is not int or not low <= value < high:
-            raise MessageError(f"{field}.{name} is no whole number in range")
+            raise MessageError(f"{field}.{name} is not a whole number in range")
     assert isinstance(sec, int)
     assert isinstance(nanosec, int)
     return sec * 1_000_000_000 + nanosec, int(nanosec >= 1_000_000_000)
 
 
 def values_of(found: object, field: str, joints: int) -> Floats | None:
-    """(1, j) values, NaN for ``null`` (what JSON writers make of NaN); None for an empty field.
+    """Return (1, j) values, NaN for ``null`` (JSON writers' form of NaN); None for an empty field.
 
     Raises:
-        MessageError: no list of as many numbers as joints.
+        MessageError: the field is not a list with one number per joint.
     """
     if found is None or found == []:
         return None
     if not isinstance(found, list):
-        raise MessageError(f"{field} is no list")
+        raise MessageError(f"{field} is not a list")
     if len(found) != joints:
         raise MessageError(f"{len(found)} values of {field} for {joints} joints")
     if not all(value is None or type(value) in (int, float) for value in found):
-        raise MessageError(f"{field} holds what is no number")
+        raise MessageError(f"{field} contains a value that is not a number")
     try:
         return np.array([[math.nan if v is None else float(v) for v in found]], dtype=np.float64)
     except OverflowError:

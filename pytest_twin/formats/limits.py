@@ -1,4 +1,4 @@
-"""Bounds of every reader: what a robot's files need with room to spare, and no more."""
+"""Size limits of every reader, so that a hostile or damaged file cannot exhaust memory or time."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ class TraceLimits:
 class McapLimits:
     """Bounds on a recording: an hour of a humanoid at 1 kHz fits.
 
-    Compressed content is bounded by the file's size too, so that a small file cannot cost minutes.
-    Joint states that never change pack 64 to 1 in Zstandard and take 23 bytes a message: the log
-    times and stamps differ. The ratio and the bytes here leave a factor of ten, and what is free
-    leaves room for images and maps of zeros.
+    The size of the file limits the decompressed content too, so that a small file cannot cost
+    minutes. Joint states that never change compress 64 to 1 in Zstandard, to 23 bytes a message,
+    because log times and stamps differ. The ratio and the message size leave a factor of ten. The
+    ``free`` limits apply to every file and leave room for images and maps of zeros.
     """
 
     file_bytes: int = 8 * 2**30
@@ -71,12 +71,12 @@ class McapLimits:
     name_bytes: int = 1024
 
     def unpacked_bytes_of(self, file_bytes: int) -> int:
-        """How much the content of a file of this size may unpack to, in bytes."""
+        """Return the largest decompressed size allowed for a file of this size, bytes."""
         allowed = self.uncompressed_free_bytes + self.uncompressed_ratio * file_bytes
         return min(self.uncompressed_bytes, allowed)
 
     def messages_of(self, file_bytes: int) -> int:
-        """How many messages a file of this size may hold."""
+        """Return the largest number of messages allowed for a file of this size."""
         allowed = self.messages_free_count + file_bytes // self.packed_message_bytes
         return min(self.messages_count, allowed)
 
@@ -114,7 +114,7 @@ class TossLimits:
 
 @dataclass(frozen=True, slots=True)
 class StampLimits:
-    """Bounds on stamped files, and on the stamp, most of which is a signed release."""
+    """Bounds on stamped files, and on the stamp, which mostly consists of a signed release."""
 
     stamp_bytes: int = 64 * 2**20
     files_count: int = 10_000
@@ -141,7 +141,7 @@ class ImageLimits:
 
 @dataclass(frozen=True, slots=True)
 class HashLimits:
-    """Bound on a file that is only digested."""
+    """Bound on a file that is only hashed."""
 
     file_bytes: int = 64 * 2**30
 

@@ -1,4 +1,4 @@
-"""Recordings in MCAP files, read into arrays and written from them."""
+"""Read MCAP recordings into arrays, and write arrays as MCAP recordings."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ __all__ = [
 
 
 def read_recording(path: Path, topics: Mapping[str, str] = TOPICS) -> Recording:
-    """Read joint states and commands from an MCAP file, also one that rosbag2 has compressed.
+    """Read joint states and commands from an MCAP file, also one compressed by rosbag2.
 
-    A damaged file is read as far as it goes, and every loss is noted in :attr:`Recording.damage`;
-    times that do not increase, stand twice or are not set are noted there too and left as they
-    are.
+    A damaged file is read as far as possible, and every loss is noted in
+    :attr:`Recording.damage`. Times that do not increase, occur twice or are not set are noted
+    there too and left unchanged.
 
     Args:
-        path: the file itself, not a link to it.
-        topics: role -> topic.
+        path: the file; links are refused.
+        topics: role (``state``, ``command``) -> topic.
 
     Raises:
         PathError: missing, a link, or no regular file.
-        FormatError: not an MCAP file, or one that no writer makes.
-        LimitError: beyond ``limits.MCAP``.
-        RecordingError: a topic of another type or encoding, no message of it that can be decoded,
-            or metadata records ``trial`` that differ.
+        FormatError: not an MCAP file, or a structure that no writer produces.
+        LimitError: the file exceeds ``limits.MCAP``.
+        RecordingError: a topic has an unsupported type or encoding, none of its messages can be
+            decoded, or the file's metadata records ``trial`` differ.
     """
     gatherer = Gatherer(path, topics)
     gather_mcap(path, gatherer)
@@ -84,19 +84,19 @@ def _gather(stream: BinaryIO, path: Path, contents: Contents, gatherer: Gatherer
 def write_recording(
     path: Path, series: Sequence[JointSeries], metadata: Mapping[str, str] | None = None
 ) -> None:
-    """Write series as ``sensor_msgs/msg/JointState`` (CDR) to an MCAP file, whole or not at all.
+    """Write series as ``sensor_msgs/msg/JointState`` (CDR) to an MCAP file, atomically.
 
-    :func:`read_recording` reads the same series back. A message leaves out the joints without any
-    value in its row; a quantity that is NaN for all others is written as an empty field. The same
+    :func:`read_recording` reads the same series back. A message omits joints that have no value in
+    its row. A quantity that is NaN for all other joints is written as an empty field. The same
     data give the same bytes (with the same versions of ``mcap`` and ``zstandard``).
 
     Args:
         path: the file.
-        series: one per topic.
-        metadata: the metadata record ``trial``.
+        series: one series per topic.
+        metadata: content of the metadata record ``trial``.
 
     Raises:
-        RecordingError: shapes that do not agree, times before 1970 or after 2038, a topic twice.
+        RecordingError: shapes differ, a time is before 1970 or after 2038, or a topic occurs twice.
         PathError: the file cannot be written.
     """
     from mcap.writer import CompressionType, Writer
@@ -124,7 +124,7 @@ def write_recording(
 
 
 def _messages(series: Sequence[JointSeries]) -> Iterator[tuple[int, int, bytes]]:
-    """(index of the series, log time in ns, CDR) by log time."""
+    """Yield (index of the series, log time in ns, CDR bytes), ordered by log time."""
     owner = np.concatenate(
         [np.full(len(one.stamp), index) for index, one in enumerate(series)] or [np.zeros(0, int)]
     )
@@ -148,7 +148,7 @@ def _messages(series: Sequence[JointSeries]) -> Iterator[tuple[int, int, bytes]]
 
 
 def _carried(one: JointSeries) -> NDArray[np.bool_]:
-    """(n, j) which joints each message has a value of."""
+    """Return for which joints each message has a value, as (n, j) booleans."""
     found = np.zeros((len(one.stamp), len(one.names)), dtype=bool)
     for name in QUANTITIES:
         table: Floats | None = getattr(one, name)

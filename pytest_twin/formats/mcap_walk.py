@@ -1,8 +1,8 @@
-"""The records of an MCAP file, one after another, whatever state the file is in.
+"""Read the records of an MCAP file in order, also from damaged and unfinished files.
 
-The index at the end of a file is not needed to read it and not trusted: the data section is
-walked from its start, and the summary only serves to find what is missing. Format:
-https://mcap.dev/spec, version 0.
+The reader neither needs nor trusts the index at the end of a file. It reads the data section from
+its start and uses the summary only to find missing records. Format: https://mcap.dev/spec,
+version 0.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _MESSAGE_HEAD = np.dtype(
 
 
 def walk(stream: BinaryIO, path: Path, contents: Contents) -> Iterator[Region]:
-    """Yield the messages of an MCAP file in its order, piece by piece; fill ``contents``.
+    """Yield the messages of an MCAP file block by block, in file order, and fill ``contents``.
 
     Raises:
-        FormatError: not an MCAP file, or one that no writer makes (a chunk in a chunk, a channel
-            that changes its meaning).
-        LimitError: beyond ``limits.MCAP``.
+        FormatError: not an MCAP file, or a structure that no writer produces (a chunk in a chunk,
+            a channel that is declared differently twice).
+        LimitError: the file exceeds ``limits.MCAP``.
     """
     yield from _Walker(stream, path, contents).regions()
 
@@ -88,7 +88,7 @@ class _Walker:
             start = self.at
             head = self.peek(9)
             if len(head) < 9:
-                self.lose_rest(start, "the file ends inside a record's head")
+                self.lose_rest(start, "the file ends inside a record's header")
                 break
             opcode, length = _RECORD.unpack(head)
             if opcode == 0:
@@ -122,7 +122,7 @@ class _Walker:
         return data
 
     def take(self, count: int) -> bytes:
-        """Read on; what is read goes into the running CRC."""
+        """Read ``count`` bytes and add them to the running CRC."""
         data = self.stream.read(count)
         self.at += len(data)
         self.crc = zlib.crc32(data, self.crc)
@@ -153,7 +153,7 @@ class _Walker:
     # -- records ---------------------------------------------------------------------------------
 
     def plain_records(self, start: int, length: int) -> Iterator[Region]:
-        """Messages that stand in the file itself, many at a time."""
+        """Yield messages that are stored outside chunks, many at a time."""
         block = self.peek(max(_BLOCK_BYTES, min(9 + length, limits.MCAP.message_bytes + 64)))
         region, used, problem = self.records_in(block, f"byte {start}", start, top=True)
         if used == 0:
@@ -166,7 +166,7 @@ class _Walker:
                     unit="bytes",
                     expected=f"at most {limits.MCAP.message_bytes} bytes",
                 )
-            # Its length is sound, only its content is not: go on after it.
+            # Only the content is damaged, the length is valid: continue after the record.
             self.notes.add(f"byte {start}", problem)
             used = 9 + length
         self.skip(used)
@@ -223,12 +223,12 @@ class _Walker:
     def unpack(
         self, packed: bytes, compression: str, size: int, place: str, span: str
     ) -> bytes | None:
-        """A chunk's content, never more memory than it declares and the limits allow."""
+        """Decompress a chunk without using more memory than it declares and the limits allow."""
         self.uncompressed += size
         for what, value, bound in (
-            ("a chunk is too large when unpacked", size, limits.MCAP.chunk_bytes),
+            ("a chunk is too large after decompression", size, limits.MCAP.chunk_bytes),
             (
-                f"too much when unpacked for a file of {self.size} bytes",
+                f"too large after decompression for a file of {self.size} bytes",
                 self.uncompressed,
                 self.most_uncompressed,
             ),
@@ -248,25 +248,25 @@ class _Walker:
             self.notes.add(place, f"compression {compression[:40]!r} is not known; {span}")
             return None
         except ValueError as error:
-            self.notes.add(place, f"cannot be unpacked ({error}); {span}")
+            self.notes.add(place, f"cannot be decompressed ({error}); {span}")
             return None
         if len(data) > size:
             raise LimitError(
-                "a chunk unpacks to more than it declares",
+                "a chunk is larger after decompression than it declares",
                 path=self.path,
                 where=place,
                 expected=f"{size} bytes",
             )
         if len(data) < size:
-            self.notes.add(place, f"unpacks to {len(data)} of {size} bytes; {span}")
+            self.notes.add(place, f"decompresses to {len(data)} of {size} bytes; {span}")
             return None
         return data
 
     def _declaration(self, opcode: int, content: bytes) -> str | None:
-        """Take a schema or a channel to ``contents``; what is wrong with it, None if nothing."""
+        """Add a schema or channel to ``contents``; return its defect, or None if it is valid."""
         self.count_record()
         try:
-            # Some writers repeat all of them in each chunk.
+            # Some writers repeat all declarations in each chunk.
             if (opcode, content) not in self.declared:
                 self.declare(opcode, content)
         except ValueError as error:
@@ -276,9 +276,11 @@ class _Walker:
     def records_in(
         self, data: bytes, place: str, base: int, *, top: bool
     ) -> tuple[Region | None, int, str | None]:
-        """Schemas and channels to ``contents``, messages to a region.
+        """Add schemas and channels to ``contents`` and collect messages in a region.
 
-        Returns the region, the bytes used, and what stopped the walk before the end.
+        Returns:
+            the region, the number of bytes read, and the defect that stopped reading before the
+            end.
         """
         starts: list[int] = []
         append = starts.append
@@ -330,7 +332,7 @@ class _Walker:
                     f"a record of type {opcode}, which no chunk holds, is not read",
                 )
             at = after
-        # At the top a block ends anywhere; the next one starts where this one stopped.
+        # Outside chunks a block may end inside a record; the next block starts at that record.
         if top and problem == "a record is cut off":
             problem = None
         self.messages += len(starts)
@@ -370,7 +372,7 @@ class _Walker:
         if known is not None and known != found:
             name = "schema" if opcode == SCHEMA else "channel"
             if self.in_summary:
-                self.notes.add("summary", f"{name} {number} is another there than in the data")
+                self.notes.add("summary", f"{name} {number} differs between summary and data")
                 return
             raise FormatError(
                 f"{name} {number} changes its meaning within the file",
@@ -388,7 +390,7 @@ class _Walker:
         self.declared.add((opcode, content))
 
     def record(self, opcode: int, start: int, length: int) -> None:
-        """Every record that holds no messages."""
+        """Process a record that contains no messages."""
         crc_before = self.crc
         self.take(9)
         small = length <= limits.MCAP.metadata_bytes
@@ -445,7 +447,7 @@ class _Walker:
         crc = self.crc
         stated = int.from_bytes(self.take(4), "little")
         if length != 20 or len(head_and_places) != 25:
-            self.notes.add(f"byte {start}", "the footer has another length than a footer has")
+            self.notes.add(f"byte {start}", "the footer has the wrong length")
             return True
         if not self.in_summary:
             self.notes.add(f"byte {start}", "a footer before the end of the data section")
@@ -457,10 +459,10 @@ class _Walker:
         return True
 
     def compare_with_summary(self) -> None:
-        """Find what a walk cannot see: records that are not there any more."""
+        """Note records that the summary lists and the data section lacks."""
         for start in self.indexed:
             if start not in self.chunks:
-                self.notes.add(f"chunk at byte {start}", "stands in the index and is not there")
+                self.notes.add(f"chunk at byte {start}", "is in the index and missing in the data")
         if self.expected is None:
             return
         found = self.contents.message_counts
@@ -477,10 +479,10 @@ class _UnknownCompressionError(ValueError):
 
 
 def _decompress(packed: bytes, compression: str, size: int) -> bytes:
-    """At most ``size`` + 1 bytes.
+    """Return the decompressed data, at most ``size`` + 1 bytes.
 
     Raises:
-        ValueError: damaged.
+        ValueError: the data is damaged.
     """
     if compression == "":
         return packed
@@ -489,7 +491,7 @@ def _decompress(packed: bytes, compression: str, size: int) -> bytes:
 
         decompressor = zstandard.ZstdDecompressor(max_window_size=2**27)
         try:
-            # A frame's own size would be allocated as it says: only where it agrees.
+            # The library allocates the size that the frame states: accept only the declared size.
             if zstandard.frame_content_size(packed) == size:
                 return decompressor.decompress(packed, max_output_size=size)
             with decompressor.stream_reader(packed, read_across_frames=True) as reader:
@@ -507,7 +509,7 @@ def _decompress(packed: bytes, compression: str, size: int) -> bytes:
 
 
 class _Fields:
-    """Reads the fields of one record; ValueError where they do not fit."""
+    """Reads the fields of one record; raises ValueError if they exceed the record."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data

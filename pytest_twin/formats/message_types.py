@@ -1,6 +1,6 @@
-"""ROS message types that carry joint states or commands, and how each is decoded.
+"""Decoders of the ROS message types that carry joint states or commands.
 
-Every type is decoded from CDR, from ROS 1's serialization and from JSON with the same field names.
+Each type is decoded from CDR, from the ROS 1 serialization and from JSON with the same field names.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from pytest_twin.formats.trajectory import POINT_FIELDS, decode_trajectories, tr
 
 
 class MessageType(Protocol):
-    """One type of message, asked for one role."""
+    """Decoder of one message type for one role (``state`` or ``command``)."""
 
     def serialized(
         self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
     ) -> Iterator[Decoded]:
-        """Decode many; see :func:`pytest_twin.formats.serialized.decode`."""
+        """Decode many messages; see :func:`pytest_twin.formats.serialized.decode`."""
         ...
 
     def from_json(self, message: bytes, row: int) -> Batch:
-        """Decode one.
+        """Decode one message.
 
         Raises:
-            MessageError: no JSON, or not these fields.
+            MessageError: the message is not JSON, or lacks these fields.
         """
         ...
 
@@ -52,11 +52,11 @@ class JointState:
     def serialized(
         self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
     ) -> Iterator[Decoded]:
-        """Decode many."""
+        """Decode many messages."""
         return decode(data, starts, sizes, joint_state.layout_of, encoding)
 
     def from_json(self, message: bytes, row: int) -> Batch:
-        """Decode one."""
+        """Decode one message."""
         return joint_state.decode_json(message, row)
 
 
@@ -64,8 +64,8 @@ class JointState:
 class ControllerState:
     """``control_msgs/msg/JointTrajectoryControllerState``: ``reference`` or ``feedback``.
 
-    Both the layout of ROS 2 Iron and later and the older one (``desired`` and ``actual``) put the
-    setpoint first and the measurement second; what comes after these is not read.
+    The setpoint is the first point and the measurement the second, both in the layout of ROS 2
+    Iron and later and in the older one (``desired`` and ``actual``). Later fields are not read.
 
     Attributes:
         role: ``command`` reads the setpoint, ``state`` the measurement.
@@ -76,7 +76,7 @@ class ControllerState:
     def serialized(
         self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
     ) -> Iterator[Decoded]:
-        """Decode many."""
+        """Decode many messages."""
         return decode(data, starts, sizes, self._layout, encoding)
 
     def _layout(self, cursor: Cursor) -> Layout:
@@ -93,13 +93,13 @@ class ControllerState:
         return cursor.layout(names, stamp_at, points[self.role == "state"])
 
     def from_json(self, message: bytes, row: int) -> Batch:
-        """Decode one."""
+        """Decode one message."""
         found = object_of(message)
         names = names_of(found.get("joint_names"), "joint_names")
         newer, older = ("feedback", "actual") if self.role == "state" else ("reference", "desired")
         point = found.get(newer, found.get(older))
         if not isinstance(point, dict):
-            raise MessageError(f"{newer} is no object")
+            raise MessageError(f"{newer} is not an object")
         stamp, bad = stamp_of(found.get("header"))
         values = {
             quantity: values_of(point.get(field), f"{newer}.{field}", len(names))
@@ -114,7 +114,7 @@ class DynamicJointState:
     def serialized(
         self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
     ) -> Iterator[Decoded]:
-        """Decode many."""
+        """Decode many messages."""
         return decode(data, starts, sizes, self._layout, encoding)
 
     @staticmethod
@@ -137,7 +137,7 @@ class DynamicJointState:
         return cursor.layout(names, stamp_at, found)
 
     def from_json(self, message: bytes, row: int) -> Batch:
-        """Decode one."""
+        """Decode one message."""
         found = object_of(message)
         names = names_of(found.get("joint_names"), "joint_names")
         interfaces = found.get("interface_values")
@@ -146,7 +146,7 @@ class DynamicJointState:
         tables = {quantity: np.full((1, len(names)), np.nan) for quantity in QUANTITIES}
         for joint, one in enumerate(interfaces):
             if not isinstance(one, dict) or not isinstance(one.get("interface_names"), list):
-                raise MessageError("interface_values holds what is no interface")
+                raise MessageError("interface_values contains a value that is not an interface")
             kinds = one["interface_names"]
             values = values_of(one.get("values"), "interface_values.values", len(kinds))
             for column, kind in enumerate(kinds):
@@ -160,15 +160,15 @@ class DynamicJointState:
 class Float64MultiArray:
     """``std_msgs/msg/Float64MultiArray``: setpoints of a forward command controller.
 
-    Joints are named by the labels of ``layout.dim`` where there is one for each value, else by
-    their place: ``0``, ``1``, ... The values have no stated quantity: all of position,
-    velocity and effort hold them.
+    The labels of ``layout.dim`` name the joints if there is one for each value; otherwise the
+    joints are numbered ``0``, ``1``, ... The type does not state a quantity: position, velocity
+    and effort all contain the values.
     """
 
     def serialized(
         self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
     ) -> Iterator[Decoded]:
-        """Decode many."""
+        """Decode many messages."""
         return decode(data, starts, sizes, self._layout, encoding)
 
     @staticmethod
@@ -187,11 +187,11 @@ class Float64MultiArray:
         return cursor.layout(names, None, dict.fromkeys(QUANTITIES, values))
 
     def from_json(self, message: bytes, row: int) -> Batch:
-        """Decode one."""
+        """Decode one message."""
         found = object_of(message)
         data = found.get("data")
         if not isinstance(data, list):
-            raise MessageError("data is no list")
+            raise MessageError("data is not a list")
         layout = found.get("layout")
         dim = layout.get("dim") if isinstance(layout, dict) else None
         labels = [d.get("label") for d in dim if isinstance(d, dict)] if dim else []
@@ -217,28 +217,28 @@ def _array_names(labels: list[str], count: int) -> list[str]:
 
 
 class JointTrajectory:
-    """``trajectory_msgs/msg/JointTrajectory``: setpoints from the message's time on."""
+    """``trajectory_msgs/msg/JointTrajectory``: setpoints at times after the message's time."""
 
     def serialized(
         self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
     ) -> Iterator[Decoded]:
-        """Decode many."""
+        """Decode many messages."""
         return decode_trajectories(data, starts, sizes, encoding)
 
     def from_json(self, message: bytes, row: int) -> Batch:
-        """Decode one."""
+        """Decode one message."""
         found = object_of(message)
         return trajectory_from_json(found, names_of(found.get("joint_names"), "joint_names"), row)
 
 
 ANY_QUANTITY = frozenset({"std_msgs/msg/Float64MultiArray"})
-"""Types that do not state the quantity of their values."""
+"""Message types that do not state the quantity of their values."""
 TRAJECTORIES = frozenset({"trajectory_msgs/msg/JointTrajectory"})
-"""Types whose messages replace the rest of the one before."""
+"""Message types whose messages replace the remaining setpoints of the message before."""
 
 
 def message_type(schema: str, role: str) -> MessageType | None:
-    """What decodes a type for a role (``state``, ``command``); None for a type without joints."""
+    """Return the decoder of a type for a role (``state``, ``command``); None for other types."""
     match long_name(schema):
         case joint_state.SCHEMA_NAME:
             return JointState()
@@ -254,13 +254,13 @@ def message_type(schema: str, role: str) -> MessageType | None:
 
 
 def long_name(schema: str) -> str:
-    """``package/msg/Type``, also for the ``package/Type`` of ROS 1."""
+    """Return a type name as ``package/msg/Type``, also for ROS 1's ``package/Type``."""
     package, separator, name = schema.partition("/")
     return f"{package}/msg/{name}" if separator and "/" not in name else schema
 
 
 def known_types(role: str) -> str:
-    """The types of a role, for a message."""
+    """Return the types that a role accepts, as text for a message."""
     names = [
         joint_state.SCHEMA_NAME,
         "control_msgs/msg/JointTrajectoryControllerState",

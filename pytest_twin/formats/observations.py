@@ -1,4 +1,4 @@
-"""``observations.csv``: a row for each observation of a calibration."""
+"""Read ``observations.csv``, which has a row for each observation of a calibration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pytest_twin.formats.paths import decode_text, read_bytes
 
 @dataclass(frozen=True)
 class ObservationTable:
-    """The cells of an observation file.
+    """Cells of an observation file.
 
     Attributes:
         path: the file.
@@ -38,10 +38,10 @@ class ObservationTable:
         return len(self.lines)
 
     def numbers(self, heading: str) -> FloatArray:
-        """(rows,) values of a column, NaN for an empty cell.
+        """Return the (rows,) values of a column, NaN for an empty cell.
 
         Raises:
-            FormatError: a cell that is no finite number, with line and column.
+            FormatError: a cell is not a finite number; the error has its line and column.
         """
         found = np.full(len(self), np.nan)
         for row, cell in enumerate(self.cells[heading]):
@@ -55,7 +55,7 @@ class ObservationTable:
                 raise self.error(
                     row,
                     heading,
-                    "no finite number",
+                    "not a finite number",
                     value=cell,
                     expected="a number, or nothing where the row does not have it",
                 )
@@ -63,7 +63,7 @@ class ObservationTable:
         return found
 
     def error(self, row: int, heading: str, problem: str, **details: Any) -> FormatError:
-        """An error at one cell, to be raised."""
+        """Build the error for one cell."""
         return FormatError(
             problem,
             path=self.path,
@@ -80,7 +80,7 @@ def read_observations(path: Path) -> ObservationTable:
     Raises:
         PathError: missing, a link, or no regular file.
         LimitError: beyond ``limits.OBSERVATIONS``.
-        FormatError: no header, a heading twice, a ragged row, or no rows; with the line.
+        FormatError: no header, a repeated heading, a row of the wrong length, or no rows.
     """
     bounds = limits.OBSERVATIONS
     text = decode_text(read_bytes(path, bounds.file_bytes).removeprefix(b"\xef\xbb\xbf"), path)
@@ -112,7 +112,7 @@ def read_observations(path: Path) -> ObservationTable:
             rows.append([cell.strip() for cell in cells])
             lines.append(reader.line_num)
     except csv.Error as error:
-        raise FormatError(f"no CSV: {error}", path=path, line=reader.line_num) from None
+        raise FormatError(f"not CSV: {error}", path=path, line=reader.line_num) from None
     if not rows:
         raise FormatError(
             "no observations", path=path, expected="a header, then one row for each observation"

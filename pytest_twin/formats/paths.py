@@ -1,4 +1,4 @@
-"""References to files, held inside the folders that a twin declares."""
+"""Resolve references to files, and refuse those outside the folders that a twin declares."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Roots:
 
     Attributes:
         base: the twin's own folder.
-        extra: folders that the twin declares beside it (``roots:``).
+        extra: further folders that the twin declares (``roots:``).
     """
 
     base: Path
@@ -34,11 +34,11 @@ class Roots:
 
     @property
     def folders(self) -> tuple[Path, ...]:
-        """All roots, links resolved, the base first."""
+        """Return all roots with links resolved, the base first."""
         return (self.base, *self.extra)
 
     def contains(self, path: Path) -> bool:
-        """Whether ``path``, with every link resolved, lies in a root."""
+        """Whether ``path`` is inside a root after every link is resolved."""
         return self._holds(os.path.realpath(path))
 
     def resolve(
@@ -50,19 +50,19 @@ class Roots:
         where: str | None = None,
         folder: bool = False,
     ) -> Path:
-        """The regular file (or ``folder``) that ``reference`` names, every link resolved.
+        """Return the regular file (or folder) that ``reference`` names, with links resolved.
 
         Args:
             reference: as written; relative to the folder of ``at``.
-            at: the file in which the reference stands.
-            line: its 1-based line there.
-            where: the field or element there.
-            folder: look for a folder, not a file.
+            at: the file that contains the reference.
+            line: 1-based line of the reference.
+            where: field or element of the reference.
+            folder: whether to look for a folder instead of a file.
 
         Raises:
-            PathError: the reference is empty, too long, holds a NUL or control character, is a
+            PathError: the reference is empty, too long, contains a NUL or control character, is a
                 URL, leaves the roots at any component (by ``..``, absolute, or through a link),
-                does not exist, or is no regular file (a pipe, a socket, a device).
+                does not exist, or is not a regular file (a pipe, a socket, a device).
         """
 
         def refuse(problem: str, expected: str) -> PathError:
@@ -106,7 +106,7 @@ class Roots:
         return found
 
     def _outside(self, reference: str, at: Path, folder: bool) -> tuple[str, str]:
-        """What is wrong with a reference that leaves the roots, and the line that allows it."""
+        """Return the problem of a reference outside the roots, and the option that allows it."""
         inside = "a path inside " + " or ".join(str(root) for root in self.folders)
         real = os.path.realpath(at.parent / reference)
         wanted = real if folder else os.path.dirname(real)  # noqa: PTH120
@@ -124,12 +124,12 @@ class Roots:
         if len(reference) > limits.PATHS.reference_chars:
             raise refuse("path is too long", f"at most {limits.PATHS.reference_chars} characters")
         if any(ord(char) < 32 or ord(char) == 127 for char in reference):
-            raise refuse("path holds a control character", "printable characters")
+            raise refuse("path contains a control character", "printable characters")
         try:
             encoded = os.fsencode(reference)
         except UnicodeEncodeError:
             raise refuse(
-                "path holds a character that no file name can have", "a path in valid UTF-8"
+                "path contains a character that no file name can have", "a path in valid UTF-8"
             ) from None
         if any(len(part) > limits.PATHS.component_bytes for part in encoded.split(b"/")):
             raise refuse(
@@ -139,9 +139,9 @@ class Roots:
             raise refuse("a URL, not a path", "a path to a file or folder of this machine")
 
     def _leads_to_root(self, current: str, following: str, *, by_link: bool = True) -> bool:
-        """Whether a step stays in the roots, or on the folders above them that lead to one.
+        """Whether a path component stays in the roots, or in a parent folder of a root.
 
-        From inside a root only ``..`` goes up to those; a name that goes there is a link out.
+        From inside a root only ``..`` may lead to a parent; any other name that does is a link.
         """
         if self._holds(following):
             return True
@@ -184,11 +184,11 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_bytes(path: Path, max_bytes: int) -> bytes:
-    """The content of a regular file of at most ``max_bytes``.
+    """Return the content of a regular file of at most ``max_bytes``.
 
     Raises:
         PathError: as :func:`open_regular`.
-        LimitError: the file is larger, also when it grows while it is read.
+        LimitError: the file is larger, or grows beyond the limit while it is read.
     """
     with open_regular(path) as stream:
         try:
@@ -208,10 +208,10 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
 
 
 def decode_text(data: bytes, path: Path) -> str:
-    """UTF-8 text, a byte order mark left out.
+    """Decode UTF-8 text, without a byte order mark.
 
     Raises:
-        FormatError: not UTF-8, with the line and column of the first wrong byte.
+        FormatError: not UTF-8; the error has the line and column of the first invalid byte.
     """
     try:
         return data.decode("utf-8-sig")

@@ -1,4 +1,4 @@
-"""The measured motion of one free object: its poses, one track for each toss or recording."""
+"""Data classes for the measured motion of a free object: poses, and forces on it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class WrenchTrack:
     """Force and torque on an object over time.
 
     Attributes:
-        frame: in whose axes and about whose origin, as the messages name it.
-        time: (k,) s from the first pose on.
-        values: (k, 6) N and N*m.
+        frame: frame of the axes and of the torque's reference point, as named in the messages.
+        time: (k,) time since the first pose, s.
+        values: (k, 6) force [N] and torque [N*m].
     """
 
     frame: str
@@ -28,16 +28,16 @@ class PoseTrack:
     """Poses of one object over time.
 
     Attributes:
-        name: of the toss in its file.
+        name: name of the toss in its file.
         path: the file.
-        time: (n,) from the first sample, s; in samples where ``timed`` is False.
+        time: (n,) time since the first sample, s; sample numbers if ``has_times`` is False.
         position: (n, 3) of the object's frame in the world, m, or the file's unit of length.
         quaternion: (n, 4) w x y z, object to world.
-        velocity: (n, 3) of the frame's origin in the world, or None where none was recorded.
-        angular: (n, 3) in the object's own axes, rad/s, or None.
-        has_times: whether the file says when each pose was measured.
-        metadata: what the recording says of itself.
-        wrench: what was measured to push the object, beside gravity and contact.
+        velocity: (n, 3) velocity of the frame's origin in the world, m/s, or None if not recorded.
+        angular: (n, 3) angular velocity in the object's axes, rad/s, or None.
+        has_times: whether the file has the time of each pose.
+        metadata: the trial's metadata, as pairs of key and value.
+        wrench: measured external force and torque, without gravity and contact, or None.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Motions of a free object from any recording that has them."""
+"""Read the motion of a free object from an archive of tosses or from a bag."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _TRANSFORMS = ("/tf", "/tf_static")
 
 
 def holds_tosses(path: Path) -> bool:
-    """Whether a path is an archive of tosses, by its name."""
+    """Whether a path is an archive of tosses, judged by its suffix."""
     return path.suffix.lower() == tosses.SUFFIX
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a recording of messages, which may hold poses.
+    """Whether a path is a bag, which may contain poses.
 
     Raises:
-        TwinError: no recording that can be read.
+        TwinError: the path is not a recording that can be read.
     """
     return isinstance(reader_of(path), BagReader)
 
@@ -34,16 +34,16 @@ def is_bag(path: Path) -> bool:
 def read_pose_tracks(
     path: Path, topic: str | None = None, wrench: str | None = None
 ) -> list[PoseTrack]:
-    """The tosses of an archive, or the poses of one topic of a bag as one track.
+    """Return the tosses of an archive, or the poses of one topic of a bag as one track.
 
     Args:
         path: an ``.npz`` file, an MCAP file, a rosbag2 folder or a ``.db3`` file.
-        topic: of the poses, where a bag has several.
-        wrench: topic of the force and torque on the object, where it was pushed.
+        topic: topic of the poses, needed if a bag has several.
+        wrench: topic of the external force and torque, if the object was pushed.
 
     Raises:
-        RecordingError: no poses or no wrenches, or several topics that could be meant.
-        TwinError: as the reader of the format.
+        RecordingError: no poses, no wrenches, or several topics to choose from.
+        TwinError: the file cannot be read.
     """
     if holds_tosses(path):
         return tosses.read_tosses(path)

@@ -1,4 +1,4 @@
-"""Fields of the records that a twin lists: calibrations and identifications."""
+"""Read and check fields of calibration and identification records."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pytest_twin.formats.paths import decode_text, read_bytes
 
 Matrix = tuple[tuple[float, ...], ...]
 Z95 = 1.959964
-"""Half of a 95 % interval of a normal value, in standard deviations."""
+"""Half-width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 def read_record(path: Path, expected: str) -> tuple[Any, bytes]:
-    """A record's JSON, and its bytes.
+    """Return a record's parsed JSON and its bytes.
 
     Raises:
         PathError: missing, a link, or no regular file.
@@ -32,10 +32,10 @@ def read_record(path: Path, expected: str) -> tuple[Any, bytes]:
 
 
 def text(value: Any) -> str:
-    """A name.
+    """Return ``value`` if it is a non-empty text.
 
     Raises:
-        ValueError: it is none.
+        ValueError: ``value`` is anything else.
     """
     if not isinstance(value, str) or not value or len(value) > limits.OBSERVATIONS.name_chars:
         raise ValueError("a name")
@@ -43,21 +43,21 @@ def text(value: Any) -> str:
 
 
 def number(value: Any) -> float:
-    """A finite number.
+    """Return ``value`` as a finite float.
 
     Raises:
-        ValueError: it is none.
+        ValueError: ``value`` is anything else.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{value!r} is no finite number")
+        raise ValueError(f"{value!r} is not a finite number")
     return float(value)
 
 
 def numbers(values: Any, count: int) -> tuple[float, ...]:
-    """So many finite numbers.
+    """Return ``values`` as ``count`` finite floats.
 
     Raises:
-        ValueError: they are not.
+        ValueError: ``values`` is anything else.
     """
     if not isinstance(values, list) or len(values) != count:
         raise ValueError(f"not {count} numbers")
@@ -65,10 +65,10 @@ def numbers(values: Any, count: int) -> tuple[float, ...]:
 
 
 def covariance(rows: Any, size: int) -> Matrix:
-    """A square matrix of finite numbers.
+    """Return a square matrix of finite numbers, (size, size).
 
     Raises:
-        ValueError: it is none of this size.
+        ValueError: ``rows`` is anything else.
     """
     if not isinstance(rows, list) or len(rows) != size:
         raise ValueError(f"covariance: not {size} rows")
@@ -79,23 +79,23 @@ def covariance(rows: Any, size: int) -> Matrix:
 
 
 def digests(content: Any) -> dict[str, str]:
-    """File that a record was made from -> SHA-256, hex.
+    """Return input file of a record -> SHA-256, hex.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: they are not stated so.
+        ValueError, KeyError, TypeError, AttributeError: the record lacks valid digests.
     """
     return {text(name): text(one["sha256"]) for name, one in content.get("inputs", {}).items()}
 
 
 def standard_deviation(ci95: Any) -> float:
-    """Standard deviation of a normal value from its 95 % interval.
+    """Return the standard deviation of a normal distribution from its 95 % interval.
 
     Raises:
-        ValueError: it is no interval.
+        ValueError: ``ci95`` is not an interval.
     """
     low, high = numbers(ci95, 2)
     if high < low:
-        raise ValueError(f"{ci95!r} is no interval")
+        raise ValueError(f"{ci95!r} is not an interval")
     return (high - low) / (2.0 * Z95)
 
 

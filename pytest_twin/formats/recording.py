@@ -1,4 +1,4 @@
-"""What a recording is once it is read, whatever file it came from."""
+"""Data classes for a recording after it is read, the same for every file format."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from pytest_twin.formats.serialized import Floats, Integers
 _NOTES = 40
 
 TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
-"""Role -> topic, where neither ``twin.yaml`` nor ``--topics`` says otherwise."""
+"""Role -> default topic; ``twin.yaml`` and ``--topics`` override it."""
 
 
 @dataclass(frozen=True)
 class JointSeries:
-    """All JointState messages of one topic, in the order of the file.
+    """Joint values of one topic over time, in the order of the file.
 
     Attributes:
         topic: the topic.
         names: joints, in the order in which messages first name them.
-        stamp: (n,) ns, ``header.stamp``: the clock of whoever sent the message. Where no message
-            has one it is ``log_time``, and the recording's damage says so.
-        log_time: (n,) ns, the recorder's clock.
+        stamp: (n,) ``header.stamp``, ns, on the sender's clock. If no message has a stamp it
+            equals ``log_time``, and the recording's damage has a note.
+        log_time: (n,) time on the recorder's clock, ns.
         position: (n, j) rad or m. None where every message left it empty, NaN where a message
             left it empty or does not name the joint.
-        velocity: (n, j) rad/s or m/s, likewise.
-        effort: (n, j) N*m or N, likewise.
+        velocity: (n, j) rad/s or m/s, None and NaN as for ``position``.
+        effort: (n, j) N*m or N, None and NaN as for ``position``.
         stamped: whether any message has a ``header.stamp`` of its own.
     """
 
@@ -43,15 +43,15 @@ class JointSeries:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of a recording, read or not.
+    """One topic of a recording, whether it was read or not.
 
     Attributes:
         name: the topic.
-        type: its message type, ``sensor_msgs/msg/JointState``; empty where none is stated.
-        messages: how many.
-        roles: what it can serve as: ``state``, ``command``, both or none.
-        joints: of its first message that can be decoded; empty for other types.
-        filled: the quantities that this message fills.
+        type: message type, such as ``sensor_msgs/msg/JointState``; empty if none is stated.
+        messages: number of messages.
+        roles: roles that it can have: ``state``, ``command``, both or none.
+        joints: joints of its first message that can be decoded; empty for types without joints.
+        filled: quantities that this message contains.
     """
 
     name: str
@@ -64,15 +64,15 @@ class Topic:
 
 @dataclass(frozen=True)
 class Recording:
-    """What one recording holds of a robot's motion.
+    """Joint states and commands of one recording.
 
     Attributes:
         path: the file or folder.
         series: role (``state``, ``command``) -> its messages; roles without messages are left out.
-        metadata: what the recording says of itself (the metadata record ``trial`` of an MCAP
-            file): role, payload, ...; empty where it says nothing.
-        damage: what is wrong with the file or the times; empty for a sound one.
-        notes: how the file was read where it leaves something open, one line each.
+        metadata: the trial's metadata (the metadata record ``trial`` of an MCAP file), such as
+            role or payload; empty if there is none.
+        damage: defects of the file or of the times; empty for an undamaged file.
+        notes: assumptions about what the file does not state, one line each.
         topics: all topics of the file, whatever their type; empty for a format without topics.
     """
 
@@ -86,11 +86,11 @@ class Recording:
 
 @dataclass(frozen=True)
 class Damage:
-    """Something that is wrong with a recording, so that what was read is not all that was sent.
+    """One defect of a recording, such as lost messages or doubtful times.
 
     Attributes:
-        place: where: a byte offset in the file, a chunk, a topic's message.
-        lost: what is missing or doubtful.
+        place: a byte offset in the file, a chunk, or a message of a topic.
+        lost: the missing or doubtful data.
     """
 
     place: str
@@ -101,21 +101,21 @@ class Damage:
 
 
 class Notes:
-    """Damage as it is found; a bounded list, the rest is counted."""
+    """Collects damage in a list of limited length, and counts the rest."""
 
     def __init__(self) -> None:
         self._found: list[Damage] = []
         self._more = 0
 
     def add(self, place: str, lost: str) -> None:
-        """Note one damage."""
+        """Add one defect."""
         if len(self._found) < _NOTES:
             self._found.append(Damage(place, lost))
         else:
             self._more += 1
 
     def all(self) -> tuple[Damage, ...]:
-        """All notes; the last says how many were left out."""
+        """Return all defects; the last one has the number of omitted ones."""
         if not self._more:
             return tuple(self._found)
         return (*self._found, Damage("further on", f"{self._more} more places like these"))

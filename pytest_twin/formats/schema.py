@@ -1,8 +1,8 @@
-"""Documents compared with a JSON Schema; the error says which field, where, and what was expected.
+"""Validate documents against a JSON Schema; an error has the field, its line and the expectation.
 
-Collecting a thousand specs must not wait for a validator: schemas are compiled once into plain
-functions that say yes or no, and only a no (or a keyword that the compiler does not know) asks
-``jsonschema``, which then names the field at fault.
+Validation must not slow down the collection of a thousand specs. Schemas are therefore compiled
+once into plain functions that return True or False. ``jsonschema`` runs only if the result is
+False, or if the compiler does not support a keyword; it finds the invalid field.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from pytest_twin.formats.schema_compiler import compile_schema
 from pytest_twin.formats.schema_errors import explain
 from pytest_twin.formats.yaml import Document
 
-# Keyed by identity; the schema is kept so that its identity stays its own.
+# Keyed by id(schema); storing the schema keeps that id from being reused.
 _COMPILED: dict[int, tuple[Mapping[str, Any], Any]] = {}
 
 
 def validate(document: Document, schema: Mapping[str, Any], path: Path) -> None:
-    """Hold ``document`` against a JSON Schema (Draft 2020-12).
+    """Validate ``document`` against a JSON Schema (Draft 2020-12).
 
     ``schema`` is compiled once per object: pass the same mapping each time and do not change it.
 
     Raises:
-        SpecError: the document does not fit, with line, dotted field, value and what was expected.
+        SpecError: the document is invalid; the error has line, dotted field, value and expectation.
     """
     kept = _COMPILED.get(id(schema))
     if kept is None:
@@ -44,10 +44,10 @@ def validate(document: Document, schema: Mapping[str, Any], path: Path) -> None:
 
 @cache
 def load_schema(name: str) -> Mapping[str, Any]:
-    """A JSON Schema that ships with the package, such as ``golden.schema.json``.
+    """Load a JSON Schema of the package, such as ``golden.schema.json``.
 
     Raises:
-        SpecError: no such schema ships.
+        SpecError: the package has no such schema.
     """
     folder = resources.files("pytest_twin") / "schemas"
     file = folder / name
@@ -56,7 +56,7 @@ def load_schema(name: str) -> Mapping[str, Any]:
     except FileNotFoundError:
         there = sorted(p.name for p in folder.iterdir() if p.name.endswith(".json"))
         raise SpecError(
-            "no such schema ships with the package",
+            "the package has no such schema",
             value=name,
             expected="one of " + ", ".join(there),
         ) from None

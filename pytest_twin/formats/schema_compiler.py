@@ -1,4 +1,4 @@
-"""JSON Schema to plain functions: yes or no, quickly."""
+"""Compile a JSON Schema into a plain function that returns True or False."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ Fits: TypeAlias = Callable[[Any], bool]
 
 
 class _UnknownKeywordError(Exception):
-    """The schema uses what the compiler does not know."""
+    """The schema uses a keyword that the compiler does not support."""
 
 
 def compile_schema(schema: Mapping[str, Any]) -> Fits | None:
-    """A function that says whether data fits ``schema`` (Draft 2020-12).
+    """Return a function that tests data against ``schema`` (Draft 2020-12).
 
-    Returns None where the schema uses a keyword that is not compiled here (``jsonschema`` then
-    does all the work).
+    Returns:
+        the function, or None if the schema uses an unsupported keyword; ``jsonschema`` then has to
+        do the validation.
     """
     try:
         return _Compiler(schema).compile(schema)
@@ -33,7 +34,7 @@ _ANNOTATIONS = frozenset(
     }
 )  # fmt: skip
 
-# JSON Schema: 1.0 is an integer, True is no number.
+# JSON Schema: 1.0 is an integer, True is not a number.
 _TYPES: dict[str, Fits] = {
     "object": lambda v: isinstance(v, dict),
     "array": lambda v: isinstance(v, list),
@@ -104,7 +105,7 @@ class _Compiler:
                     raise _UnknownKeywordError
             holder.append(self.compile(target))
         holder = self.references[value]
-        # Late: a schema may refer to itself.
+        # Look the target up when data is tested: a schema may refer to itself.
         return lambda v: holder[0](v)
 
     def make_allOf(self, value: list[Any], _: Any) -> Fits:  # noqa: N802
@@ -195,7 +196,7 @@ class _Compiler:
         )
 
     def make_object(self, schema: Mapping[str, Any]) -> Fits:
-        """One walk over a mapping's fields for all the keywords that look at them."""
+        """Compile all keywords about fields into one function that visits each field once."""
         required = tuple(schema.get("required", ()))
         fields = {name: self.compile(part) for name, part in schema.get("properties", {}).items()}
         patterns = [
@@ -263,7 +264,7 @@ def _any(tests: list[Fits]) -> Fits:
 
 
 def _equal(left: Any, right: Any) -> bool:
-    """Equal as JSON: 1 and 1.0 are, 1 and True are not."""
+    """Whether two JSON values are equal: 1 equals 1.0, and 1 does not equal True."""
     if isinstance(left, bool) or isinstance(right, bool):
         return left is right
     if isinstance(left, list) and isinstance(right, list):

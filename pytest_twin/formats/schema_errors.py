@@ -1,4 +1,4 @@
-"""What a schema's refusal means, in the words of the person who wrote the file."""
+"""Translate schema violations into messages about the fields of the file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _VALIDATORS: dict[int, tuple[Mapping[str, Any], Any]] = {}
 
 
 def explain(document: Document, schema: Mapping[str, Any], path: Path) -> SpecError | None:
-    """The refusal that is most worth mending first, or None where the document fits."""
+    """Return the violation to correct first, or None if the document is valid."""
     kept = _VALIDATORS.get(id(schema))
     if kept is None:
         from jsonschema import Draft202012Validator
@@ -46,7 +46,7 @@ def explain(document: Document, schema: Mapping[str, Any], path: Path) -> SpecEr
 
 
 def _deepest(error: ValidationError) -> ValidationError:
-    """Into anyOf and oneOf: the branch that got furthest is the one that was meant."""
+    """Descend into anyOf and oneOf, along the branch that matched most of the document."""
     while error.context:
         branches: dict[Any, list[ValidationError]] = {}
         for inner in error.context:
@@ -64,7 +64,7 @@ def _deepest(error: ValidationError) -> ValidationError:
 
 
 def _rank(error: ValidationError) -> int:
-    # A misspelt name explains the missing one; a wrong kind explains all that follows from it.
+    # A misspelt field explains a missing one; a wrong kind explains all errors that result.
     order = ("const", "enum", "additionalProperties", "propertyNames", "required")
     return order.index(error.validator) if error.validator in order[2:] else 0
 
@@ -74,7 +74,7 @@ def _field(error: ValidationError) -> str:
 
 
 def _line(document: Document, where: str) -> int | None:
-    """The line of a field, or of the nearest field around it that the file has."""
+    """Return the line of a field, or of the nearest enclosing field in the file."""
     while where:
         if where in document.lines:
             return document.lines[where]
@@ -122,10 +122,10 @@ def _as_spec_error(error: ValidationError, document: Document, path: Path) -> Sp
         problem = "is too short" if kind == "minLength" else "is too long"
         expected = f"at {'least' if kind == 'minLength' else 'most'} {bound} characters"
     elif kind == "pattern":
-        problem = "is not written as it should be"
+        problem = "has the wrong form"
         expected = _about(schema) or f"text like {bound}"
     elif kind == "uniqueItems":
-        problem, shown, expected = "holds a value twice", None, "each value once"
+        problem, shown, expected = "contains a value twice", None, "each value once"
     elif kind in ("anyOf", "oneOf"):
         problem, expected = "has none of the allowed forms", _about(schema)
         if expected is None:
@@ -167,7 +167,7 @@ def _about(schema: object) -> str | None:
 
 def _closest(name: str, known: list[str], most: int = 12) -> str:
     if not known:
-        return "no field of this name"
+        return "no fields here"
     near = difflib.get_close_matches(name[:100], known, n=1)
     return _listed(known, most) + (f"; did you mean {near[0]!r}?" if near else "")
 

@@ -1,4 +1,4 @@
-"""Poses, wrenches, inertial measurements and images of a bag, beside its joint states."""
+"""Collect poses, wrenches, inertial measurements and images of a bag, besides its joint states."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ _IN_JSON = ("geometry_msgs/msg/PoseStamped", *READINGS)
 
 @dataclass
 class SensorGatherer(Gatherer):
-    """Gathers poses and the stamps of images beside joint states.
+    """Collects poses, sensor readings and images, besides joint states.
 
     Attributes:
-        poses: topic -> poses in the order of the file; of ``/tf`` and ``/tf_static`` those too.
+        poses: topic -> poses in the order of the file, ``/tf`` and ``/tf_static`` included.
         readings: topic -> wrenches or inertial measurements in the order of the file.
-        reading_type: topic of readings -> their message type.
-        stamps: topic of images -> stamp of each, ns.
-        picture: called with topic, number and image of those that ``wanted`` names.
-        wanted: topic -> numbers of the images to decode.
+        reading_type: topic of readings -> message type.
+        stamps: topic of images -> stamp of each image, ns.
+        picture: callback with topic, index and image, for each image that ``wanted`` lists.
+        wanted: topic -> indices of the images to decode.
     """
 
     path: Path
@@ -66,12 +66,12 @@ class SensorGatherer(Gatherer):
         Gatherer.__init__(self, self.path, self.state)
 
     def wants(self, topic: str, schema: str) -> bool:
-        """Whether messages of a topic are to be read."""
+        """Whether messages of a topic have to be read."""
         known = long_name(schema) in _KINDS
         return known or Gatherer.wants(self, topic, schema)
 
     def take(self, region: Region, contents: Contents) -> None:
-        """Take all messages of a region."""
+        """Collect all messages of a region."""
         Gatherer.take(self, region, contents)
         for number in np.unique(region.channel).tolist():
             channel = contents.channels.get(number)
@@ -127,16 +127,16 @@ class SensorGatherer(Gatherer):
 
 
 def gather_sensors(gatherer: SensorGatherer) -> SensorGatherer:
-    """Read the bag that a gatherer names.
+    """Read the bag of a gatherer, and return the gatherer.
 
     Raises:
-        TwinError: as every reader of bags.
-        FormatError: a recording without messages, such as a CSV file.
+        TwinError: the bag cannot be read.
+        FormatError: the recording is not message-based, such as a CSV file.
     """
     reader = reader_of(gatherer.path)
     if not isinstance(reader, BagReader):
         raise FormatError(
-            f"a {reader.kind} holds no poses and images",
+            f"a {reader.kind} cannot contain poses or images",
             path=gatherer.path,
             expected="an MCAP file, a rosbag2 folder, a .db3 file, or observations.csv",
         )

@@ -1,7 +1,7 @@
-"""ROS messages of poses, transforms and images, decoded one by one from CDR.
+"""Decode ROS messages of poses, transforms and images, one by one, from CDR.
 
-Layouts: geometry_msgs, tf2_msgs and sensor_msgs of ROS 2 common_interfaces; ROS 1's are the same
-but for a sequence number in the header, which ``Cursor`` knows.
+Layouts: geometry_msgs, tf2_msgs and sensor_msgs of ROS 2 common_interfaces. The layouts of ROS 1
+differ only by a sequence number in the header, which ``Cursor`` skips.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MOST_TRANSFORMS = 10_000
 _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4,
              "mono16": 1, "16UC1": 1}  # fmt: skip
 _LUMA = np.array([0.299, 0.587, 0.114])
-"""Share of red, green and blue in a grey value (ITU-R BT.601)."""
+"""Weights of red, green and blue in a grey value (ITU-R BT.601)."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Stamped:
     Attributes:
         stamp: ns.
         parent, child: names of the frames; ``child`` is empty where the message names none.
-        values: x y z qx qy qz qw, m.
+        values: (7,) x y z [m] and quaternion qx qy qz qw, child to parent.
     """
 
     stamp: int
@@ -47,8 +47,8 @@ class Picture:
 
     Attributes:
         stamp: ns.
-        grey: (height, width), or None where the message holds a file.
-        file: bytes of a JPEG or PNG file, empty where it holds pixels.
+        grey: (height, width) grey values, or None if the message contains a compressed file.
+        file: bytes of a JPEG or PNG file, empty if the message contains pixels.
     """
 
     stamp: int
@@ -57,7 +57,7 @@ class Picture:
 
 
 def poses_of(message: bytes, kind: str, encoding: Encoding) -> list[Stamped]:
-    """The poses in one message of a type of ``POSES`` or ``TRANSFORMS``.
+    """Return the poses in one message of a type in ``POSES`` or ``TRANSFORMS``.
 
     Raises:
         MessageError: not a message of this type.
@@ -72,10 +72,10 @@ def poses_of(message: bytes, kind: str, encoding: Encoding) -> list[Stamped]:
 
 
 def picture_of(message: bytes, kind: str, encoding: Encoding) -> Picture:
-    """The image in one message of a type of ``IMAGES``.
+    """Return the image in one message of a type in ``IMAGES``.
 
     Raises:
-        MessageError: not a message of this type, or pixels of a kind that is not read.
+        MessageError: not a message of this type, or an unsupported pixel format.
     """
     cursor = Cursor(message, encoding)
     stamp, _ = _header(cursor)
@@ -88,7 +88,7 @@ def picture_of(message: bytes, kind: str, encoding: Encoding) -> Picture:
     (step,) = cursor.integers("I", "step")
     data = _bytes(cursor)
     if name not in _CHANNELS:
-        raise MessageError(f"pixels are {name!r}; read are {', '.join(_CHANNELS)}")
+        raise MessageError(f"pixel format {name!r} is not one of {', '.join(_CHANNELS)}")
     depth = 2 if "16" in name else 1
     row = width * _CHANNELS[name] * depth
     if step < row or len(data) < step * height or not (height and width):
@@ -106,7 +106,7 @@ def picture_of(message: bytes, kind: str, encoding: Encoding) -> Picture:
 
 
 def stamp_of(message: bytes, encoding: Encoding) -> int:
-    """``header.stamp`` of a message that begins with a header, ns."""
+    """Return ``header.stamp`` of a message that begins with a header, ns."""
     return _header(Cursor(message, encoding))[0]
 
 

@@ -1,4 +1,4 @@
-"""Sensors in ``identification.json``."""
+"""Read the sensors of ``identification.json``."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from pytest_twin.formats.record_fields import Matrix, number, numbers, text
 
 FORCE_TORQUE, IMU, JOINT_TORQUE, CAMERA = "force_torque", "imu", "joint_torque", "camera"
 GROUPS: Mapping[str, tuple[int, ...]] = {FORCE_TORQUE: (6,), IMU: (3, 3), JOINT_TORQUE: (1,)}
-"""Kind -> channels of each block that is linear in the true signal."""
+"""Kind -> number of channels in each block with a calibration matrix of its own."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorFields:
-    """What a simulation needs to make readings of one sensor.
+    """Parameters with which a simulation computes the readings of one sensor.
 
     Attributes:
-        name: of the sensor.
+        name: name of the sensor.
         kind: ``force_torque``, ``imu``, ``joint_torque`` or ``camera``.
-        topic: of its readings.
-        frame: site or body in whose axes it reads; of a joint torque sensor its joint.
-        matrix, bias: for each block of channels.
-        time_constant: of the low-pass, s.
-        limit: of each channel; None for none.
-        delay, period, jitter: of a camera, s.
-        lost: share of a camera's frames.
-        mount: of a camera, ``hand`` or ``world``.
+        topic: topic of its readings.
+        frame: site or body in whose axes it measures; for a joint torque sensor its joint.
+        matrix, bias: calibration matrix and bias of each block of channels.
+        time_constant: time constant of the low-pass filter, s.
+        limit: largest magnitude of each channel; None for no limit.
+        delay, period, jitter: for a camera, s.
+        lost: fraction of a camera's frames that are lost.
+        mount: for a camera, ``hand`` or ``world``.
     """
 
     name: str
@@ -46,10 +46,11 @@ class SensorFields:
 
 
 def sensor_fields(name: str, one: Mapping[str, Any]) -> SensorFields:
-    """One sensor.
+    """Read one sensor.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: not what ``pytest-twin identify`` writes.
+        ValueError, KeyError, TypeError, AttributeError: the fields are not
+        what ``pytest-twin identify`` writes.
     """
     kind = text(one["kind"])
     topic, frame = text(one["topic"]), text(one["frame"])

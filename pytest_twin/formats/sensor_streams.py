@@ -1,4 +1,4 @@
-"""One number over time from a sensor's topic: how fast it turns, how hard it pushes."""
+"""Read scalar signals over time from a topic: angular speed, force, or a joint quantity."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _FEWEST = 20
 
 @dataclass(frozen=True)
 class Stream:
-    """A signal with the stamps of its sender.
+    """A scalar signal with the sender's stamps.
 
     Attributes:
-        topic: where it was sent.
-        time: (n,) s since the first stamp of any stream that was read with it, ascending.
-        values: (n,) rad/s of a turn, N of a force, the unit of the joint of a joint.
+        topic: topic of the signal.
+        time: (n,) time since the first stamp of all streams that were read together, s, ascending.
+        values: (n,) angular speed in rad/s, force in N, or the joint quantity in its own unit.
     """
 
     topic: str
@@ -34,15 +34,16 @@ class Stream:
 
 
 def read_streams(path: Path, asked: Sequence[tuple[str, str | None, str]]) -> list[Stream]:
-    """Streams of a bag.
+    """Read streams of a bag.
 
     Args:
         path: MCAP file, rosbag2 folder or ``.db3`` file.
-        asked: topic, joint of joint states, and ``speed`` or ``effort`` of that joint, for each.
+        asked: for each stream its topic and, for joint states, the joint and ``speed`` or
+            ``effort``.
 
     Raises:
-        RecordingError: no such topic, or fewer than 20 samples.
-        TwinError: it cannot be read.
+        RecordingError: a topic is missing, or has fewer than 20 samples.
+        TwinError: the bag cannot be read.
     """
     state = {f"{at}": topic for at, (topic, joint, _) in enumerate(asked) if joint is not None}
     bag = gather_sensors(SensorGatherer(path, state))
@@ -104,7 +105,7 @@ def _of_joint(
 
 
 def _turning(bag: SensorGatherer, topic: str) -> tuple[Integers, FloatArray]:
-    """Angular speed between the poses before and after each, which has no delay."""
+    """Return the angular speed by central differences of the poses, which have no delay."""
     stamps = np.array([one.stamp for one in bag.poses[topic]], dtype=np.int64)
     _, rows = np.unique(stamps, return_index=True)
     turn = Rotation.from_quat(np.array([bag.poses[topic][row].values[3:] for row in rows]))

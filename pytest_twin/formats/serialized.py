@@ -1,8 +1,8 @@
-"""Serialized ROS messages of one layout, read many at a time.
+"""Decode serialized ROS messages with equal layouts, many at a time.
 
-CDR: OMG "Data Distribution Service Interoperability Wire Protocol" 2.5, section 10 (XCDR1), which
-ROS 2 writes: four bytes of encapsulation, then fields aligned to their size from there on. ROS 1
-writes the same fields little-endian without alignment, and its strings without a final NUL.
+ROS 2 writes CDR: OMG "Data Distribution Service Interoperability Wire Protocol" 2.5, section 10
+(XCDR1). A message has four bytes of encapsulation, then fields aligned to their size. ROS 1 writes
+the same fields little-endian without alignment, and its strings without a final NUL.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Encoding = Literal["cdr", "ros1"]
 
-# After this many layouts of one size the messages that are left are decoded one by one.
+# After this many layouts of one message size, the remaining messages are decoded one by one.
 _LAYOUTS_PER_GROUP = 16
 
 
 class MessageError(ValueError):
-    """A message that cannot be decoded as its type; the words say why."""
+    """A message cannot be decoded as its type; the text has the reason."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class Batch:
     """Messages that carry the same joints.
 
     Attributes:
-        rows: (n,) which messages of those that were given; a message with several setpoints
-            stands here once for each.
-        names: joints, as the messages order them.
-        stamp: (n,) ``header.stamp`` in ns; 0 where a message has none.
-        bad_stamp: how many stamps have ``nanosec`` of a second or more.
-        values: quantity -> (n, j), or None where these messages leave it empty.
-        after: (n,) ns that a setpoint comes after its message's time; None where all are 0.
+        rows: (n,) index of each message among the decoded ones; a message with several
+            setpoints occurs once for each.
+        names: joints, in the order of the messages.
+        stamp: (n,) ``header.stamp``, ns; 0 if a message has none.
+        bad_stamp: number of stamps with ``nanosec`` of a second or more.
+        values: quantity -> (n, j) in SI units, or None if it is empty in these messages.
+        after: (n,) time of each setpoint after its message's time, ns; None if all are 0.
     """
 
     rows: Integers
@@ -55,14 +55,14 @@ class Batch:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the fields of a message lie, and the bytes that decide it.
+    """Byte positions of the fields of a message, and the bytes that determine them.
 
     Attributes:
         names: joints.
-        order: ``<`` or ``>``.
+        order: byte order, ``<`` (little-endian) or ``>`` (big-endian).
         stamp_at: byte of ``header.stamp``, None where the type has no header.
-        values_at: quantity -> byte of each joint's value, -1 for a joint without; quantities that
-            are empty are left out.
+        values_at: quantity -> byte of each joint's value, -1 for a joint without a value; empty
+            quantities are omitted.
         structure: byte ranges that are equal in all messages of this layout.
     """
 
@@ -78,7 +78,7 @@ Decoded = Batch | tuple[int, MessageError]
 
 
 class Cursor:
-    """Walks over the fields of one message and keeps which bytes were lengths or text."""
+    """Reads the fields of one message in order, and records which bytes were lengths or text."""
 
     def __init__(self, message: bytes, encoding: Encoding = "cdr") -> None:
         self.message = message
@@ -95,12 +95,12 @@ class Cursor:
         self._count = struct.Struct(self.order + "I")
 
     def align(self, size: int) -> None:
-        """Move on to the next field of ``size`` bytes."""
+        """Move to the next position that is aligned to ``size`` bytes."""
         if self.cdr:
             self.at += (4 - self.at) % size
 
     def skip(self, size: int, what: str, align: int = 4) -> int:
-        """Pass a field whose value may differ between messages; where it begins."""
+        """Skip a field whose value may differ between messages; return its position."""
         self.align(align)
         first = self.at
         if first + size > len(self.message):
@@ -109,14 +109,14 @@ class Cursor:
         return first
 
     def count(self, what: str) -> int:
-        """A length."""
+        """Read a length."""
         start = self.at
         first = self.skip(4, what)
         self._keep(start, self.at)
         return int(self._count.unpack_from(self.message, first)[0])
 
     def text(self, what: str) -> str:
-        """A string."""
+        """Read a string."""
         size = self.count(what)
         first = self.at
         if first + size > len(self.message):
@@ -129,12 +129,12 @@ class Cursor:
             raise MessageError(f"{what} is not UTF-8") from None
 
     def integers(self, form: str, what: str) -> tuple[int, ...]:
-        """Whole numbers of four bytes, ``i`` or ``I`` each; their values are read."""
+        """Read integers of four bytes, one for each ``i`` or ``I`` in ``form``."""
         first = self.skip(4 * len(form), what)
         return struct.unpack_from(self.order + form, self.message, first)
 
     def doubles(self, what: str) -> tuple[int, ...]:
-        """A sequence of float64: the byte of each value."""
+        """Skip a sequence of float64; return the position of each value."""
         count = self.count(what)
         if not count:
             return ()
@@ -144,7 +144,7 @@ class Cursor:
         return tuple(range(first, first + 8 * count, 8))
 
     def header(self) -> int:
-        """A ``std_msgs/Header``; the byte of its stamp."""
+        """Skip a ``std_msgs/Header``; return the position of its stamp."""
         if not self.cdr:
             self.skip(4, "header.seq")
         stamp_at = self.skip(8, "header.stamp")
@@ -152,21 +152,21 @@ class Cursor:
         return stamp_at
 
     def names(self, what: str = "a joint's name") -> list[str]:
-        """A sequence of strings, as many as a robot may have joints."""
+        """Read a sequence of strings, at most as many as a robot may have joints."""
         count = self.count("name")
         if count > limits.MCAP.joints_count:
             raise MessageError(f"{count} joints, more than {limits.MCAP.joints_count}")
         return [self.text(what) for _ in range(count)]
 
     def end(self) -> None:
-        """Nothing but padding may follow."""
+        """Check that only padding follows."""
         if len(self.message) - self.at > 7:
             raise MessageError(f"{len(self.message) - self.at} bytes left over")
 
     def layout(
         self, names: list[str], stamp_at: int | None, values_at: Mapping[str, tuple[int, ...]]
     ) -> Layout:
-        """What has been found."""
+        """Return the layout of the fields read so far."""
         check_names(names)
         filled = {}
         for quantity, at in values_at.items():
@@ -185,15 +185,15 @@ class Cursor:
 
 
 def check_names(names: list[str]) -> None:
-    """Refuse joints that cannot be distinguished.
+    """Refuse joint names that are missing, repeated, empty or unprintable.
 
     Raises:
-        MessageError: no names, one twice, or one that is empty or unprintable.
+        MessageError: the names are unusable.
     """
     if not names:
         raise MessageError("no joint names")
     if len(set(names)) != len(names):
-        raise MessageError("a joint stands twice")
+        raise MessageError("a joint occurs twice")
     if not all(name and name.isprintable() for name in names):
         raise MessageError("a joint's name is empty or unprintable")
 
@@ -201,17 +201,17 @@ def check_names(names: list[str]) -> None:
 def decode(
     data: bytes, starts: Integers, sizes: Integers, layout_of: LayoutOf, encoding: Encoding
 ) -> Iterator[Decoded]:
-    """Decode messages that lie in ``data``, all of one layout at a time.
+    """Decode messages in ``data``, all messages of one layout at a time.
 
     Args:
-        data: a chunk's content.
-        starts: (n,) where each message begins.
-        sizes: (n,) its length in bytes.
-        layout_of: reads the layout of one message.
-        encoding: of all of them.
+        data: decompressed content of a chunk.
+        starts: (n,) byte position of each message.
+        sizes: (n,) length of each message, bytes.
+        layout_of: function that determines the layout of one message.
+        encoding: encoding of all messages.
 
     Yields:
-        a batch, or the row of a message that cannot be decoded and why.
+        a batch, or the index of a message that cannot be decoded and the reason.
     """
     for size in np.unique(sizes):
         rows = np.flatnonzero(sizes == size)
@@ -230,7 +230,7 @@ def _decode_group(
         for row in rows:
             yield int(row), MessageError("empty message")
         return
-    # Overlapping windows, one per byte: taking rows of it copies whole messages.
+    # Overlapping windows, one per byte: indexing rows copies whole messages.
     windows = np.ndarray((len(data) - size + 1,), dtype=f"V{size}", buffer=data, strides=(1,))
     for _ in range(_LAYOUTS_PER_GROUP):
         if not rows.size:

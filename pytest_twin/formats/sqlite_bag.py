@@ -1,7 +1,7 @@
-"""The SQLite files of rosbag2 (``.db3``): tables ``topics`` and ``messages``.
+"""Read the SQLite files of rosbag2 (``.db3``): tables ``topics`` and ``messages``.
 
-The file is opened immutable, and the connection may read these two tables and do nothing else:
-triggers, views and functions of a hostile file never run.
+The file is opened as immutable, and the connection may only read these two tables. Triggers, views
+and functions of a hostile file therefore never run.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ _HEADER = struct.Struct(">16xH6xII60xI")
 
 _REGION_BYTES = 16 * 2**20
 _REGION_ROWS = 100_000
-# A scan costs some ten steps of SQLite's virtual machine a row.
+# A scan takes about ten steps of SQLite's virtual machine for each row.
 _STEPS_A_ROW = 200
 _STEPS_FREE = 10_000_000
 _STEPS_AT_ONCE = 100_000
-# Damage that leaves the beginning of the file readable.
+# Error codes of damage that leaves the beginning of the file readable.
 _DAMAGED = {
     sqlite3.SQLITE_CORRUPT,
     sqlite3.SQLITE_CORRUPT_INDEX,
@@ -48,13 +48,13 @@ _ALLOWED = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ}
 
 
 def gather_sqlite(path: Path, gatherer: Gatherer) -> None:
-    """Read one SQLite file of a bag, also one that rosbag2 has compressed.
+    """Read one SQLite file of a bag, also one compressed by rosbag2.
 
     Raises:
         PathError: missing, a link, or no regular file.
-        FormatError: no SQLite file of rosbag2.
-        LimitError: beyond ``limits.MCAP``.
-        RecordingError: a topic of another type or encoding.
+        FormatError: not an SQLite file of rosbag2.
+        LimitError: the file exceeds ``limits.MCAP``.
+        RecordingError: a topic has an unsupported type or encoding.
     """
     contents = gatherer.file(path)
     with open_regular(path) as stream:
@@ -120,7 +120,7 @@ class _Database:
                 f"the file is damaged ({str(error)[:120]}); the rest is lost",
             )
         except UnicodeDecodeError:
-            # An error of SQLite's that quotes bytes of a damaged schema.
+            # SQLite's error message quotes bytes of a damaged schema, which are not valid text.
             raise FormatError(
                 "the database's schema is damaged",
                 path=self.path,
@@ -134,7 +134,7 @@ class _Database:
             ) from None
 
     def note_cut(self) -> None:
-        """SQLite reads what is missing of the last page as zeros and says nothing."""
+        """Note a truncated file, whose missing end SQLite silently reads as zeros."""
         with self.file.open("rb") as stream:
             head = stream.read(_HEADER.size)
         if len(head) < _HEADER.size:
@@ -162,7 +162,7 @@ class _Database:
             kind, sql = tables.get(name, (b"nothing", b""))
             if kind != b"table" or b"VIRTUAL" in sql or b"GENERATED" in sql:
                 raise FormatError(
-                    f"not an SQLite file of rosbag2: {name!r} is no plain table",
+                    f"not an SQLite file of rosbag2: {name!r} is not a plain table",
                     path=self.path,
                     expected="tables topics and messages",
                 )
@@ -204,7 +204,7 @@ class _Database:
         return value.decode("utf-8", "replace")
 
     def regions(self, connection: sqlite3.Connection) -> Iterator[Region]:
-        """Messages in the order in which they were written."""
+        """Yield messages in the order in which they were written."""
         schemas = self.contents.schemas
         known = [
             number
@@ -215,7 +215,7 @@ class _Database:
         if others:
             self.gatherer.count(self.contents, self.counts(connection, others))
         marks = ",".join("?" * len(set(known)))
-        # Names of columns and tables are ours: only the numbers come from the file.
+        # Column and table names are constants: only the numbers come from the file.
         query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY rowid"  # noqa: E501
         block = _Block()
         for number, time, data in connection.execute(query, sorted(set(known))):
@@ -247,7 +247,7 @@ class _Database:
 
 
 class _Block:
-    """Messages that become one region."""
+    """Collects messages for one region."""
 
     def __init__(self) -> None:
         self.rows: list[tuple[int, int, int]] = []

@@ -1,7 +1,7 @@
-"""Wrenches and inertial measurements, from CDR or JSON, and poses from JSON.
+"""Decode wrenches and inertial measurements from CDR or JSON, and poses from JSON.
 
 Layouts: ``geometry_msgs/WrenchStamped``, ``sensor_msgs/Imu`` and ``geometry_msgs/PoseStamped`` of
-ROS 2 common_interfaces; ROS 1's are the same but for a sequence number in the header.
+ROS 2 common_interfaces; the layouts of ROS 1 differ only by a sequence number in the header.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Reading:
 
 
 def reading_of(message: bytes, kind: str, encoding: Encoding) -> Reading:
-    """The measurement in one serialized message of a type of ``READINGS``.
+    """Return the measurement in one serialized message of a type in ``READINGS``.
 
     Raises:
         MessageError: not a message of this type, or a value that is not finite.
@@ -63,10 +63,10 @@ def reading_of(message: bytes, kind: str, encoding: Encoding) -> Reading:
 
 
 def reading_of_json(message: bytes, kind: str) -> Reading:
-    """The measurement in one JSON message with the fields of a type of ``READINGS``.
+    """Return the measurement in one JSON message with the fields of a type in ``READINGS``.
 
     Raises:
-        MessageError: no JSON, or not these fields.
+        MessageError: the message is not JSON, or lacks these fields.
     """
     found = object_of(message)
     if kind == WRENCH:
@@ -82,10 +82,10 @@ def reading_of_json(message: bytes, kind: str) -> Reading:
 
 
 def pose_of_json(message: bytes) -> Stamped:
-    """The pose in one JSON message with the fields of a ``PoseStamped``.
+    """Return the pose in one JSON message with the fields of a ``PoseStamped``.
 
     Raises:
-        MessageError: no JSON, not these fields, or a quaternion that is not of length 1.
+        MessageError: not JSON, missing fields, or a quaternion that is not of length 1.
     """
     found = object_of(message)
     pose = _part(found, "pose")
@@ -114,7 +114,7 @@ def _finite(values: FloatArray) -> FloatArray:
 def _part(found: dict[str, object], field: str) -> dict[str, object]:
     part = found.get(field)
     if not isinstance(part, dict):
-        raise MessageError(f"{field} is no object")
+        raise MessageError(f"{field} is not an object")
     return part
 
 
@@ -122,11 +122,11 @@ def _numbers(found: dict[str, object], field: str, names: Sequence[str]) -> list
     part = _part(found, field)
     values = [part.get(name) for name in names]
     if not all(type(value) in (int, float) for value in values):
-        raise MessageError(f"{field} holds what is no number")
+        raise MessageError(f"{field} contains a value that is not a number")
     try:
         return [float(value) for value in values]  # type: ignore[arg-type]
     except OverflowError:
-        raise MessageError(f"{field} holds a number out of range") from None
+        raise MessageError(f"{field} contains a number out of range") from None
 
 
 def _frame(header: object) -> str:

@@ -1,4 +1,4 @@
-"""The messages of one topic, gathered into one table of joints."""
+"""Collect the messages of one topic into one table of joints."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from pytest_twin.formats.trajectory import replaced
 
 @dataclass
 class TopicReader:
-    """Gathers one topic's messages for one role.
+    """Collects one topic's messages for one role.
 
     Attributes:
         topic: the topic.
-        role: ``state`` or ``command``: some types hold both.
-        path: what errors name.
-        notes: gets what is lost or doubtful.
-        remarks: gets how messages were read where their type leaves it open.
+        role: ``state`` or ``command``: some types contain both.
+        path: the file that errors name.
+        notes: receives lost or doubtful messages.
+        remarks: receives assumptions about what the message type does not state.
     """
 
     topic: str
@@ -63,16 +63,16 @@ class TopicReader:
     types: dict[tuple[Channel, str | None], MessageType] = field(default_factory=dict)
 
     def read(self, region: Region, rows: Integers, channel: Channel, schema: str | None) -> None:
-        """Take messages of one channel.
+        """Decode messages of one channel.
 
         Args:
-            region: where they lie.
-            rows: which of the region's messages.
-            channel: theirs.
-            schema: the name of their type.
+            region: block that contains the messages.
+            rows: indices of the messages in the region.
+            channel: channel of the messages.
+            schema: name of their type.
 
         Raises:
-            RecordingError: a type or encoding that is not known.
+            RecordingError: the type or encoding is not supported.
             LimitError: beyond ``limits.MCAP``.
         """
         kind = self._type_of(channel, schema)
@@ -95,7 +95,7 @@ class TopicReader:
 
     @staticmethod
     def packed(region: Region, rows: Integers) -> bool:
-        """Whether rosbag2 has compressed each message; no CDR begins so."""
+        """Whether rosbag2 has compressed each message; CDR never begins with these bytes."""
         start, size = int(region.start[rows[0]]), int(region.size[rows[0]])
         return size >= 4 and region.data[start : start + 4] == ZSTD_MAGIC
 
@@ -138,7 +138,7 @@ class TopicReader:
         self.bad_stamps += found.bad_stamp
 
     def _take_names(self, names: tuple[str, ...], message: int) -> None:
-        """Add joints to the topic's, with the message that names each first."""
+        """Add joints to the topic's joints, with the first message that names each."""
         for place, name in enumerate(names):
             first = (message, place)
             if first < self.first_named.get(name, (message + 1, 0)):
@@ -156,7 +156,7 @@ class TopicReader:
                 value=channel.encoding,
                 expected="cdr, ros1 or json",
             )
-        # JSON needs no schema, and those that it has go by any name.
+        # JSON needs no schema, and a JSON schema may have any name.
         kind = message_type(schema or "", self.role)
         if kind is None and channel.encoding == "json":
             schema = "sensor_msgs/msg/JointState"
@@ -174,7 +174,7 @@ class TopicReader:
         return kind
 
     def finish(self) -> JointSeries | None:
-        """The topic's table; None where it has no messages.
+        """Return the topic's table; None if it has no messages.
 
         Raises:
             RecordingError: none of its messages can be decoded.
@@ -195,7 +195,7 @@ class TopicReader:
             )
         if not self.batches:
             return None
-        # Messages of one region come in any order.
+        # The messages of one region may be in any order.
         names = tuple(sorted(self.first_named, key=self.first_named.__getitem__))
         self._refuse_wide(len(names))
         order = np.argsort(np.concatenate(self.order), kind="stable")
@@ -226,7 +226,7 @@ class TopicReader:
         order: Integers,
         tables: dict[str, Floats | None],
     ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
-        """Trajectories as setpoints; one without stamp begins when it is received."""
+        """Convert trajectories to setpoints; one without a stamp begins when it is received."""
         zeros = [np.zeros(len(batch.rows), np.int64) for batch in self.batches]
         after = np.concatenate(
             [
@@ -249,7 +249,7 @@ class TopicReader:
         return time, log_time[rows] + (time - start[rows]), tables
 
     def _of_one_quantity(self, tables: dict[str, Floats | None]) -> dict[str, Floats | None]:
-        """What the values are, where the topic's name says it."""
+        """Determine the quantity of the values from the topic's name."""
         named = [name for name in QUANTITIES if name in self.topic.lower()]
         said = f"{self.schema} does not say whether it holds positions, velocities or efforts"
         if len(named) == 1:
@@ -263,11 +263,11 @@ class TopicReader:
             self.remarks.add(
                 self.topic,
                 f"its {len(names)} values have no joint names (labels of layout.dim): joints are "
-                f"named by their place, 0 to {len(names) - 1}",
+                f"numbered 0 to {len(names) - 1}",
             )
 
     def _refuse_wide(self, joints: int) -> None:
-        """Messages of different joints make one table: it can be far larger than the file."""
+        """Refuse tables that messages with different joints make far larger than the file."""
         rows = sum(len(batch.rows) for batch in self.batches)
         if rows * joints > limits.MCAP.samples_count:
             raise LimitError(

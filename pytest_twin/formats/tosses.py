@@ -1,8 +1,8 @@
-"""Tosses of one object in a NumPy archive: an array for each toss, a row for each sample.
+"""Read tosses of one object from a NumPy archive: an array for each toss, a row for each sample.
 
-Columns: position x y z, quaternion w x y z, velocity of the origin in the world, angular velocity
-in the object's axes, and further ones that are not read (layout of DAIRLab/contact-nets). Nothing
-is unpickled, and no array is made before the size that its header claims was checked.
+Columns: position x y z [m], quaternion w x y z, velocity of the origin in the world, angular
+velocity in the object's axes, and further ones that are not read (layout of DAIRLab/contact-nets).
+The reader unpickles nothing, and checks the size in an array's header before it allocates memory.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _EXPECTED = (
 _NO_HEADER = (
     ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError, tokenize.TokenError,
 )  # fmt: skip
-"""What NumPy raises for a header that is none: it parses the header as a Python literal."""
+"""Exceptions of NumPy for an invalid header, which it parses as a Python literal."""
 _UNIT_LENGTH = 0.02
-"""How far a quaternion's length may be from 1: rounding of a 32-bit float is 1e-7."""
+"""Largest deviation of a quaternion's length from 1; rounding of 32-bit floats gives 1e-7."""
 
 
 def read_tosses(path: Path) -> list[PoseTrack]:
-    """All tosses of an archive, in the order of the file.
+    """Read all tosses of an archive, in the order of the file.
 
     Raises:
         PathError: missing, a link, or no regular file.
         LimitError: beyond ``limits.TOSSES``.
-        FormatError: not such an archive.
+        FormatError: not an archive of tosses.
     """
     data = read_bytes(path, TOSSES.file_bytes)
     try:
@@ -54,9 +54,9 @@ def read_tosses(path: Path) -> list[PoseTrack]:
                 raise _limit(path, total, "unpacked bytes", TOSSES.unpacked_bytes)
             found = [_track(archive.read(one), one.filename, path) for one in members]
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error) as error:
-        raise FormatError(f"no NumPy archive: {error}", path=path, expected=_EXPECTED) from None
+        raise FormatError(f"not a NumPy archive: {error}", path=path, expected=_EXPECTED) from None
     if not found:
-        raise FormatError("no toss in it", path=path, expected=_EXPECTED)
+        raise FormatError("the archive contains no toss", path=path, expected=_EXPECTED)
     return found
 
 
@@ -78,7 +78,7 @@ def _track(data: bytes, member: str, path: Path) -> PoseTrack:
     off = np.flatnonzero(np.abs(length - 1.0) > _UNIT_LENGTH)
     if len(off):
         raise FormatError(
-            "no unit quaternion", path=path, where=f"{name}, row {off[0]}",
+            "not a unit quaternion", path=path, where=f"{name}, row {off[0]}",
             value=float(length[off[0]]), expected="qw qx qy qz in columns 4 to 7, of length 1",
         )  # fmt: skip
     return PoseTrack(
@@ -94,7 +94,7 @@ def _track(data: bytes, member: str, path: Path) -> PoseTrack:
 
 
 def _array(data: bytes, name: str, path: Path) -> Floats:
-    """The array of a ``.npy`` member, whose header has to agree with its size."""
+    """Read the array of a ``.npy`` member, after comparing its header with its size."""
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)
@@ -111,7 +111,7 @@ def _array(data: bytes, name: str, path: Path) -> Floats:
         return np.frombuffer(data, kind, offset=stream.tell()).reshape(shape)
     except _NO_HEADER as error:
         raise FormatError(
-            f"no array of floating-point numbers: {error}", path=path, where=name,
+            f"not an array of floating-point numbers: {error}", path=path, where=name,
             expected=_EXPECTED,
         ) from None  # fmt: skip
 

@@ -1,8 +1,9 @@
-"""Traces as CSV: one axis, one column per series, every number with all its digits.
+"""Read and write traces as CSV: one axis, one column per series, numbers with full precision.
 
-A heading holds a name and a unit, ``position:elbow [rad]``. In the name, characters that a heading
-cannot hold (``,`` ``"`` ``[`` ``]`` ``%`` and control characters) are written as ``%`` and two hex
-digits for each byte of their UTF-8 form, as in URLs: ``position:finger%5B1%5D [rad]``.
+A heading has a name and a unit, ``position:elbow [rad]``. In the name, reserved characters (``,``
+``"`` ``[`` ``]`` ``%`` and control characters) are written as ``%`` and two hex digits for each
+byte
+of their UTF-8 form, as in URLs: ``position:finger%5B1%5D [rad]``.
 """
 
 from __future__ import annotations
@@ -31,13 +32,14 @@ def read_trace(path: Path, sha256: str | None = None) -> Trace:
 
     Args:
         path: the file.
-        sha256: what the spec says the file's SHA-256 is, hex.
+        sha256: SHA-256 of the file according to the spec, hex.
 
     Raises:
         PathError: missing, a link, or no regular file.
         LimitError: beyond ``limits.TRACE``.
-        FormatError: another digest, a heading without unit, a repeated heading, a ragged row, a
-            value that is no finite number, or an axis that does not increase; with the line.
+        FormatError: the digest differs, or a line has a heading without unit, a repeated heading,
+            the wrong number of cells, a value that is not a finite number, or an axis value that
+            does not increase.
     """
     data = read_bytes(path, limits.TRACE.file_bytes)
     if sha256 is not None:
@@ -54,7 +56,7 @@ def read_trace(path: Path, sha256: str | None = None) -> Trace:
 
 
 def parse_trace(text: str, path: Path) -> Trace:
-    """Read CSV text; ``path`` is only named in errors. Raises as :func:`read_trace`."""
+    """Parse CSV text; ``path`` is used in errors only. Raises as :func:`read_trace`."""
     lines = text.replace("\r\n", "\n").split("\n")
     if lines[-1] == "":
         lines.pop()
@@ -93,14 +95,14 @@ def parse_trace(text: str, path: Path) -> Trace:
 
 
 def trace_text(trace: Trace) -> str:
-    """A trace as CSV text that :func:`parse_trace` reads back to the same numbers.
+    """Return a trace as CSV text that :func:`parse_trace` reads back to the same numbers.
 
-    Numbers are written as the shortest text that reads back as the same double: a golden is
-    compared against what was computed, and rounding would be an error of its own.
+    Numbers are written as the shortest text that reads back as the same double. Rounding would
+    add an error to every comparison with a golden.
 
     Raises:
-        FormatError: a heading that CSV cannot hold, a value that is not finite, an axis that does
-            not increase, series of other lengths.
+        FormatError: a heading that CSV cannot represent, a value that is not finite, an axis that
+            does not increase, or series of different lengths.
         LimitError: beyond ``limits.TRACE``.
     """
     named = [(trace.axis[0], trace.axis[1], trace.x)]
@@ -132,13 +134,13 @@ def trace_text(trace: Trace) -> str:
             unit="bytes",
             expected=f"at most {limits.TRACE.file_bytes}; a golden's trace is small, not a log",
         )
-    # What cannot be read back is not written.
+    # Refuse to write a trace that cannot be read back.
     parse_trace(text, Path("<trace>"))
     return text
 
 
 def write_trace(path: Path, trace: Trace) -> str:
-    """Write a trace atomically; returns its SHA-256, hex. Raises as :func:`trace_text`."""
+    """Write a trace atomically; return its SHA-256, hex. Raises as :func:`trace_text`."""
     data = trace_text(trace).encode("utf-8")
     atomic.write_bytes(path, data)
     return hashlib.sha256(data).hexdigest()
@@ -159,7 +161,7 @@ def _headings(line: str, path: Path) -> list[tuple[str, str]]:
         match = _HEADING.fullmatch(cell)
         if match is None or len(cell) > limits.TRACE.heading_chars or not cell.isprintable():
             raise FormatError(
-                f"heading {index + 1} is no name with a unit",
+                f"heading {index + 1} is not a name with a unit",
                 path=path,
                 line=1,
                 value=cell,
@@ -196,7 +198,7 @@ def _escaped(name: str) -> str:
 def _numbers(rows: list[str], headings: list[tuple[str, str]], path: Path) -> FloatArray:
     width = len(headings)
     body = "\n".join(rows)
-    # The quick way for text of number characters; whatever it refuses is named the slow way.
+    # Fast path for text of number characters; if it fails, the slow path locates the invalid cell.
     if _NUMERIC_TEXT.fullmatch(body) and all(row.count(",") == width - 1 for row in rows):
         try:
             cells = body.replace("\n", ",").split(",")
@@ -219,7 +221,7 @@ def _numbers(rows: list[str], headings: list[tuple[str, str]], path: Path) -> Fl
             value = float(cell) if len(cell) <= 400 and _NUMBER.fullmatch(cell) else np.nan
             if not np.isfinite(value):
                 raise FormatError(
-                    "no finite number",
+                    "not a finite number",
                     path=path,
                     line=line,
                     where=name,

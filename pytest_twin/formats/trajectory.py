@@ -1,4 +1,4 @@
-"""``trajectory_msgs/msg/JointTrajectory``: setpoints with times after the message's own."""
+"""``trajectory_msgs/msg/JointTrajectory``: decode setpoints with times relative to the message."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ POINT_FIELDS = {"position": "positions", "velocity": "velocities", "effort": "ef
 def decode_trajectories(
     data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
 ) -> Iterator[Decoded]:
-    """Decode messages one by one; a batch holds the points of one."""
+    """Decode messages one by one; each batch contains the points of one message."""
     for row, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):
         try:
             yield _decode(data[start : start + size], row, encoding)
@@ -41,7 +41,7 @@ def _decode(message: bytes, row: int, encoding: Encoding) -> Batch:
     stamp_at = cursor.header()
     names = cursor.names()
     count = cursor.count("points")
-    # An empty point takes four counts and a duration.
+    # Bytes of an empty point: four counts and a duration.
     if 24 * count > len(message):
         raise MessageError("ends inside points")
     after: list[int] = []
@@ -80,11 +80,11 @@ def trajectory_from_json(found: Mapping[str, object], names: list[str], row: int
     """Decode one JSON message.
 
     Raises:
-        MessageError: not these fields.
+        MessageError: the fields are missing or invalid.
     """
     given = found.get("points")
     if not isinstance(given, list) or not all(isinstance(point, dict) for point in given):
-        raise MessageError("points is no list of objects")
+        raise MessageError("points is not a list of objects")
     after = [time_of(point.get("time_from_start"), "time_from_start")[0] for point in given]
     points = [
         {q: values_of(point.get(f), f, len(names)) for q, f in POINT_FIELDS.items()}
@@ -104,8 +104,8 @@ def _batch(
 ) -> Batch:
     check_names(names)
     if not points:
-        # ros2_control reads a message without points as: stop, hold where you are.
-        raise MessageError("no points: a stop where the joints are, which is no setpoint")
+        # ros2_control interprets a message without points as: stop and hold the current position.
+        raise MessageError("no points: this commands a stop, which is not a setpoint")
     if any(later <= sooner for sooner, later in itertools.pairwise(after)):
         raise MessageError("time_from_start does not increase")
     if after[0] < 0:
@@ -132,10 +132,10 @@ def _batch(
 def replaced(
     start: Integers, time: Integers, tables: Mapping[str, Floats | None]
 ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
-    """Setpoints as a controller follows them: a new trajectory replaces the rest of the last.
+    """Return setpoints as a controller follows them: a new trajectory replaces the one before.
 
-    Where a trajectory is replaced, one setpoint is added: what it has reached there, linear
-    between its points, or its last point, which is held.
+    Where a trajectory is replaced, one setpoint is added: its value at that time, by linear
+    interpolation between its points, or its last point, which is held.
 
     Args:
         start: (n,) time at which each setpoint's trajectory begins, not decreasing, ns.
@@ -143,7 +143,7 @@ def replaced(
         tables: quantity -> (n, j) setpoints.
 
     Returns:
-        (m,) which setpoint each row was, (m,) its time, quantity -> (m, j) values.
+        (m,) index of the setpoint of each row, (m,) time in ns, quantity -> (m, j) values.
     """
     first = np.flatnonzero(np.concatenate([[True], np.diff(start) != 0]))
     last = np.concatenate([first[1:], [len(start)]])
@@ -158,7 +158,7 @@ def replaced(
         times += time[begin:kept].tolist()
         if not follows or kept == begin:
             continue
-        # A trajectory that begins with a point at once steps to it.
+        # A trajectory whose first point is at time zero steps to it.
         edge = until - int(time[first[index + 1]] == until)
         before = int(time[kept - 1])
         if before < edge:

@@ -1,4 +1,4 @@
-"""XML without its traps: no DTD, no entities, no includes, no network, and bounds on all of it."""
+"""Parse XML safely: no DTD, entities, includes or network access, and limits on size and depth."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ _TOLERATED = {
     "NS_ERR_UNDEFINED_NAMESPACE": "a prefix that no xmlns declares",
     "ERR_HYPHEN_IN_COMMENT": "two hyphens in a comment",
 }
-"""Errors of the parser that leave no doubt about the elements -> words."""
-# What a comment's delimiters mean nothing in, and comments.
+"""Error code of the parser that leaves the elements unambiguous -> description."""
+# Sections in which a comment's delimiters have no meaning, and comments.
 _SECTIONS = re.compile(rb"<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<!--.*?-->", re.DOTALL)
 # Plain decimal text: float() alone would also take '1_0', 'infinity' and other scripts' digits.
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
@@ -39,38 +39,38 @@ _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 @dataclass(frozen=True, slots=True)
 class Irregularity:
-    """A place where a file breaks the XML standard, and its elements are clear all the same."""
+    """A violation of the XML standard that leaves the elements unambiguous."""
 
     line: int
     words: str
 
 
 def parse(path: Path) -> Element:
-    """The root element of an XML file, without its comments; ``.sourceline`` gives lines.
+    """Return the root element of an XML file, without comments; ``.sourceline`` has the line.
 
-    Robots' loaders (tinyxml2) take a prefix that no ``xmlns`` declares, and ``--`` in a comment;
-    so are they taken here, and :func:`irregularities` lists them. A prefix that is not declared
-    stays part of the name.
+    Loaders of robot files (tinyxml2) accept undeclared prefixes and ``--`` in comments. This
+    function accepts them too, and :func:`irregularities` lists them. An undeclared prefix remains
+    part of the name.
 
     Raises:
         PathError: missing, a link, or no regular file.
         LimitError: beyond ``limits.XML``.
-        FormatError: not well-formed, of an unusual encoding, or it holds a DTD or an XInclude.
+        FormatError: not well-formed, an unsupported encoding, or a DTD or XInclude.
     """
     return parse_bytes(read_bytes(path, limits.XML.file_bytes), path)
 
 
 def irregularities(path: Path) -> tuple[Irregularity, ...]:
-    """Where a file that :func:`parse` takes breaks the XML standard, by line.
+    """Return the violations of the XML standard in a file that :func:`parse` accepts, by line.
 
     Raises:
-        as :func:`parse`.
+        PathError, LimitError, FormatError: as :func:`parse`.
     """
     return _parsed(read_bytes(path, limits.XML.file_bytes), path)[1]
 
 
 def parse_bytes(data: bytes, path: Path) -> Element:
-    """The root element of XML text; ``path`` is only named in errors.
+    """Return the root element of XML text; ``path`` is used in errors only.
 
     Raises:
         LimitError: beyond ``limits.XML``.
@@ -80,7 +80,7 @@ def parse_bytes(data: bytes, path: Path) -> Element:
 
 
 def plain_name(name: str, element: Element) -> str:
-    """A tag or attribute as it is written in the file: ``prefix:name``, without the namespace."""
+    """Return a tag or attribute name as written in the file: ``prefix:name``, without namespace."""
     if not name.startswith("{"):
         return name
     space, _, local = name[1:].partition("}")
@@ -93,13 +93,13 @@ def _parsed(data: bytes, path: Path) -> tuple[Element, tuple[Irregularity, ...]]
         raise LimitError(
             "file is too large", path=path, expected=f"at most {limits.XML.file_bytes} bytes"
         )
-    # One known encoding from here on: what is searched is what the parser will see.
+    # Convert to one encoding, so that the checks below see the same text as the parser.
     data = _as_utf8(data, path)
     if not data.strip():
         raise FormatError("empty file", path=path, line=1, expected="an XML element")
     if b"<!DOCTYPE" in data:
         _refuse_doctype(data, path)
-    # Each element has at least one '<' and each attribute one '=': bounds before any memory goes.
+    # Each element has at least one '<' and each attribute one '=': check before allocating memory.
     if data.count(b"<") > 2 * limits.XML.elements_count:
         _too_many("elements", limits.XML.elements_count, path)
     if data.count(b"=") > 2 * limits.XML.attributes_count:
@@ -110,7 +110,7 @@ def _parsed(data: bytes, path: Path) -> tuple[Element, tuple[Irregularity, ...]]
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
         line, column = error.position
-        if "Excessive depth" in str(error.msg):  # the parser's own bound, the same as ours
+        if "Excessive depth" in str(error.msg):  # the parser's own depth limit, equal to limits.XML
             _too_deep(line or None, path)
         tolerated = _tolerated(data, parser.error_log)
         if tolerated is None:
@@ -140,7 +140,7 @@ def _parser(*, recover: bool = False) -> etree.XMLParser:
 
 
 def _tolerated(data: bytes, refusal: Any) -> tuple[Element, tuple[Irregularity, ...]] | None:
-    """The root where nothing but :data:`_TOLERATED` is wrong, else None."""
+    """Return the root if :data:`_TOLERATED` covers all errors, else None."""
     parser = _parser(recover=True)
     try:
         root = etree.fromstring(_blank_comments(data), parser)
@@ -155,7 +155,7 @@ def _tolerated(data: bytes, refusal: Any) -> tuple[Element, tuple[Irregularity, 
 
 
 def _blank_comments(data: bytes) -> bytes:
-    """The text with its comments empty, every line where it was."""
+    """Return the text with empty comments and unchanged line numbers."""
 
     def blank(match: re.Match[bytes]) -> bytes:
         part = match[0]
@@ -174,7 +174,7 @@ def float_attribute(
     unit: str | None = None,
     default: float | None = None,
 ) -> float:
-    """One finite number from an attribute.
+    """Return one finite number from an attribute.
 
     Raises:
         ModelError: missing without a ``default``, not a number, or not finite; with the line.
@@ -202,7 +202,7 @@ def vector_attribute(
     unit: str | None = None,
     default: tuple[float, ...] | None = None,
 ) -> NDArray[np.float64]:
-    """Finite numbers from an attribute, separated by white space; shape ``(size,)``.
+    """Return finite numbers from an attribute, separated by white space; shape ``(size,)``.
 
     Raises:
         ModelError: missing without a ``default``, another count than ``size``, not numbers, or
@@ -234,7 +234,7 @@ def vector_attribute(
 
 
 def describe(element: Element) -> str:
-    """The element as people name it: ``link 'wrist'``."""
+    """Return an element's description for messages, such as ``link 'wrist'``."""
     tag = str(element.tag)
     name = element.get("name")
     return tag if name is None else f"{tag} {name!r}"
@@ -244,7 +244,7 @@ def _number(text: str, element: Element, name: str, path: Path, unit: str | None
     value = float(text) if len(text) <= 400 and _NUMBER.fullmatch(text) else math.nan
     if not math.isfinite(value):
         raise ModelError(
-            f"attribute {name!r} is no finite number",
+            f"attribute {name!r} is not a finite number",
             path=path,
             line=_line(element),
             where=describe(element),
@@ -296,7 +296,7 @@ def _as_utf8(data: bytes, path: Path) -> bytes:
 
 
 def _refuse_doctype(data: bytes, path: Path) -> None:
-    """Tell a document type from the same words in a comment, before libxml2 sees either."""
+    """Refuse a document type, but not the same text in a comment, before libxml2 parses it."""
     scanner = expat.ParserCreate("utf-8")
 
     def refuse(*_: object) -> NoReturn:

@@ -1,4 +1,4 @@
-"""Strict YAML: the part of YAML 1.2 in which a text has one meaning, with the line of each field.
+"""Read and write strict YAML, an unambiguous subset of YAML 1.2, with the line of each field.
 
 Plain scalars follow the YAML 1.2 core schema: ``1e-6`` is a number, ``no``, ``on`` and ``12:30``
 are strings. Anchors, aliases, tags, merge keys, repeated keys and numbers that are not finite are
@@ -22,14 +22,14 @@ from pytest_twin.formats.paths import decode_text, read_bytes
 try:
     from yaml._yaml import CParser as _Parser
 except ImportError:
-    # The same events, slower, where PyYAML was built without libyaml.
+    # PyYAML without libyaml gives the same events, only slower.
     from yaml import Loader as _Parser  # type: ignore[assignment]
 
 RECORDED_MARK = "# --- recorded by pytest --twin-update; a person reads this as a diff ---"
-"""Below this line of a golden spec everything is written by the machine."""
+"""Line of a golden spec below which pytest --twin-update writes everything."""
 
 RECORDED_KEYS = ("expected", "trace", "provenance")
-"""Top-level keys of a golden spec that are written by the machine, in this order."""
+"""Top-level keys of a golden spec that pytest --twin-update writes, in this order."""
 
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
@@ -48,20 +48,20 @@ _WORDS: dict[str, bool | None] = {
     "FALSE": False,
 }
 _FIRST_OF_NUMBER = frozenset("+-.0123456789")
-# Beside control characters also the line ends that editors and parsers count differently.
+# Control characters, and the line ends that editors and parsers count differently.
 _UNPRINTABLE = re.compile(
     r"[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]"
     r"|\r(?!\n)"
 )
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.+-]*(?: [A-Za-z0-9_/.+()-]+)*")
-# What libyaml says at its own bound, which its look ahead may meet before ours is.
+# Message of libyaml at its own depth limit, which its lookahead may reach before limits.YAML.
 _TOO_DEEP = "exceeded maximum nesting depth"
 _LINE_WIDTH = 100
 
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML file's content and where it stands.
+    """Content of a YAML file and the line of each field.
 
     Attributes:
         data: dict, list, str, int, float, bool and None; dict keys are str.
@@ -87,12 +87,12 @@ def load(path: Path) -> Document:
 
 
 def read_text(path: Path) -> str:
-    """The text of a YAML file, line ends as they are; bounded as :func:`load`."""
+    """Return the text of a YAML file with unchanged line ends, limited as :func:`load`."""
     return decode_text(read_bytes(path, limits.YAML.file_bytes), path)
 
 
 def loads(text: str, path: Path) -> Document:
-    """Read YAML text; ``path`` is only named in errors.
+    """Parse YAML text; ``path`` is used in errors only.
 
     Raises:
         LimitError: beyond ``limits.YAML``.
@@ -107,7 +107,7 @@ def loads(text: str, path: Path) -> Document:
         line = text.count("\n", 0, odd.start()) + 1
         column = odd.start() - text.rfind("\n", 0, odd.start())
         raise FormatError(
-            "a character that YAML text may not hold",
+            "a character that YAML text may not contain",
             path=path,
             line=line,
             column=column,
@@ -147,7 +147,7 @@ def _too_deep(path: Path, mark: Any) -> LimitError:
 
 
 class _Reader:
-    """Builds plain data from parser events, so that every bound holds before memory is spent."""
+    """Builds plain data from parser events, checking every limit before it allocates memory."""
 
     def __init__(self, text: str, path: Path) -> None:
         self.path = path
@@ -216,8 +216,8 @@ class _Reader:
             at = prefix + key
             if key in found:
                 first = self.lines.get(at)
-                self.refuse(event, f"key {key[:80]!r} stands here a second time (first: {first})")
-            # The line of a field is that of its key, wherever its value starts.
+                self.refuse(event, f"key {key[:80]!r} occurs a second time (first: {first})")
+            # The line of a field is that of its key, even if its value starts later.
             self.lines[at] = event.start_mark.line + 1
             found[key] = self.value(self.next(), at, depth + 1)
             event = self.next()
@@ -227,7 +227,7 @@ class _Reader:
         if type(event) is not yaml.ScalarEvent:
             if type(event) is yaml.AliasEvent:
                 self.refuse(event, "an alias (*name)", "the value written out")
-            self.refuse(event, "a key that is no text", "a name before the colon")
+            self.refuse(event, "a key that is not text", "a name before the colon")
         if event.anchor is not None:
             self.refuse(event, "an anchor (&name)", "the value written out at each place")
         if event.tag is not None:
@@ -249,7 +249,7 @@ class _Reader:
         if text[0] not in _FIRST_OF_NUMBER:
             return text
         if _INT.fullmatch(text):
-            # Python bounds the digits of int(); 64 bits is what other readers hold.
+            # Python limits the digits of int(); other readers are limited to 64 bits.
             number = int(text, 0 if text[:2] in ("0o", "0x") else 10) if len(text) <= 32 else None
             if number is None or not -(2**63) <= number < 2**63:
                 self.refuse(event, "an integer that is out of range", "at most 64 bits")
@@ -260,12 +260,12 @@ class _Reader:
                 self.refuse(event, f"number {text[:40]} is out of range", "a finite number")
             return value
         if _NOT_FINITE.fullmatch(text):
-            self.refuse(event, f"{text} is no finite number", "a finite number")
+            self.refuse(event, f"{text} is not a finite number", "a finite number")
         return text
 
 
 def recorded_block(recorded: dict[str, Any]) -> str:
-    """The machine-written end of a golden spec, mark included; the same text for the same data.
+    """Return the recorded part of a golden spec, mark included; equal data give equal text.
 
     Floats are written so that they read back as the same number.
 
@@ -282,14 +282,14 @@ def recorded_block(recorded: dict[str, Any]) -> str:
 
 
 def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<text>")) -> str:
-    """A golden spec with its machine-written end replaced.
+    """Return a golden spec with its recorded part replaced.
 
-    Everything above ``RECORDED_MARK`` stays byte for byte (a missing last line end is added); the
-    mark and all below it are written afresh. An empty ``recorded`` takes the end away.
+    Everything above ``RECORDED_MARK`` is kept unchanged (a missing last line end is added). The
+    mark and all below it are rewritten. An empty ``recorded`` removes the mark and the part below.
 
     Raises:
-        SpecError: a recorded key is above the mark or another key below it, with its line;
-            the spec is no block mapping; ``recorded`` holds what YAML cannot.
+        SpecError: a recorded key is above the mark or another key below it, with its line; the
+            spec is not a block mapping; or YAML cannot represent ``recorded``.
         FormatError: ``text`` is not strict YAML.
     """
     document = loads(text, path)
@@ -307,7 +307,7 @@ def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<te
         below = at is not None and line > at + 1
         if key in RECORDED_KEYS and not below:
             raise SpecError(
-                "is written by pytest --twin-update and stands among the fields that people write",
+                "is written by pytest --twin-update and is among the fields that people write",
                 path=path,
                 line=line,
                 where=key,
@@ -315,7 +315,7 @@ def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<te
             )
         if key not in RECORDED_KEYS and below:
             raise SpecError(
-                "stands below the recorded mark, where pytest --twin-update writes",
+                "is below the recorded mark, where pytest --twin-update writes",
                 path=path,
                 line=line,
                 where=key,
@@ -346,7 +346,7 @@ def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<te
 def _dump_mapping(out: list[str], fields: Any, indent: str, where: str) -> None:
     for key, value in fields.items():
         if not isinstance(key, str) or not key:
-            raise SpecError("a key that is no text", where=where, value=key, expected="a name")
+            raise SpecError("a key that is not text", where=where, value=key, expected="a name")
         at = f"{where}.{key}" if where else key
         head = f"{indent}{_text(key)}:"
         short = _inline(value, at, len(head) + 1)
@@ -388,7 +388,7 @@ def _dump_items(out: list[str], items: Any, indent: str, where: str) -> None:
 
 
 def _inline(value: Any, where: str, used: int) -> str | None:
-    """One line's text of a value, or None where it takes more lines."""
+    """Return the text of a value on one line, or None if it needs several lines."""
     if isinstance(value, dict):
         return None if value else "{}"
     if isinstance(value, list | tuple):
@@ -415,7 +415,7 @@ def _scalar(value: Any, where: str) -> str:
                 "not a finite number", where=where, value=value, expected="a finite number"
             )
         text = float.__repr__(value)
-        # With a point the exponent form is a number to YAML 1.1 readers as well.
+        # With a decimal point, YAML 1.1 readers also parse the exponent form as a number.
         return text.replace("e", ".0e") if "e" in text and "." not in text else text
     if isinstance(value, str):
         return _text(value)
@@ -426,7 +426,7 @@ def _scalar(value: Any, where: str) -> str:
     )
 
 
-# Words that some YAML reader takes for a truth value, a null or a number.
+# Words that some YAML readers interpret as a truth value, a null or a number.
 _SPECIAL = re.compile(
     r"(?:y|n|yes|no|on|off|true|false|null|nan|inf|\.nan|\.inf|[-+.0-9].*)", re.IGNORECASE
 )

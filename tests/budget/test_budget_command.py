@@ -106,7 +106,7 @@ def test_what_twin_yaml_must_not_say_is_answered_in_one_line(
         ([[-1e-6, 0.0], [0.0, 1e-6]], "its covariance has a negative eigenvalue"),
         ([[1e-6, 0.0]], "a field is missing or unusable: covariance: not 2 rows"),
         ([[1e-6], [1e-6]], "a field is missing or unusable: covariance: not 2 numbers"),
-        ([[1e-6, "x"], [0.0, 1e-6]], "is no finite number"),
+        ([[1e-6, "x"], [0.0, 1e-6]], "is not a finite number"),
     ],
 )
 def test_a_covariance_that_is_none_is_refused(

@@ -92,7 +92,10 @@ def test_two_records_of_one_joint_are_refused(tmp_path: Path) -> None:
         ({"verdict": "rejected"}, "a calibration that is not accepted (got 'rejected'"),
         ({"held_out": None}, "a field is missing or unusable"),
         ({"schema": 2}, "a field is missing or unusable: 'schema'"),
-        ({"records": {"joint_zeros": {"values": {"elbow": {"value": "x"}}}}}, "no finite number"),
+        (
+            {"records": {"joint_zeros": {"values": {"elbow": {"value": "x"}}}}},
+            "not a finite number",
+        ),
     ],
 )
 def test_a_record_that_cannot_be_used_is_refused(

@@ -113,9 +113,13 @@ def test_what_writers_differ_in_does_not_matter(tmp_path: Path, change: str) -> 
 @pytest.mark.parametrize(
     ("text", "place", "words"),
     [
-        ("time,a.position\n0.0,1\n0.1,x\n", "log.csv:3:2: a.position", "no finite number (got 'x'"),
-        ("time,a.position\n0.0,1\n0.1,inf\n", "log.csv:3:2", "no finite number (got 'inf'"),
-        ("time,a.position\n0.0,1\n0.1,1_0\n", "log.csv:3:2", "no finite number (got '1_0'"),
+        (
+            "time,a.position\n0.0,1\n0.1,x\n",
+            "log.csv:3:2: a.position",
+            "not a finite number (got 'x'",
+        ),
+        ("time,a.position\n0.0,1\n0.1,inf\n", "log.csv:3:2", "not a finite number (got 'inf'"),
+        ("time,a.position\n0.0,1\n0.1,1_0\n", "log.csv:3:2", "not a finite number (got '1_0'"),
         ("time,a.position\n0.0,1\n0.1\n", "log.csv:3", "row has 1 value (expected 2"),
         ("time,a.position\n\n0.0,1,2\n", "log.csv:3", "row has 3 values (expected 2"),
         ("time,a.position\n0.0,1\n,2\n", "log.csv:3:1", "no time"),
@@ -123,7 +127,7 @@ def test_what_writers_differ_in_does_not_matter(tmp_path: Path, change: str) -> 
         ("time,a.position\n0.0,1\n1e300,2\n", "log.csv:3:1: time", "no time (got '1e300'"),
         ("time,a.position\n", "log.csv:2", "no rows"),
         ("", "log.csv:1", "fewer than two columns"),
-        ("time;a.position\n0;1\n", "log.csv:1", "separated by something else than commas"),
+        ("time;a.position\n0;1\n", "log.csv:1", "not separated by commas"),
         ("t,a.position\n0.0,1\n", "log.csv:1", "no column of times"),
         ("time,q1\n0.0,1\n", "log.csv:1", "no column of a joint"),
         ("time,a.position,a.position\n0.0,1,2\n", "log.csv:1:3", "a heading occurs twice"),
@@ -141,7 +145,7 @@ def test_faults_are_named_by_line_and_column(
 
 
 def test_a_mapping_to_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match=r"columns.t: no meaning that a column can have"):
+    with pytest.raises(FormatError, match=r"columns.t: not a valid meaning of a column"):
         read(tmp_path, "t,a.position\n0.0,1\n", {"t": "clock"})
 
 

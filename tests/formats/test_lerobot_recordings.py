@@ -61,7 +61,7 @@ def test_joint_names_in_every_form_of_info_json(
 ) -> None:
     recording = read_one(write_dataset(tmp_path / "set", EPISODES[:1], names=names))
     assert recording.series["state"].names == expected
-    assert any("no name for each" in note for note in recording.notes) == (expected[0] == "0")
+    assert any("does not name each" in note for note in recording.notes) == (expected[0] == "0")
 
 
 def test_velocity_and_effort_go_by_the_ends_of_names(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_per_cent_of_the_range_may_be_meant_and_is_said(tmp_path: Path) -> None:
 
 def test_an_unknown_unit_is_refused(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1], units="turns")
-    with pytest.raises(FormatError, match=r"no unit of joint angles .got 'turns'"):
+    with pytest.raises(FormatError, match=r"not a unit of joint angles .got 'turns'"):
         read_one(folder)
 
 
@@ -136,14 +136,17 @@ def test_without_pyarrow_the_message_says_what_to_install(
 @pytest.mark.parametrize(
     ("info", "words"),
     [
-        ({"codebase_version": "v1.6"}, "codebase_version: a version of LeRobot's format"),
+        (
+            {"codebase_version": "v1.6"},
+            "codebase_version: an unsupported version of LeRobot's format",
+        ),
         ({"features": []}, "describes no features"),
         ({"features": {"x": {}}}, "no joint states and no actions"),
         ({"features": {"action": {"shape": [10**9]}}}, "features.action.shape: not a vector"),
-        ({"features": {"action": {"shape": [3]}}}, "action: rows of another length"),
-        ({"data_path": None}, "data_path: no place of the data"),
-        ({"data_path": "../{file_index}.parquet"}, "data_path: not a place in the data set"),
-        ({"data_path": "/etc/{file_index}.parquet"}, "data_path: not a place in the data set"),
+        ({"features": {"action": {"shape": [3]}}}, "action: rows of different lengths"),
+        ({"data_path": None}, "data_path: does not state the path of the data"),
+        ({"data_path": "../{file_index}.parquet"}, "data_path: not a path inside the data set"),
+        ({"data_path": "/etc/{file_index}.parquet"}, "data_path: not a path inside the data set"),
         ({"data_path": "{file_index.__class__}.parquet"}, "data_path: not a place"),
         ({"data_path": "no/{file_index}.parquet"}, "data_path: no data file is there"),
     ],
@@ -169,7 +172,7 @@ def test_a_parquet_file_that_unpacks_to_too_much_is_refused(
 ) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1])
     monkeypatch.setattr(limits, "PARQUET", replace(limits.PARQUET, uncompressed_bytes=1000))
-    with pytest.raises(LimitError, match="too much when unpacked"):
+    with pytest.raises(LimitError, match="too large after decompression"):
         read_recordings(folder)
     monkeypatch.setattr(limits, "MCAP", replace(limits.MCAP, samples_count=100))
     with pytest.raises(LimitError, match="too many values"):

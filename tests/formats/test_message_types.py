@@ -180,7 +180,7 @@ def test_a_trajectory_without_stamp_begins_when_it_is_received(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ([], "no points: a stop where the joints are"),
+        ([], "no points: this commands a stop"),
         (points((20, 1.0), (10, 2.0)), "time_from_start does not increase"),
         ([ros.point([1.0], after=1)], "1 values of position for 2 joints"),
     ],

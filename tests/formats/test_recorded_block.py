@@ -87,7 +87,7 @@ def test_refuses_what_it_would_have_to_change(
     [
         (float("nan"), "expected.a: not a finite number"),
         (b"x", "expected.a: a bytes cannot be written as YAML"),
-        ({1: 2}, "expected.a: a key that is no text"),
+        ({1: 2}, "expected.a: a key that is not text"),
     ],
 )
 def test_refuses_what_yaml_cannot_hold(value: object, words: str) -> None:

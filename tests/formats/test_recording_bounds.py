@@ -42,7 +42,7 @@ def messages(channel: int) -> bytes:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (zeros, "too much when unpacked for a file of"),
+        (zeros, "too large after decompression for a file of"),
         (lambda: messages(1), "too many messages for a file of"),
         (lambda: messages(9), "too many messages for a file of"),
     ],

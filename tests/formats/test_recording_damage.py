@@ -139,7 +139,7 @@ def test_a_chunk_that_became_another_record_is_missed(tmp_path: Path) -> None:
     recording = read(tmp_path, bytes(data))
     words = " ".join(str(note) for note in recording.damage)
     assert f"byte {first}: a record of type 134 is not read" in words
-    assert f"chunk at byte {first}: stands in the index and is not there" in words
+    assert f"chunk at byte {first}: is in the index and missing in the data" in words
     assert "of 9 messages that the summary counts" in words
 
 
@@ -168,8 +168,8 @@ def test_what_no_writer_makes_is_an_error(tmp_path: Path, data: bytes, words: st
         (HEADER + DECLARED + ONE + END[:-8], 1, "does not end with the MCAP magic"),
         (HEADER + DECLARED + ONE + b"\0" * 50, 1, "a record of type 0"),
         (HEADER + chunk(DECLARED + ONE, compression="brotli") + END, 0, "'brotli' is not known"),
-        (HEADER + chunk(DECLARED + ONE, compression="zstd") + END, 0, "cannot be unpacked"),
-        (HEADER + chunk(DECLARED + ONE, compression="lz4") + END, 0, "cannot be unpacked"),
+        (HEADER + chunk(DECLARED + ONE, compression="zstd") + END, 0, "cannot be decompressed"),
+        (HEADER + chunk(DECLARED + ONE, compression="lz4") + END, 0, "cannot be decompressed"),
         (HEADER + chunk(DECLARED + ONE, length=10**15) + END, 0, "fields are longer than"),
         (HEADER + chunk(DECLARED + ONE[:-3]) + END, 0, "a record is cut off"),
         (HEADER + chunk(DECLARED + ONE + b"\0" * 30) + END, 1, "a record of type 0"),
@@ -201,16 +201,16 @@ def test_bombs_are_refused_before_they_unfold(tmp_path: Path) -> None:
     small_frame = zstandard.ZstdCompressor().compress(zeros)
     no_size = zstandard.ZstdCompressor(write_content_size=False).compress(zeros)
     bombs = {
-        "a chunk is too large when unpacked": chunk(
+        "a chunk is too large after decompression": chunk(
             b"", compression="zstd", packed=small_frame, size=2**40
         ),
-        "unpacks to more than it declares": chunk(
+        "is larger after decompression than it declares": chunk(
             b"", compression="zstd", packed=small_frame, size=100
         ),
-        "unpacks to more than it declares ": chunk(
+        "is larger after decompression than it declares ": chunk(
             b"", compression="zstd", packed=no_size, size=100
         ),
-        "unpacks to more than it declares  ": chunk(
+        "is larger after decompression than it declares  ": chunk(
             b"", compression="lz4", packed=lz4.frame.compress(zeros), size=100
         ),
     }
@@ -223,7 +223,7 @@ def test_a_frame_that_claims_a_huge_size_gets_no_memory(tmp_path: Path) -> None:
     # Magic, single segment with an 8-byte content size of 2**60, one raw block of nothing.
     frame = b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**60) + b"\x01\x00\x00"
     recording = read(tmp_path, HEADER + chunk(b"", compression="zstd", packed=frame, size=9) + END)
-    assert "cannot be unpacked" in str(recording.damage[0])
+    assert "cannot be decompressed" in str(recording.damage[0])
 
 
 def test_many_small_chunks_are_bounded_together(
@@ -231,7 +231,7 @@ def test_many_small_chunks_are_bounded_together(
 ) -> None:
     small = limits.McapLimits(uncompressed_bytes=1000, records_count=50, messages_count=5)
     monkeypatch.setattr(limits, "MCAP", small)
-    with pytest.raises(LimitError, match="too much when unpacked"):
+    with pytest.raises(LimitError, match="too large after decompression"):
         read(tmp_path, HEADER + chunk(bytes(400)) * 3 + END)
     with pytest.raises(LimitError, match="too many records"):
         read(tmp_path, HEADER + record(12, text("x") + b"\0" * 4) * 60 + END)
@@ -243,7 +243,7 @@ def test_a_chunk_that_unpacks_to_less_is_lost(tmp_path: Path) -> None:
     packed = zstandard.ZstdCompressor(write_content_size=False).compress(DECLARED + ONE)
     size = len(DECLARED + ONE) + 7
     data = HEADER + chunk(b"", compression="zstd", packed=packed, size=size) + END
-    assert f"unpacks to {size - 7} of {size} bytes" in str(read(tmp_path, data).damage[0])
+    assert f"decompresses to {size - 7} of {size} bytes" in str(read(tmp_path, data).damage[0])
 
 
 def test_sizes_need_not_stand_in_the_frame(tmp_path: Path) -> None:
@@ -316,7 +316,7 @@ BROKEN = {
     "ends inside effort": GOOD[:-4],
     "bytes left over": GOOD + bytes(8),
     "a joint's name is not UTF-8": GOOD.replace(b"elbow", b"elb\xffw"),
-    "a joint stands twice": cdr(Message(START, ("a", "a"), (1.0, 2.0))),
+    "a joint occurs twice": cdr(Message(START, ("a", "a"), (1.0, 2.0))),
     "no joint names": cdr(Message(START, (), ())),
     "a joint's name is empty or unprintable": cdr(Message(START, ("a", "\n"), (1.0, 2.0))),
     "3 values of position for 2 joints": cdr(Message(START, ("a", "b"), (1.0, 2.0, 3.0))),
@@ -342,14 +342,14 @@ def test_a_message_that_cannot_be_decoded_is_noted(tmp_path: Path, words: str) -
         (b"{", "not JSON"),
         (b"[" * 100_000, "not JSON"),
         (b"[]", "not a JSON object"),
-        (b"{}", "name is no list of text"),
+        (b"{}", "name is not a list of text"),
         (b'{"name": ["a"], "position": [1, 2]}', "2 values of position for 1 joints"),
-        (b'{"name": ["a"], "position": ["1"]}', "position holds what is no number"),
-        (b'{"name": ["a"], "position": [true]}', "position holds what is no number"),
-        (b'{"name": ["a"], "position": 3}', "position is no list"),
+        (b'{"name": ["a"], "position": ["1"]}', "position contains a value that is not a number"),
+        (b'{"name": ["a"], "position": [true]}', "position contains a value that is not a number"),
+        (b'{"name": ["a"], "position": 3}', "position is not a list"),
         (b'{"name": ["a"], "position": [1' + b"0" * 400 + b"]}", "out of range"),
         (b'{"name": ["a"], "position": [1' + b"0" * 5000 + b"]}", "not JSON"),
-        (b'{"name": ["a"], "header": {"stamp": 3}}', "header.stamp is no object"),
+        (b'{"name": ["a"], "header": {"stamp": 3}}', "header.stamp is not an object"),
         (b'{"name": ["a"], "header": {"stamp": {"sec": 1.5, "nanosec": 0}}}', "header.stamp.sec"),
         (b'{"name": ["a"], "header": {"stamp": {"sec": 1}}}', "header.stamp.nanosec"),
         (b"\xff", "not JSON"),

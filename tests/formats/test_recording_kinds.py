@@ -185,16 +185,16 @@ ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n)"
 @pytest.mark.parametrize(
     ("script", "words"),
     [
-        ("CREATE TABLE other(x);", "'topics' is no plain table"),
+        ("CREATE TABLE other(x);", "'topics' is not a plain table"),
         (
             TOPICS + f"CREATE VIEW messages AS {ENDLESS} SELECT 1 AS topic_id, x AS timestamp, "
             "x AS data, x AS id FROM n;",
-            "'messages' is no plain table",
+            "'messages' is not a plain table",
         ),
         (
             TOPICS + "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp "
             "INTEGER, data BLOB GENERATED ALWAYS AS (zeroblob(100000000)));",
-            "'messages' is no plain table",
+            "'messages' is not a plain table",
         ),
         (TOPICS + "CREATE TABLE messages(id INTEGER PRIMARY KEY);", "no such column"),
         (
@@ -272,7 +272,7 @@ def test_a_zstandard_file_that_unpacks_to_too_much_is_refused(
     path.write_bytes(zstandard.ZstdCompressor().compress(bytes(50_000_000)))
     small = replace(limits.MCAP, uncompressed_free_bytes=10_000_000)
     monkeypatch.setattr(limits, "MCAP", small)
-    with pytest.raises(LimitError, match="the compressed file unpacks to too much"):
+    with pytest.raises(LimitError, match="the compressed file is too large after decompression"):
         read_one(path)
 
 

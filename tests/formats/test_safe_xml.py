@@ -111,10 +111,10 @@ def test_numbers_are_read_with_their_place() -> None:
     with pytest.raises(ModelError) as caught:
         xml.float_attribute(element, "n", PATH, unit="kg")
     assert str(caught.value) == (
-        "robot.urdf:2: joint 'elbow': attribute 'n' is no finite number "
+        "robot.urdf:2: joint 'elbow': attribute 'n' is not a finite number "
         "(got 'nan'; expected a finite number in kg)"
     )
-    with pytest.raises(ModelError, match="attribute 'bad' is no finite number"):
+    with pytest.raises(ModelError, match="attribute 'bad' is not a finite number"):
         xml.float_attribute(element, "bad", PATH)
     with pytest.raises(ModelError, match="attribute 'mass' is missing"):
         xml.float_attribute(element, "mass", PATH)

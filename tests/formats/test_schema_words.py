@@ -57,7 +57,7 @@ PATH = Path("g.yaml")
         ("kind: fk\ncount: 10", 2, "count", "is too large (got 10; expected less than 10)"),
         ("kind: fk\ncount: true", 2, "count", "is true or false (got True; expected a whole"),
         ("kind: fk\nnames: []", 2, "names", "holds 0 (expected at least 1)"),
-        ("kind: fk\nnames: [a, a]", 2, "names", "holds a value twice"),
+        ("kind: fk\nnames: [a, a]", 2, "names", "contains a value twice"),
         ("kind: fk\nnames:\n  - a\n  - 2", 4, "names.1", "is a number (got 2; expected text)"),
         ("kind: fk\nnames: {a: 1}", 2, "names", "is a mapping of fields (expected a list)"),
         (
@@ -70,7 +70,7 @@ PATH = Path("g.yaml")
             "kind: fk\ntolerance:\n\n  position: 3 kg",
             4,
             "tolerance.position",
-            "is not written as it should be (got '3 kg'; expected a length)",
+            "has the wrong form (got '3 kg'; expected a length)",
         ),
         (
             "kind: fk\nwhere: 3",
@@ -110,5 +110,5 @@ def test_schemas_that_ship_are_loaded_once_and_compiled() -> None:
 
 
 def test_a_schema_that_does_not_ship_is_an_error() -> None:
-    with pytest.raises(SpecError, match="no such schema ships"):
+    with pytest.raises(SpecError, match="the package has no such schema"):
         schema.load_schema("nothing.schema.json")

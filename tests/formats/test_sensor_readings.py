@@ -64,7 +64,7 @@ def test_every_cut_of_a_message_is_refused_as_one_message(kind: str) -> None:
     ("text", "words"),
     [
         (b"[]", "not a JSON object"),
-        (b'{"wrench": 3}', "wrench is no object"),
+        (b'{"wrench": 3}', "wrench is not an object"),
         (b'{"wrench": {"force": {"x": 1, "y": "2", "z": 3}, "torque": {}}}', "no number"),
         (b'{"wrench": {"force": {"x": 1, "y": 1e999, "z": 3}, '
          b'"torque": {"x": 0, "y": 0, "z": 0}}}', "not finite"),

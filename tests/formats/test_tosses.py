@@ -53,16 +53,16 @@ class _Boom:
 @pytest.mark.parametrize(
     ("member", "words"),
     [
-        (pickle.dumps(_Boom()), "no array of floating-point numbers"),
-        (_npy(np.array([_Boom()], dtype=object)), "no array of floating-point numbers"),
+        (pickle.dumps(_Boom()), "not an array of floating-point numbers"),
+        (_npy(np.array([_Boom()], dtype=object)), "not an array of floating-point numbers"),
         (_npy(_toss())[:-8], "bytes"),
-        (_npy(_toss()).replace(b"(20, 19)", b"(2**9,) "), "no array of floating-point numbers"),
-        (_npy(_toss()).replace(b"(20, 19)", b"(99999, "), "no array of floating-point numbers"),
+        (_npy(_toss()).replace(b"(20, 19)", b"(2**9,) "), "not an array of floating-point numbers"),
+        (_npy(_toss()).replace(b"(20, 19)", b"(99999, "), "not an array of floating-point numbers"),
         (_npy(_toss()[:, :7]), "not a toss"),
         (_npy(_toss(3)), "not a toss"),
         (_npy(np.full((20, 19), np.nan)), "not finite"),
-        (_npy(np.zeros((20, 19))), "no unit quaternion"),
-        (_npy(np.zeros((20, 19), dtype=complex)), "no array of floating-point numbers"),
+        (_npy(np.zeros((20, 19))), "not a unit quaternion"),
+        (_npy(np.zeros((20, 19), dtype=complex)), "not an array of floating-point numbers"),
     ],
 )
 def test_a_member_that_is_no_toss_is_refused_and_never_unpickled(

@@ -150,7 +150,7 @@ def test_a_superseded_record_no_longer_holds(cell: Path) -> None:
         ({"verdict": "improved"}, "an identification that is not accepted (got 'improved'"),
         ({"covariance": {"names": ["a"], "matrix": []}}, "unusable: covariance"),
         ({"fit": {"option": {}}}, "unusable: fit"),
-        ({"fit": {"joint": {"elbow": {"damping": "x"}}}}, "'x' is no finite number"),
+        ({"fit": {"joint": {"elbow": {"damping": "x"}}}}, "'x' is not a finite number"),
         ({"schema": 2}, "a field is missing or unusable: 'schema'"),
     ],
 )

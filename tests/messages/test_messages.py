@@ -141,7 +141,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a key twice",
         twin(lambda root: (root / "twin.yaml").write_text("model: a.xml\nmodel: arm.xml\n")),
-        "ARM/twin.yaml:2:1: key 'model' stands here a second time (first: 1)",
+        "ARM/twin.yaml:2:1: key 'model' occurs a second time (first: 1)",
     ),
     (
         "a model that is missing",
@@ -228,7 +228,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a trace with text for a number",
         trace("time [s],a [m]\n0,0\n1,x\n"),
-        "ARM/golden/home.trace.csv:3: a: no finite number (got 'x' m; expected a finite number)",
+        "ARM/golden/home.trace.csv:3: a:not a finite number (got 'x' m; expected a finite number)",
     ),
     (
         "a trace with too few numbers",
@@ -238,7 +238,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a heading without unit",
         trace("time [s],a\n0,0\n"),
-        "ARM/golden/home.trace.csv:1: heading 2 is no name with a unit (got 'a'; expected "
+        "ARM/golden/home.trace.csv:1: heading 2 is not a name with a unit (got 'a'; expected "
         "such as 'time [s]')",
     ),
     (

@@ -103,7 +103,7 @@ def test_its_own_ranges_are_as_wide_as_what_was_measured(tmp_path: Path) -> None
         ("a.py", "x = 1", "it states no range that can be compared"),
         ("a.json", "[1, 2]", "no table of ranges"),
         ("a.json", "{", "not JSON"),
-        ("a.yaml", "elbow.armature: [0.1, .inf]\n", "is no finite number"),
+        ("a.yaml", "elbow.armature: [0.1, .inf]\n", "is not a finite number"),
         ("a.toml", "", "not a kind of file that is compared"),
         ("a.yaml", "e: {func: joint_damping, params: {ranges: [0, 1], asset_cfg: {joint_names: "
          "'(a|aa)*b'}}}\n", "a pattern of names that is too complex to evaluate safely"),

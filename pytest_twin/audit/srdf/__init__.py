@@ -1,1 +1,1 @@
-"""The audit of an SRDF: planning groups, poses and disabled pairs against the URDF they name."""
+"""Audit an SRDF: compare its planning groups, poses and disabled pairs with its URDF."""

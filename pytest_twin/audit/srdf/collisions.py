@@ -1,4 +1,4 @@
-"""Pairs of links whose collisions an SRDF disables, and pairs that it leaves in collision."""
+"""Check the link pairs whose collisions an SRDF disables, and find colliding pairs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pytest_twin.audit.srdf.document import Srdf, label_of, missing, place_of
 from pytest_twin.realization.node import Node
 
 _SAMPLES = 12
-"""Poses within the ranges beside the base pose: a pair that overlaps at all of them overlaps at
+"""Number of random poses besides the base pose: a pair that overlaps at all of them overlaps at
 more than four fifths of all poses (95 % confidence)."""
 _MOST_STATES = 20
 _NEVER = "never"
@@ -26,12 +26,12 @@ Pair = frozenset[str]
 
 @dataclass
 class Allowed:
-    """Pairs of links whose collisions a planner does not look at.
+    """Pairs of links whose collisions a planner ignores.
 
     Attributes:
-        pairs: pair -> the first ``disable_collisions`` that names it.
+        pairs: pair -> its first ``disable_collisions``.
         enabled: pairs of ``enable_collisions``.
-        alone: links of ``disable_default_collisions``: all their pairs are disabled.
+        alone: links of ``disable_default_collisions``, all of whose pairs are disabled.
     """
 
     pairs: dict[Pair, Node] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Allowed:
 
 
 def check(srdf: Srdf) -> Iterator[Finding]:
-    """Findings of the elements that name pairs of links."""
+    """Yield findings of the elements that name pairs of links."""
     shaped = {shape.body for shape in srdf.asset.shapes if shape.role == "collision"}
     first: dict[Pair, Node] = {}
     for node in srdf.root.all("disable_collisions"):
@@ -99,7 +99,7 @@ def _pointless(node: Node, code: str, title: str, expected: str | None) -> Findi
 
 
 def allowed(srdf: Srdf) -> Allowed:
-    """The pairs that a planner does not look at."""
+    """Return the pairs that a planner ignores."""
     found = Allowed()
     for node in srdf.root.all("disable_collisions"):
         found.pairs.setdefault(_pair(node), node)
@@ -111,7 +111,7 @@ def allowed(srdf: Srdf) -> Allowed:
 
 
 def measured(srdf: Srdf, geometry: Geometry) -> tuple[list[PoseResult], list[Finding]]:
-    """Distances at the base pose and at every state, and findings of pairs that overlap."""
+    """Compute distances at the base pose and every state, and findings of overlapping pairs."""
     if not any(shape.role == "collision" for shape in srdf.asset.shapes):
         return [], []
     skipped = allowed(srdf)
@@ -138,7 +138,7 @@ def _of(near: self_collision.Near) -> Pair:
 
 
 def _samples(srdf: Srdf) -> list[dict[str, float]]:
-    """The same poses at every run, evenly within the ranges; rad and m."""
+    """Return poses distributed uniformly within the ranges, equal in every run; rad and m."""
     ranges = {}
     for joint in srdf.asset.joints:
         if not joint.is_scalar:
@@ -187,7 +187,7 @@ def _always(srdf: Srdf, base: PoseResult, always: set[Pair], skipped: Allowed) -
 
 
 def _never(srdf: Srdf, results: tuple[PoseResult, ...]) -> Iterator[Finding]:
-    """Pairs that are disabled because they never meet, and do."""
+    """Yield findings of pairs that overlap although their reason says that they never do."""
     disabled = allowed(srdf).pairs
     told: set[Pair] = set()
     for result in results:
@@ -213,7 +213,7 @@ def _never(srdf: Srdf, results: tuple[PoseResult, ...]) -> Iterator[Finding]:
 
 
 def _where(srdf: Srdf, near: self_collision.Near, result: PoseResult) -> str:
-    """The positions of the joints between two links, as words."""
+    """Describe the positions of the joints between two links."""
     above = [srdf.carriers(link) for link in (near.first, near.second)]
     between = set(above[0]) ^ set(above[1])
     joints = [joint for joint in srdf.asset.joints if joint.body in between]

@@ -1,4 +1,4 @@
-"""An SRDF beside the URDF that it names: who is in which group, and which names exist."""
+"""Resolve the names of an SRDF in its URDF: members of groups, and existing names."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _WHY: dict[Kind, str] = {
     "group": "MoveIt drops the element",
 }
 MOST_GROUPS = 2000
-"""Groups of one file: a humanoid has 30. Parts of groups are followed from each of them."""
+"""Largest number of groups in a file: a humanoid has 30, and subgroups are resolved for each."""
 _MOST_OFFERED, _MOST_COMPARED = 200, 2000
-"""Unknown names for which a known one is looked for, and names that each is compared with."""
+"""Largest numbers of unknown names that get a suggestion, and of names compared with each."""
 _FREE_FLYER = "root_joint"
-"""What Pinocchio calls the joint of a floating base; its SRDFs name it without declaring it."""
+"""Pinocchio's name for the joint of a floating base; its SRDFs use it without a declaration."""
 
 
 def place_of(node: Node) -> Place:
@@ -32,7 +32,7 @@ def place_of(node: Node) -> Place:
 
 
 def label_of(node: Node) -> str:
-    """An element as people name it: ``group 'arm'``, ``disable_collisions 'a', 'b'``."""
+    """Describe an element: ``group 'arm'``, ``disable_collisions 'a', 'b'``."""
     if node.tag == "disable_collisions":
         ends = (node.attributes.get("link1", ""), node.attributes.get("link2", ""))
         return "{} '{}', '{}'".format(node.tag, *ends)
@@ -79,12 +79,12 @@ class Srdf:
 
     @cached_property
     def mimic_of(self) -> dict[str, Mimic]:
-        """Joint of the URDF that follows another -> how."""
+        """Return joint of the URDF that follows another -> its mimic."""
         return {mimic.follower: mimic for mimic in self.asset.mimics}
 
     @cached_property
     def passive(self) -> frozenset[str]:
-        """Joints that the SRDF calls passive."""
+        """Return the joints that the SRDF declares passive."""
         nodes = self.root.all("passive_joint")
         return frozenset(node.attributes.get("name", "") for node in nodes)
 
@@ -94,20 +94,20 @@ class Srdf:
         return _first_of_each(self.root.all("group"))
 
     def carriers(self, link: str) -> list[str]:
-        """The link and those that carry it, up to the root."""
+        """Return the link and its parents, up to the root."""
         found = [link]
         while (edge := self.asset.above.get(found[-1])) is not None and edge.parent not in found:
             found.append(edge.parent)
         return found
 
     def chain(self, base: str, tip: str) -> list[str] | None:
-        """Links from ``tip`` up to ``base``, both included; None where ``base`` is not above."""
+        """Return links from ``tip`` up to ``base``, both included; None if not connected."""
         found = self.carriers(tip)
         return found[: found.index(base) + 1] if base in found else None
 
     @cached_property
     def members(self) -> dict[str, tuple[frozenset[str], frozenset[str]]]:
-        """Group -> its joints and its links, those of its subgroups included."""
+        """Return group -> its joints and links, subgroups included."""
         own = {name: self._own(node) for name, node in self.groups.items()}
         found = {}
         for name in own:
@@ -120,7 +120,7 @@ class Srdf:
         return found
 
     def with_subgroups(self, name: str) -> list[str]:
-        """The group and all below it that exist, each once."""
+        """Return the group and all its existing subgroups, each once."""
         found, waiting = {name: None}, [name]
         while waiting:
             for child in self.groups[waiting.pop()].all("group"):
@@ -131,9 +131,9 @@ class Srdf:
         return list(found)
 
     def _own(self, group: Node) -> tuple[set[str], set[str]]:
-        """Joints and links of a group without its subgroups.
+        """Return joints and links of a group without its subgroups.
 
-        A link brings the joint that carries it, a joint its child link.
+        A link adds its parent joint, and a joint adds its child link.
         """
         joints: set[str] = set()
         links: set[str] = set()
@@ -153,11 +153,11 @@ class Srdf:
         return joints & self.joints, links & self.links
 
     def known(self, kind: Kind) -> Collection[str]:
-        """Names of links, of joints or of groups."""
+        """Return all names of links, joints or groups."""
         return {"link": self.links, "joint": self.joints, "group": self.groups}[kind]
 
     def _nearest(self, name: str, kind: Kind) -> str | None:
-        """The known name that is most like another; None where none is, or many were asked for."""
+        """Return the most similar known name; None if there is none or the limit is reached."""
         if (name, kind) not in self._offered and len(self._offered) < _MOST_OFFERED:
             names = sorted(self.known(kind))[:_MOST_COMPARED]
             near = difflib.get_close_matches(name, names, n=1)
@@ -165,7 +165,7 @@ class Srdf:
         return self._offered.get((name, kind))
 
     def unknown(self, node: Node, attribute: str, kind: Kind) -> Iterator[Finding]:
-        """A finding where an attribute is missing, or names no link, joint or group."""
+        """Yield a finding if an attribute is missing, or names no existing link, joint or group."""
         name = node.attributes.get(attribute, "")
         if not name.strip():
             yield missing(node, attribute, f"the name of a {kind}")
@@ -193,7 +193,7 @@ class Srdf:
 
 
 def missing(node: Node, attribute: str, expected: str) -> Finding:
-    """The finding that an attribute is missing or empty."""
+    """Build the finding for a missing or empty attribute."""
     return Finding(
         "planning.missing_attribute",
         "critical",

@@ -1,4 +1,4 @@
-"""Elements of an SRDF that MoveIt does not read: misspelt, or of another tool."""
+"""Find elements of an SRDF that MoveIt ignores: misspelt, or of another tool."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def check(srdf: Srdf) -> Iterator[Finding]:
 
 @cache
 def _attributes_of(at: str) -> tuple[str, ...]:
-    """What SRDF defines at a path; nothing where it defines no such element."""
+    """Return the attributes that SRDF defines for an element path; empty if undefined."""
     return tuple(attribute for path, attribute in by_path() if path == at and attribute)
 
 

@@ -1,4 +1,4 @@
-"""Which URDF an SRDF belongs to, and which SRDFs lie beside a URDF."""
+"""Find the URDF of an SRDF, and the SRDFs of a URDF."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.formats import xml
 
 _MOST_FILES = 200
-"""Files of one folder that are looked at."""
+"""Largest number of files examined in a folder."""
 _URDF_FOLDERS = ("urdf", "robots", "robot", "")
 _SRDF_FOLDERS = ("srdf", "config", "")
 _PLANNING_SUFFIXES = ("_moveit_config", "_moveit2_config", "_moveit")
@@ -19,11 +19,11 @@ _ROBOT_SUFFIXES = ("_description", "_support", "")
 
 
 def urdf_of(srdf: Path, name: str) -> Path:
-    """The URDF of the robot ``name`` beside an SRDF.
+    """Find the URDF of the robot ``name`` near its SRDF.
 
-    It is looked for in the folder of the SRDF, in ``urdf`` and ``robots`` beside and above it, and
-    in the description package beside a ``*_moveit_config`` package. The file that is named as the
-    SRDF is counts; without one, the file of the same robot.
+    The search covers the folder of the SRDF, folders ``urdf`` and ``robots`` next to and above it,
+    and the description package next to a ``*_moveit_config`` package. A file with the name of the
+    SRDF takes precedence over others that describe the same robot.
 
     Raises:
         ModelError: none, or several.
@@ -50,7 +50,7 @@ def urdf_of(srdf: Path, name: str) -> Path:
 
 
 def srdfs_of(urdf: Path, name: str) -> list[Path]:
-    """SRDFs of the robot ``name`` in the usual places around its URDF."""
+    """Find the SRDFs of the robot ``name`` in the usual folders near its URDF."""
     files = dict.fromkeys(_files(_srdf_folders(urdf), "*.srdf"))
     return [path for path in files if path.stem == urdf.stem or _robot(path) == name]
 
@@ -87,7 +87,7 @@ def _files(folders: list[Path], pattern: str) -> Iterator[Path]:
 
 
 def _robot(path: Path) -> str | None:
-    """The name of the robot in a file; None where it cannot be read."""
+    """Return the name of the robot in a file; None if it cannot be read."""
     try:
         root = xml.parse(path)
     except (TwinError, OSError):

@@ -1,4 +1,4 @@
-"""Groups, chains, end effectors, virtual and passive joints of an SRDF."""
+"""Check groups, chains, end effectors, virtual and passive joints of an SRDF."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _VIRTUAL_TYPES = ("fixed", "floating", "planar")
 
 
 def check(srdf: Srdf) -> Iterator[Finding]:
-    """Findings of everything that names links, joints and groups, but states and pairs."""
+    """Yield findings of all elements that name links, joints or groups, except states and pairs."""
     yield from _robot_name(srdf)
     yield from _twice(srdf)
     for group in srdf.root.all("group"):
@@ -48,7 +48,7 @@ def _robot_name(srdf: Srdf) -> Iterator[Finding]:
 
 
 def _twice(srdf: Srdf) -> Iterator[Finding]:
-    """Names that two elements of one kind have."""
+    """Yield findings of names shared by two elements of one kind."""
     for tag in ("group", "end_effector", "virtual_joint", "group_state"):
         first: dict[tuple[str, ...], Node] = {}
         for node in srdf.root.all(tag):

@@ -1,4 +1,4 @@
-"""The whole audit of an SRDF, run in the child process."""
+"""Run the complete audit of an SRDF, in the child process."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def audit_srdf(
     roots: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """The content of the JSON report of an SRDF, in the form of that of a URDF.
+    """Return the JSON report of an SRDF, in the same form as that of a URDF.
 
     Args:
-        urdf_path: its URDF; None: the one that is found beside it.
+        urdf_path: its URDF; None to search for it near the SRDF.
 
     Raises:
         TwinError: the SRDF or its URDF cannot be read, or no URDF is found.
@@ -62,7 +62,7 @@ def audit_srdf(
 
 
 def check(srdf: Srdf) -> list[Finding]:
-    """Every finding that needs no geometry."""
+    """Return every finding that needs no geometry."""
     return [
         *groups.check(srdf),
         *states.check(srdf),

@@ -1,4 +1,4 @@
-"""Named poses of an SRDF: values within the ranges of the URDF's joints."""
+"""Check named poses of an SRDF against the ranges of the URDF's joints."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pytest_twin.errors import ModelError
 from pytest_twin.realization.node import Node
 
 _ROUNDED = 1e-3
-"""rad or m: a value this far beyond a limit was rounded, for example to three decimals."""
+"""rad or m: an excess below this is attributed to rounding, for example to three decimals."""
 _SAME = 1e-6
-"""rad or m: as exact as SRDFs are written."""
+"""rad or m: usual precision of values in SRDFs."""
 _MIMIC = 1e-3
 _DIGITS = 6
 
@@ -86,7 +86,7 @@ def _value(srdf: Srdf, state: Node, node: Node) -> Iterator[Finding]:
 
 
 def _variables(joint: Joint) -> int:
-    """Numbers that a state needs for a joint: MoveIt states an orientation as a quaternion."""
+    """Return the number of values of a joint: MoveIt states orientations as quaternions."""
     return {"hinge": 1, "slide": 1, "ball": 4, "planar": 3, "free": 7}[joint.kind]
 
 
@@ -137,7 +137,7 @@ def _pointless(node: Node, element: str, title: str, expected: str) -> Finding:
 
 
 def _members(srdf: Srdf, state: Node) -> Iterator[Finding]:
-    """Joints that are not in the state's group, and joints of the group without a value."""
+    """Yield findings of joints outside the state's group, and of group joints without a value."""
     group = state.attributes.get("group", "")
     if group not in srdf.groups:
         return
@@ -169,7 +169,7 @@ def _members(srdf: Srdf, state: Node) -> Iterator[Finding]:
 
 
 def _followers(srdf: Srdf, state: Node) -> Iterator[Finding]:
-    """Values of joints that follow another and contradict it."""
+    """Yield findings of mimic joints whose value contradicts their leader."""
     values = _values(srdf, state)
     nodes: Mapping[str, Node] = {n.attributes.get("name", ""): n for n in state.all("joint")}
     for name in values:

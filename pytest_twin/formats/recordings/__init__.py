@@ -1,8 +1,8 @@
-"""Recordings of every kind: one door, one reader per kind of file.
+"""Read recordings of any format through one reader per format.
 
-A reader is found through the entry points ``pytest_twin.recordings``: a class with the attributes
-and methods of :class:`Reader`. Of several that know a path the first by name reads it; those of
-other packages go before the package's own.
+Readers are classes with the attributes and methods of :class:`Reader`, registered as entry points
+``pytest_twin.recordings``. If several readers recognize a path, the first by name is used; readers
+of other packages come before the package's own.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ def read_recordings(
     columns: Mapping[str, str] | None = None,
     units: str | None = None,
 ) -> list[Recording]:
-    """Read joint states and commands from a recording of any kind.
+    """Read joint states and commands from a recording of any format.
 
     Args:
-        path: a file or folder, not a link to it.
-        topics: role (``state``, ``command``) -> topic, where the format has topics.
-        columns: of a CSV file: its header -> what the column is (``time``, ``elbow.position``),
-            or the other way round.
-        units: of a LeRobot data set: ``deg`` or ``rad``, where the data set does not say it or
-            says it wrong.
+        path: a file or folder; links are refused.
+        topics: role (``state``, ``command``) -> topic, for formats with topics.
+        columns: for a CSV file: header -> meaning of the column (``time``, ``elbow.position``),
+            or the inverse mapping.
+        units: for a LeRobot data set: ``deg`` or ``rad``, if the data set states no unit or a
+            wrong one.
 
     Returns:
-        one recording; of a data set one for each episode.
+        one recording, or one for each episode of a data set.
 
     Raises:
         PathError: missing, a link, or neither a regular file nor a folder.
-        FormatError: of no kind that any reader knows, or not what it claims to be.
-        LimitError: beyond the bounds of its format.
-        RecordingError: nothing usable in it.
+        FormatError: no reader recognizes the path, or its content violates its format.
+        LimitError: the recording exceeds the limits of its format.
+        RecordingError: the recording has no usable content.
     """
     return list(reader_of(path).read(path, Asked(topics, columns or {}, units)))
 
@@ -63,10 +63,10 @@ def read_one(
     columns: Mapping[str, str] | None = None,
     units: str | None = None,
 ) -> Recording:
-    """The only recording at a path.
+    """Read the single recording at a path.
 
     Raises:
-        FormatError: a data set of several episodes, or as :func:`read_recordings`.
+        FormatError: the path is a data set of several episodes, or as :func:`read_recordings`.
     """
     found = read_recordings(path, topics, columns=columns, units=units)
     if len(found) != 1:
@@ -80,11 +80,11 @@ def read_one(
 
 
 def reader_of(path: Path) -> Reader:
-    """The reader that knows a path by what it is.
+    """Return the reader that recognizes a path.
 
     Raises:
         PathError: missing, a link, or neither a regular file nor a folder.
-        FormatError: no reader knows it.
+        FormatError: no reader recognizes it.
         SpecError: pytest-twin's own readers are not registered.
     """
     try:
@@ -106,10 +106,10 @@ def reader_of(path: Path) -> Reader:
 
 @functools.cache
 def readers() -> Sequence[Reader]:
-    """All installed readers, those of other packages first.
+    """Return all installed readers, those of other packages first.
 
     Raises:
-        SpecError: one cannot be loaded.
+        SpecError: a reader cannot be loaded.
     """
     points = sorted(entry_points(group=_GROUP), key=lambda point: (is_own(point), point.name))
     return tuple(brought(point, "recording reader") for point in points)

@@ -1,4 +1,4 @@
-"""What a reader of recordings is."""
+"""Protocol of recording readers."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pytest_twin.formats.recording import TOPICS, Recording
 
 @dataclass(frozen=True)
 class Asked:
-    """How a recording is to be read.
+    """Options for reading a recording.
 
     Attributes:
         topics: role (``state``, ``command``) -> topic.
-        columns: of a CSV file: header -> what the column is, or the other way round.
-        units: of a LeRobot data set: ``deg``, ``rad``, or None to find out.
+        columns: for a CSV file: header -> meaning of the column, or the inverse mapping.
+        units: for a LeRobot data set: ``deg``, ``rad``, or None to detect the unit.
     """
 
     topics: Mapping[str, str] = field(default_factory=lambda: dict(TOPICS))
@@ -27,48 +27,48 @@ class Asked:
 
 
 class Reader(Protocol):
-    """Reads one kind of recording.
+    """Reads one recording format.
 
     Attributes:
-        kind: what it reads, for people: ``rosbag2 folder``.
+        kind: name of the format in messages, such as ``rosbag2 folder``.
     """
 
     kind: ClassVar[str]
 
     def reads(self, path: Path) -> bool:
-        """Whether an existing file or folder is of this kind; raises nothing."""
+        """Whether an existing file or folder has this format; raises nothing."""
         ...
 
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
-        """Read it.
+        """Read the recordings at ``path``.
 
         Raises:
-            TwinError: it cannot be read.
+            TwinError: ``path`` cannot be read.
         """
         ...
 
 
 @runtime_checkable
 class BagReader(Protocol):
-    """Reads recordings of messages: those of any topic can be gathered.
+    """Reads a message-based format, from which messages of any topic can be collected.
 
     Attributes:
-        kind: what it reads, for people.
+        kind: name of the format in messages.
     """
 
     kind: ClassVar[str]
 
     def gather(self, path: Path, gatherer: Gatherer) -> None:
-        """Give all messages to a gatherer.
+        """Pass all messages to ``gatherer``.
 
         Raises:
-            TwinError: it cannot be read.
+            TwinError: ``path`` cannot be read.
         """
         ...
 
 
 def first_bytes(path: Path, count: int) -> bytes:
-    """The beginning of a regular file; empty for anything else."""
+    """Return the first ``count`` bytes of a regular file; empty for anything else."""
     try:
         if not path.is_file():
             return b""

@@ -1,4 +1,4 @@
-"""Topics of a recording that could be its states and its commands."""
+"""Find the topics of a recording that could contain its states and its commands."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _JOINTS = 6
 
 
 def pairs(recording: Recording) -> list[tuple[Topic, Topic]]:
-    """(state, command) topics with a joint in common, the likeliest first.
+    """Return pairs of state and command topics with a joint in common, most likely first.
 
-    A topic that was read for a role stays in it.
+    A topic that was already read for a role keeps that role.
     """
     fixed = {role: series.topic for role, series in recording.series.items()}
     known = [topic for topic in recording.topics if topic.joints]
@@ -36,12 +36,12 @@ def pairs(recording: Recording) -> list[tuple[Topic, Topic]]:
 
 
 def topics_option(state: Topic, command: Topic) -> str:
-    """The option that reads a pair."""
+    """Return the command-line option that selects a pair of topics."""
     return f"--topics state={state.name},command={command.name}"
 
 
 def described(topic: Topic) -> str:
-    """A topic with its type, messages and joints."""
+    """Describe a topic with its number of messages, type and joints."""
     more = f" and {len(topic.joints) - _JOINTS} more" if len(topic.joints) > _JOINTS else ""
     joints = ", ".join(topic.joints[:_JOINTS]) + more
     of_joints = f" of {joints}" if joints else ""
@@ -49,7 +49,7 @@ def described(topic: Topic) -> str:
 
 
 def what_to_do(recording: Recording, role: str) -> str:
-    """For an error: the topics that could be meant, and the option that reads each pair."""
+    """Return advice for an error: the candidate topics and the option that selects each pair."""
     others = {series.topic for other, series in recording.series.items() if other != role}
     fits = [
         topic
@@ -79,7 +79,7 @@ def _fit(state: Topic, command: Topic) -> bool:
 
 
 def _likelihood(state: Topic, command: Topic) -> int:
-    """Names and types that drivers and controllers usually have."""
+    """Score a pair by the names and types that drivers and controllers usually have."""
     last = command.name.rpartition("/")[2]
     return (
         4 * (state.name.endswith("joint_states"))

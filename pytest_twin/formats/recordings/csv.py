@@ -1,4 +1,4 @@
-"""CSV files: a column of times, and a column for each value of a joint."""
+"""Read CSV recordings: one column of times and one column for each joint quantity."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class CsvFile:
     kind: ClassVar[str] = "CSV file"
 
     def reads(self, path: Path) -> bool:
-        """Whether it is a file of that name."""
+        """Whether ``path`` is a file with suffix ``.csv``."""
         return path.is_file() and path.suffix.lower() == ".csv"
 
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
-        """Read it."""
+        """Read the file as one recording."""
         data = read_bytes(path, limits.CSV.file_bytes)
         return [_Table(path, data, asked).recording()]
 
@@ -85,7 +85,7 @@ class _Table:
         if len(cells) < 2:
             problem = "fewer than two columns"
             if any(mark in line for mark in ";\t"):
-                problem = "columns are separated by something else than commas"
+                problem = "columns are not separated by commas"
             raise FormatError(problem, path=self.path, line=1, expected=f"a header: {_MEANING}")
         for at, cell in enumerate(cells):
             if cell in cells[:at]:
@@ -100,7 +100,7 @@ class _Table:
         return cells
 
     def meanings(self) -> dict[int, _Column]:
-        """Column -> what it is; the column of times is kept apart, others are left out."""
+        """Return index of the column -> meaning; the column of times is stored separately."""
         mapped = self.mapped()
         self.time_at = -1
         self.left_out: list[str] = []
@@ -162,7 +162,7 @@ class _Table:
         return found
 
     def _mapping(self) -> str:
-        """For an error: how other headings are mapped, with headings of this file."""
+        """Return advice for an error: the option that maps headings of this file."""
         times = [heading for heading in self.header if _LIKE_TIME.match(heading)]
         time = times[0] if times else self.header[0]
         other = next((heading for heading in self.header if heading != time), "HEADING")
@@ -172,7 +172,7 @@ class _Table:
         )
 
     def mapped(self) -> dict[str, str]:
-        """Heading -> meaning, from a mapping in either direction."""
+        """Return heading -> meaning, from a mapping in either direction."""
         found: dict[str, str] = {}
         for left, right in self.asked.columns.items():
             if left in self.header:
@@ -180,11 +180,11 @@ class _Table:
             elif right in self.header:
                 heading, meaning = right, left
             else:
-                # One mapping serves many files: a column that this one lacks is no fault.
+                # One mapping serves many files, so a column that this file lacks is not an error.
                 continue
             if meaning != TIME and meaning.rpartition(".")[2] not in FIELDS:
                 raise FormatError(
-                    "no meaning that a column can have",
+                    "not a valid meaning of a column",
                     path=self.path,
                     where=f"columns.{heading}",
                     value=meaning,
@@ -244,7 +244,7 @@ class _Table:
         )
 
     def numbers(self) -> tuple[Integers, dict[int, Floats]]:
-        """(n,) ns, and column -> (n,) values."""
+        """Return (n,) times in ns, and column -> (n,) values."""
         rows = self.body.count(b"\n") + 1
         if rows > limits.MCAP.messages_count or rows * len(self.header) > limits.CSV.cells_count:
             raise LimitError(

@@ -1,4 +1,4 @@
-"""The numbers of a CSV file, fast where they are all numbers, and the first fault where not."""
+"""Parse the numbers of a CSV file with NumPy, and locate the first invalid cell."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import numpy as np
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.serialized import Floats, Integers
 
-# A time of more characters is no time; this holds a Unix time in s with 15 decimals.
+# Characters: a Unix time in s with 15 decimals fits; longer text is not a time.
 _TIME_CHARS = 40
 _INTEGER = re.compile(r"[-+]?\d{1,19}")
 _DECIMAL = re.compile(r"(-?)(\d{1,9})\.(\d{0,9})")
-# Below this, s, a double is exact to less than a ns.
+# In s: a double below this is exact to less than 1 ns.
 _EXACT_SECONDS = 1e6
-# Whole numbers closer than this are no nanoseconds: no robot logs at more than 1 MHz.
+# Whole numbers closer than this are not ns: no robot logs at more than 1 MHz.
 _SHORTEST_STEP_NS = 1000
 
 
@@ -34,7 +34,7 @@ class Body:
         text: all lines after the header.
         header: a heading for each column.
         time: the column of times.
-        wanted: the columns whose numbers are read; others may hold text.
+        wanted: columns whose numbers are read; other columns may contain text.
     """
 
     path: Path
@@ -44,11 +44,11 @@ class Body:
     wanted: Collection[int]
 
     def numbers(self) -> tuple[Integers, dict[int, Floats]]:
-        """(n,) times in ns, and column -> (n,) values, NaN for an empty cell.
+        """Return (n,) times in ns, and column -> (n,) values, NaN for an empty cell.
 
         Raises:
-            FormatError: no rows, a ragged row, or a cell that is no finite number; with the line
-                and the column, counted in cells.
+            FormatError: no rows, a row of the wrong length, or a cell that is not a finite number.
+                The error has the line and the column, counted in cells.
         """
         text = self.text.replace(b"\r\n", b"\n").strip(b"\n")
         if not text.strip():
@@ -64,7 +64,7 @@ class Body:
     def _parsed(self, text: bytes) -> tuple[Floats, dict[int, Floats]]:
         columns = sorted({self.time, *self.wanted})
         commas = len(self.header) - 1
-        # NumPy looks at the used columns alone.
+        # NumPy checks only the used columns.
         if any(line.count(b",") != commas for line in io.BytesIO(text) if line.strip()):
             raise self._first_fault()
         try:
@@ -111,7 +111,7 @@ class Body:
         return found
 
     def _odd_time(self, cell: str, row: int) -> int:
-        """A time with an exponent, more than nine decimals, or none."""
+        """Parse a time with an exponent, with more than nine decimals, or of invalid form."""
         try:
             seconds = Decimal(cell) if len(cell) <= _TIME_CHARS else Decimal("nan")
             if seconds.is_finite() and seconds.adjusted() < -30:
@@ -151,7 +151,7 @@ class Body:
                     cell = "nothing"
                 if at in (self.time, *self.wanted) and not _is_number(cell):
                     return FormatError(
-                        "no finite number",
+                        "not a finite number",
                         path=self.path,
                         line=number,
                         column=at + 1,
@@ -178,7 +178,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _filled(text: bytes) -> bytes:
-    """Empty cells as ``nan``."""
+    """Replace empty cells by ``nan``."""
     if b",," in text:
         for _ in range(2):
             text = text.replace(b",,", b",nan,")

@@ -1,7 +1,7 @@
-"""LeRobot data sets, versions 2.0, 2.1 and 3.0: each episode is a recording.
+"""Read LeRobot data sets, versions 2.0, 2.1 and 3.0: each episode is a recording.
 
-Layout: ``meta/info.json`` describes the features and where the Parquet files lie; version 2 writes
-a file for each episode, version 3 many episodes into one.
+``meta/info.json`` describes the features and the paths of the Parquet files. Version 2 writes a
+file for each episode, version 3 several episodes to a file.
 https://github.com/huggingface/lerobot, ``src/lerobot/datasets/utils.py``.
 """
 
@@ -44,17 +44,17 @@ class LeRobotDataset:
     kind: ClassVar[str] = "LeRobot data set"
 
     def reads(self, path: Path) -> bool:
-        """Whether it is a folder with ``meta/info.json``."""
+        """Whether ``path`` is a folder with ``meta/info.json``."""
         return path.is_dir() and (path / INFO).is_file()
 
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
-        """Read all its episodes, in their order."""
+        """Read all episodes, in their order."""
         return _Dataset(path, asked).recordings()
 
 
 @dataclass(frozen=True)
 class _Feature:
-    """One vector of the data set: a name and a quantity for each of its values."""
+    """One vector feature of the data set, with a name and a quantity for each value."""
 
     column: str
     names: tuple[str, ...]
@@ -105,7 +105,7 @@ class _Dataset:
         version = str(found.get("codebase_version"))
         if not _VERSION.fullmatch(version):
             raise FormatError(
-                "a version of LeRobot's format that is not read",
+                "an unsupported version of LeRobot's format",
                 path=self.file,
                 where="codebase_version",
                 value=version,
@@ -132,8 +132,7 @@ class _Dataset:
         if len(written) != count or len(set(written)) != count:
             self.notes.add(
                 column,
-                f"has no name for each of its {count} values: joints are named by their place, "
-                f"0 to {count - 1}",
+                f"does not name each of its {count} values: joints are numbered 0 to {count - 1}",
             )
             written = [str(place) for place in range(count)]
         names, quantities = [], []
@@ -234,7 +233,7 @@ class _Dataset:
         )
 
     def times(self, table: Mapping[str, Floats]) -> Integers:
-        """(n,) ns. Single precision is a grid of 8 us after 100 s: frame / fps is exact."""
+        """Return (n,) times in ns, from frame / fps: stamps have steps of 8 us after 100 s."""
         written, frame = table["timestamp"], table["frame_index"]
         fps = self.info.get("fps")
         if isinstance(fps, (int, float)) and 0 < fps < 1e6:
@@ -253,7 +252,7 @@ class _Dataset:
         return np.rint(written * 1e9).astype(np.int64)
 
     def role_of(self, number: int) -> str | None:
-        """``fit`` or ``held_out`` where the data set has splits besides ``train``."""
+        """Return role ``fit`` or ``held_out`` if the data set has splits besides ``train``."""
         splits = self.info.get("splits")
         if not isinstance(splits, dict) or len(splits) < 2:
             return None
@@ -265,7 +264,7 @@ class _Dataset:
 
 
 def _flat(names: object) -> list[str]:
-    """Names of a feature: a list, a list in a list, or lists under headings."""
+    """Return the names of a feature, given as a list, nested lists or lists under headings."""
     if isinstance(names, str):
         return [names]
     parts = names.values() if isinstance(names, dict) else names

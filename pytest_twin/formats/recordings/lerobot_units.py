@@ -1,4 +1,4 @@
-"""The unit of a LeRobot data set's joints: what it says, else what its values can be."""
+"""Determine the unit of a LeRobot data set's joints, from its metadata or its values."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from pytest_twin.formats.serialized import Floats
 
 _DEGREES = {"deg", "degree", "degrees"}
 _RADIANS = {"rad", "radian", "radians"}
-# No joint of an arm turns further than two turns each way.
+# Joints of arms turn at most two turns in each direction.
 _MOST_RADIANS = 4.0 * math.pi
-# LeRobot's own drivers write degrees, or per cent of the calibrated range, and these of no other.
+# Only LeRobot's own drivers write per cent of the calibrated range; they may write degrees too.
 _OWN_DRIVERS = ("so100", "so101", "so_follower", "koch", "lekiwi", "moss", "omx", "bi_so")
 _PER_CENT = 100.0
 
 
 @dataclass(frozen=True)
 class Unit:
-    """Of positions; velocities are per second.
+    """Unit of joint positions; velocities are in this unit per second.
 
     Attributes:
         name: ``rad`` or ``deg``.
-        scale: rad in one.
+        scale: rad per unit.
     """
 
     name: str
@@ -46,21 +46,21 @@ def unit_of(
     file: Path,
     notes: Notes,
 ) -> Unit:
-    """The unit, with a note that says how it was decided.
+    """Return the unit, and add a note with the reason.
 
-    A declared unit goes first (``units`` of the command line, then of a feature, then of
-    ``info.json``). Else values beyond two turns in rad are degrees.
+    A declared unit takes precedence: ``units`` of the command line, then of a feature, then of
+    ``info.json``. Without one, the unit is degrees if a value exceeds two turns in rad.
 
     Args:
-        asked: what the user says, or None.
-        info: the content of ``info.json``.
-        features: its descriptions of the features that are read.
+        asked: unit that the user states, or None.
+        info: content of ``info.json``.
+        features: descriptions of the features to read.
         values: feature -> (n, j) values.
-        file: ``info.json``, for errors.
-        notes: gets the note.
+        file: path of ``info.json``, for errors.
+        notes: receives the note.
 
     Raises:
-        FormatError: a unit of another name.
+        FormatError: the declared unit is neither ``deg`` nor ``rad``.
     """
     if asked is not None:
         return _named(asked, file, "units")
@@ -70,7 +70,7 @@ def unit_of(
             unit = unit[0]
         if unit is not None and not isinstance(unit, str):
             raise FormatError(
-                "no unit of joint angles",
+                "not a unit of joint angles",
                 path=file,
                 where="units",
                 value=str(unit),
@@ -80,7 +80,7 @@ def unit_of(
             return _named(unit, file, "units")
     finite = [np.abs(v[np.isfinite(v)]) for v in values.values()]
     largest = max((float(v.max()) for v in finite if v.size), default=0.0)
-    change = "say it with --units rad or --units deg where that is wrong"
+    change = "if that is wrong, pass --units rad or --units deg"
     if largest <= _MOST_RADIANS:
         notes.add(
             "units", f"no unit is declared and no value is beyond {largest:.4g}: rad; {change}"
@@ -92,7 +92,7 @@ def unit_of(
         notes.add(
             "units",
             f"a {robot} may also write per cent of each joint's calibrated range (use_degrees off; "
-            "the gripper always): such values are no angles and have to be converted first",
+            "the gripper always): such values are not angles and have to be converted first",
         )
     return DEGREES
 
@@ -104,5 +104,5 @@ def _named(unit: str, file: Path, where: str) -> Unit:
     if name in _RADIANS:
         return RADIANS
     raise FormatError(
-        "no unit of joint angles", path=file, where=where, value=unit, expected="deg or rad"
+        "not a unit of joint angles", path=file, where=where, value=unit, expected="deg or rad"
     )

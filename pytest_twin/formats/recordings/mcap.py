@@ -1,4 +1,4 @@
-"""MCAP files, also as rosbag2 compresses them."""
+"""Read MCAP files, also those compressed by rosbag2."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ SUFFIXES = (".mcap", ".mcap.zstd", ".mcap.zst")
 
 
 class McapFile:
-    """Reads MCAP files: by their first bytes, or by their name so that a damaged one is named."""
+    """Reads MCAP files, recognized by their first bytes, or by their suffix if damaged."""
 
     kind: ClassVar[str] = "MCAP file"
 
     def reads(self, path: Path) -> bool:
-        """Whether it begins as MCAP does, or is named so."""
+        """Whether the file has the first bytes or a suffix of MCAP."""
         if not path.is_file():
             return False
         return first_bytes(path, len(MAGIC)) == MAGIC or path.name.lower().endswith(SUFFIXES)
 
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
-        """Read it."""
+        """Read the file as one recording."""
         return [read_recording(path, asked.topics)]
 
     def gather(self, path: Path, gatherer: Gatherer) -> None:
-        """Give all messages to a gatherer."""
+        """Pass all messages to ``gatherer``."""
         gather_mcap(path, gatherer)
 
 

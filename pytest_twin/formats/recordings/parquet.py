@@ -1,4 +1,4 @@
-"""Numbers of Parquet files, through ``pyarrow``."""
+"""Read columns of numbers from Parquet files with ``pyarrow``."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _FIELD = re.compile(r"\{(episode_chunk|episode_index|chunk_index|file_index)(?::
 
 
 def data_files(folder: Path, template: object, at: Path) -> list[Path]:
-    """The files that a template such as ``data/chunk-{chunk_index:03d}/...`` describes.
+    """Return the files that match a template such as ``data/chunk-{chunk_index:03d}/...``.
 
     Args:
-        folder: of the data set; nothing outside it is named.
-        template: as written.
-        at: the file in which it is written, for errors.
+        folder: folder of the data set; files outside it are refused.
+        template: path template from the data set's metadata.
+        at: file that contains the template, for errors.
 
     Raises:
-        FormatError: no template, or no file of it.
-        PathError: a file that is a link out of the folder, or no file.
-        LimitError: too many.
+        FormatError: no template, or no file matches it.
+        PathError: a match is not a regular file, or is a link that leaves the folder.
+        LimitError: too many files.
     """
     if not isinstance(template, str) or not template.endswith(".parquet"):
         raise FormatError(
-            "no place of the data",
+            "does not state the path of the data",
             path=at,
             where="data_path",
             value=template,
@@ -42,7 +42,7 @@ def data_files(folder: Path, template: object, at: Path) -> list[Path]:
     parts = Path(pattern).parts
     if Path(pattern).is_absolute() or ".." in parts or any(mark in pattern for mark in "{}[]?"):
         raise FormatError(
-            "not a place in the data set",
+            "not a path inside the data set",
             path=at,
             where="data_path",
             value=template,
@@ -73,19 +73,19 @@ def data_files(folder: Path, template: object, at: Path) -> list[Path]:
 
 
 def read_columns(files: Sequence[Path], columns: Mapping[str, int]) -> dict[str, Floats]:
-    """Columns of all files, one after another.
+    """Read columns of all files, concatenated.
 
     Args:
-        files: of one layout.
-        columns: name -> values a row, 0 for a plain number.
+        files: files with the same columns.
+        columns: name -> number of values in each row, 0 for a plain number.
 
     Returns:
         name -> (n,) or (n, values), float64.
 
     Raises:
-        FormatError: ``pyarrow`` is missing, or a file is damaged or of another layout.
-        LimitError: beyond ``limits.PARQUET``.
-        PathError: no regular file.
+        FormatError: ``pyarrow`` is missing, or a file is damaged or has other columns.
+        LimitError: the content exceeds ``limits.PARQUET``.
+        PathError: a path is not a regular file.
     """
     try:
         import pyarrow
@@ -122,7 +122,7 @@ def read_columns(files: Sequence[Path], columns: Mapping[str, int]) -> dict[str,
 
 
 def _damage(arrow: type[Exception]) -> tuple[type[Exception], ...]:
-    """What pyarrow raises on damaged files: its own errors, and Python's from its wrappers."""
+    """Return the exceptions that pyarrow raises on damaged files, its own and Python's."""
     return (arrow, OSError, MemoryError, OverflowError, ValueError, KeyError, IndexError, TypeError)
 
 
@@ -135,12 +135,12 @@ def _check_size(metadata: Any, columns: Mapping[str, int], rows: int, file: Path
             value=rows * values,
             expected=f"at most {limits.MCAP.samples_count}",
         )
-    # Of whole row groups: asking pyarrow for a single column's size ends the process where the
-    # column's statistics are damaged.
+    # Check whole row groups: pyarrow crashes the process if it is asked for the size of a column
+    # with damaged statistics.
     unpacked = sum(metadata.row_group(n).total_byte_size for n in range(metadata.num_row_groups))
     if not 0 <= unpacked <= limits.PARQUET.uncompressed_bytes:
         raise LimitError(
-            "too much when unpacked",
+            "too large after decompression",
             path=file,
             value=unpacked,
             unit="bytes",
@@ -152,7 +152,7 @@ def _numbers(column: Any, width: int, name: str, file: Path) -> Floats:
     import pyarrow
 
     def refuse(problem: str) -> FormatError:
-        expected = f"{width} numbers a row" if width else "a number a row"
+        expected = f"{width} numbers in each row" if width else "one number in each row"
         return FormatError(problem, path=file, where=name, expected=expected)
 
     whole = column.combine_chunks()
@@ -168,7 +168,7 @@ def _numbers(column: Any, width: int, name: str, file: Path) -> Floats:
         lengths = whole.value_lengths() if not whole.null_count else None
         per_row = max(1, width)
         if lengths is None or (count and not (np.asarray(lengths) == per_row).all()):
-            raise refuse("rows of another length")
+            raise refuse("rows of different lengths")
         whole = whole.flatten()
     if not (pyarrow.types.is_floating(whole.type) or pyarrow.types.is_integer(whole.type)):
         raise refuse(f"a column of {whole.type}")

@@ -1,4 +1,4 @@
-"""rosbag2 folders: ``metadata.yaml`` beside the files of one recording."""
+"""Read rosbag2 folders: ``metadata.yaml`` and the files of one recording."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from pytest_twin.formats.recordings.base import Asked
 from pytest_twin.formats.sqlite_bag import gather_sqlite
 
 METADATA = "metadata.yaml"
-# How rosbag2 names the files of one bag.
+# Pattern of rosbag2's file names: the number of the file in its bag.
 _PART = re.compile(r"(?P<bag>.*)_\d+\.(mcap|db3)(\.zstd?)?", re.IGNORECASE)
 _INFORMATION = "rosbag2_bagfile_information"
 
 
 class Rosbag2Folder:
-    """Reads folders that ``ros2 bag record`` wrote, MCAP or SQLite, compressed or not.
+    """Reads folders written by ``ros2 bag record``, MCAP or SQLite, compressed or not.
 
-    A folder without ``metadata.yaml`` is what a recorder leaves that was killed: its files are
-    read in the order of their numbers.
+    A recorder that was killed leaves no ``metadata.yaml``. The files are then read in the order
+    of their numbers.
     """
 
     kind: ClassVar[str] = "rosbag2 folder"
 
     def reads(self, path: Path) -> bool:
-        """Whether it is a folder with ``metadata.yaml``, or with files of a bag."""
+        """Whether ``path`` is a folder with ``metadata.yaml`` or with files of a bag."""
         return path.is_dir() and ((path / METADATA).is_file() or bool(_bag_files(path)))
 
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
-        """Read all its files as one recording."""
+        """Read all files of the folder as one recording."""
         gatherer = Gatherer(path, asked.topics)
         self.gather(path, gatherer)
         return [gatherer.recording()]
 
     def gather(self, path: Path, gatherer: Gatherer) -> None:
-        """Give all messages of the folder's files to a gatherer."""
+        """Pass all messages of the folder's files to ``gatherer``."""
         if (path / METADATA).is_file():
             information = _information(path / METADATA)
             files = _named_files(path, information)
@@ -86,7 +86,7 @@ def _named_files(folder: Path, information: Mapping[str, Any]) -> list[Path]:
     files = []
     for name in names:
         where = f"{_INFORMATION}.relative_file_paths"
-        # Old recorders put the folder's name in front.
+        # Old recorders prefix the file with the folder's name.
         bare = PurePosixPath(name).name
         if name == f"{PurePosixPath(name).parent.name}/{bare}" and not (folder / name).exists():
             name = bare
@@ -112,14 +112,14 @@ def _bag_files(folder: Path) -> list[Path]:
 
 
 def _refuse_several(folder: Path, files: Sequence[Path]) -> None:
-    """A folder of recordings, each for itself, is no bag."""
+    """Refuse a folder of several independent recordings."""
     parts = [_PART.fullmatch(file.name) for file in files]
     if len(files) > 1 and (not all(parts) or len({p and p["bag"] for p in parts}) > 1):
         raise FormatError(
             f"holds files of several recordings and no {METADATA}",
             path=folder,
             value=", ".join(file.name for file in files[:4]) + (", ..." if len(files) > 4 else ""),
-            expected="the recordings one by one, or the folder of one bag",
+            expected="one recording, or the folder of one bag",
         )
 
 
@@ -129,7 +129,7 @@ def _by_number(path: Path) -> tuple[list[tuple[int, int | str]]]:
 
 
 def _custom_data(information: Mapping[str, Any]) -> dict[str, str]:
-    """What ``ros2 bag record --custom-data payload=kg05`` noted: the trial's metadata."""
+    """Return the trial's metadata, recorded by ``ros2 bag record --custom-data payload=kg05``."""
     found = information.get("custom_data")
     if not isinstance(found, dict):
         return {}
@@ -137,7 +137,7 @@ def _custom_data(information: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _compare(information: Mapping[str, Any], gatherer: Gatherer) -> None:
-    """Note where files hold fewer or more messages of the wanted topics than were recorded."""
+    """Note topics whose number of messages differs from the number in ``metadata.yaml``."""
     stated = information.get("topics_with_message_count")
     wanted = {reader.topic for reader in gatherer.readers.values()}
     for one in stated if isinstance(stated, list) else ():

@@ -1,4 +1,4 @@
-"""Bare SQLite files of rosbag2, without their folder."""
+"""Read single SQLite files of rosbag2, without their folder."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ SUFFIXES = (".db3", ".db3.zstd", ".db3.zst")
 
 
 class SqliteFile:
-    """Reads ``.db3`` files."""
+    """Reads ``.db3`` files of rosbag2."""
 
     kind: ClassVar[str] = "SQLite file of rosbag2"
 
     def reads(self, path: Path) -> bool:
-        """Whether it begins as SQLite does, or is named so."""
+        """Whether the file has the first bytes or the suffix of SQLite bags."""
         if not path.is_file():
             return False
         return first_bytes(path, len(MAGIC)) == MAGIC or path.name.lower().endswith(SUFFIXES)
 
     def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
-        """Read it."""
+        """Read the file as one recording."""
         gatherer = Gatherer(path, asked.topics)
         self.gather(path, gatherer)
         return [gatherer.recording()]
 
     def gather(self, path: Path, gatherer: Gatherer) -> None:
-        """Give all messages to a gatherer."""
+        """Pass all messages to ``gatherer``."""
         gather_sqlite(path, gatherer)

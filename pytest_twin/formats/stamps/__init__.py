@@ -1,7 +1,7 @@
-"""Stamps in data sets and policies: the text that says which twin they belong to.
+"""Read and write stamps of data sets and policies: the text that identifies their twin.
 
-A carrier is one file that holds the text in the place that its format has for metadata: a LeRobot
-data set, an MCAP file, an HDF5 file, an ONNX model. The text is opaque here.
+A carrier is a data set or file that stores the text in its format's metadata: a LeRobot data set,
+an MCAP file, an HDF5 file or an ONNX model. This package does not interpret the text.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pytest_twin.formats.stamps.lerobot import LeRobotStamp
 
 __all__ = ["KINDS", "Carrier", "carriers_of", "is_carrier"]
 
-# Suffix -> module and class. Loaded when a file needs it: verifying a release needs none of them.
+# Suffix -> module and class, imported on demand: verifying a release needs none of them.
 _BY_SUFFIX = {
     ".mcap": ("mcap", "McapStamp"),
     ".h5": ("hdf5", "Hdf5Stamp"),
@@ -31,12 +31,12 @@ KINDS = (
 
 
 def carriers_of(path: Path) -> list[Carrier]:
-    """The carriers of a data set or policy: one, or each file of a folder, by name.
+    """Return the carriers of a data set or policy: one, or one for each file of a folder, by name.
 
     Raises:
         PathError: missing, a link, or neither a regular file nor a folder.
-        FormatError: nothing that holds a stamp.
-        LimitError: more files than a data set has.
+        FormatError: nothing at ``path`` can store a stamp.
+        LimitError: more than ``limits.STAMPS`` files.
     """
     try:
         mode = path.lstat().st_mode
@@ -47,7 +47,7 @@ def carriers_of(path: Path) -> list[Carrier]:
         single = _carrier(path)
         if single is None:
             raise FormatError(
-                "no data set or policy that holds a stamp",
+                "not a data set or policy that can store a stamp",
                 path=path,
                 expected=f"{KINDS}; pytest-twin convert writes other recordings as MCAP",
             )
@@ -67,12 +67,12 @@ def carriers_of(path: Path) -> list[Carrier]:
                 expected=f"at most {limits.STAMPS.files_count}",
             )
     if not found:
-        raise FormatError("nothing in this folder holds a stamp", path=path, expected=KINDS)
+        raise FormatError("no file in this folder can store a stamp", path=path, expected=KINDS)
     return found
 
 
 def _carrier(path: Path) -> Carrier | None:
-    """The carrier that a file is by its suffix, or None."""
+    """Return the carrier for a file's suffix, or None."""
     if path.suffix.lower() not in _BY_SUFFIX:
         return None
     module, name = _BY_SUFFIX[path.suffix.lower()]
@@ -81,7 +81,7 @@ def _carrier(path: Path) -> Carrier | None:
 
 
 def is_carrier(path: Path) -> bool:
-    """Whether a path looks like a data set or a policy, and not like a release or a twin."""
+    """Whether a path is a data set or a policy, rather than a release or a twin."""
     if path.is_file():
         return path.suffix.lower() in _BY_SUFFIX
     if not path.is_dir():

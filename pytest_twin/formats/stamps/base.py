@@ -1,4 +1,4 @@
-"""What every carrier of a stamp does."""
+"""Protocol of the files and data sets that can store a stamp."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Protocol
 
 NAME = "twin"
-"""Of the metadata record, attribute or property that holds the stamp."""
+"""Name of the metadata record, attribute or property that contains the stamp."""
 
 
 class Carrier(Protocol):
-    """One file or data set with a place for a stamp."""
+    """One file or data set that can store a stamp."""
 
     @property
     def path(self) -> Path:
@@ -18,15 +18,15 @@ class Carrier(Protocol):
         ...
 
     def read(self) -> str | None:
-        """The stamp's text, None where there is none.
+        """Return the stamp's text, or None if there is no stamp.
 
         Raises:
-            TwinError: the file cannot be read as what it claims to be.
+            TwinError: the file violates its format.
         """
         ...
 
     def write(self, text: str) -> None:
-        """Write the text in place of an earlier stamp, and change nothing else.
+        """Replace the stamp by ``text``, and change nothing else.
 
         Raises:
             TwinError: the file cannot be read or written.
@@ -34,7 +34,7 @@ class Carrier(Protocol):
         ...
 
     def digest(self) -> str:
-        """SHA-256 of the stamped content without the stamp itself, hex.
+        """Return the SHA-256 of the content without the stamp, hex.
 
         Raises:
             TwinError: the file cannot be read.

@@ -1,4 +1,4 @@
-"""The stamp of an HDF5 file: an attribute ``twin`` of its root."""
+"""Read and write the stamp of an HDF5 file: the attribute ``twin`` of its root."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ from pytest_twin.formats.atomic import open_replacement
 from pytest_twin.formats.paths import open_regular
 from pytest_twin.formats.stamps.base import NAME
 
-# An attribute in an object's header holds less than 64 KiB; the rest goes on in numbered ones.
+# An attribute in an object's header is limited to 64 KiB; longer text continues in numbered ones.
 _PIECE_BYTES = 32 * 2**10
 _BLOCK_ROWS = 4096
 
 
 @dataclass(frozen=True, slots=True)
 class Hdf5Stamp:
-    """Demonstrations in HDF5, as robomimic and others write them.
+    """An HDF5 file of demonstrations, as written by robomimic and others.
 
-    The digest is over the names, shapes, types and values of all data sets in the file itself;
+    The digest covers the names, shapes, types and values of all data sets in the file itself;
     links to other files are not followed.
     """
 
     path: Path
 
     def read(self) -> str | None:
-        """The attribute's text."""
+        """Return the attribute's text, or None."""
         with open_regular(self.path) as stream, self._opened(stream, "r") as file:
             if NAME not in file.attrs:
                 return None
             pieces = [file.attrs[NAME], *(file.attrs[name] for name in _rest(file))]
         if not all(isinstance(piece, str) for piece in pieces):
             raise FormatError(
-                "the stamp is no text", path=self.path, where=f"attribute {NAME}",
+                "the stamp is not text", path=self.path, where=f"attribute {NAME}",
                 expected="the text that pytest-twin stamp wrote",
             )  # fmt: skip
         return "".join(pieces)
 
     def write(self, text: str) -> None:
-        """Write the attribute into a copy, which then takes the file's place."""
+        """Write the attribute to a copy, which then replaces the file."""
         pieces = _pieces(text)
         with open_regular(self.path) as source, open_replacement(self.path) as target:
             shutil.copyfileobj(source, target)
@@ -61,21 +61,21 @@ class Hdf5Stamp:
                     file.attrs[NAME if at == 0 else f"{NAME}_{at}"] = piece
 
     def digest(self) -> str:
-        """Of every data set."""
+        """Return the SHA-256 of all data sets, hex."""
         hashed, left = hashlib.sha256(), limits.STAMPS.hdf5_bytes
         with open_regular(self.path) as stream, self._opened(stream, "r") as file:
             for name, data in _datasets(file):
                 if data.is_virtual or data.external:
                     raise FormatError(
-                        "values that lie in another file",
+                        "values stored in another file",
                         path=self.path,
                         where=name,
-                        expected="data sets with their values in this file",
+                        expected="data sets whose values are stored in this file",
                     )
                 left -= data.nbytes
                 if left < 0:
                     raise LimitError(
-                        "too large when unpacked",
+                        "too large after decompression",
                         path=self.path,
                         where=name,
                         expected=f"at most {limits.STAMPS.hdf5_bytes} bytes",
@@ -112,12 +112,12 @@ def _h5py(path: Path) -> Any:
 
 
 def _pieces(text: str) -> list[str]:
-    """The text in parts of at most 32 KiB of UTF-8; the stamp's JSON is ASCII."""
+    """Split the text into parts of at most 32 KiB; the stamp's JSON is ASCII."""
     return [text[at : at + _PIECE_BYTES] for at in range(0, len(text), _PIECE_BYTES)] or [""]
 
 
 def _rest(file: Any) -> list[str]:
-    """Names of the attributes that the text goes on in, in order."""
+    """Return the names of the numbered attributes that continue the text, in order."""
     names: list[str] = []
     while f"{NAME}_{len(names) + 1}" in file.attrs:
         names.append(f"{NAME}_{len(names) + 1}")
@@ -137,7 +137,7 @@ def _datasets(file: Any) -> list[tuple[str, Any]]:
 
 
 def _blocks(data: Any) -> Iterator[Any]:
-    """The values, some rows at a time."""
+    """Yield the values in blocks of rows."""
     if not data.shape:
         yield data[()]
         return

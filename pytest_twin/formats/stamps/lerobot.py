@@ -1,4 +1,4 @@
-"""The stamp of a LeRobot data set: ``meta/twin.json``."""
+"""Read and write the stamp of a LeRobot data set: ``meta/twin.json``."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _FILE, _INFO = "meta/twin.json", "meta/info.json"
 class LeRobotStamp:
     """A LeRobot data set, versions 2.0 to 3.0.
 
-    The digest is over ``meta/info.json`` and the Parquet files under ``data/``: joint positions,
-    actions, units, episodes. Videos and statistics are not in it.
+    The digest covers ``meta/info.json`` and the Parquet files under ``data/``: joint positions,
+    actions, units, episodes. It does not cover videos and statistics.
     """
 
     path: Path
@@ -29,18 +29,18 @@ class LeRobotStamp:
         return (folder / _INFO).is_file()
 
     def read(self) -> str | None:
-        """The text of ``meta/twin.json``."""
+        """Return the text of ``meta/twin.json``, or None."""
         file = self.path / _FILE
         if not file.is_symlink() and not file.exists():
             return None
         return decode_text(read_bytes(file, limits.STAMPS.stamp_bytes), file)
 
     def write(self, text: str) -> None:
-        """Write ``meta/twin.json``, whole or not at all."""
+        """Write ``meta/twin.json`` atomically."""
         atomic.write_text(self.path / _FILE, text)
 
     def digest(self) -> str:
-        """Of the names and digests of the files."""
+        """Return the SHA-256 over names and digests of the files, hex."""
         files = sorted((self.path / "data").rglob("*.parquet"))
         if not files:
             raise FormatError(

@@ -1,7 +1,7 @@
-"""The stamp of an MCAP file: a metadata record ``twin``.
+"""Read and write the stamp of an MCAP file: a metadata record ``twin``.
 
-The record goes to the end of the data section, and the index at the end of the file is written
-again; every message stays where it is, byte by byte. Format: https://mcap.dev/spec, version 0.
+The record is appended to the data section, and the index at the end of the file is rewritten.
+All messages keep their bytes and positions. Format: https://mcap.dev/spec, version 0.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _BLOCK_BYTES = 4 * 2**20
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """One record: its type, and the bytes from its head to its end."""
+    """Type and byte range of one record, header included."""
 
     opcode: int
     start: int
@@ -50,14 +50,14 @@ class _Record:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where things are in a file.
+    """Byte positions and checksums in a file.
 
     Attributes:
-        data_end: start of the record that ends it.
-        data_crc: its stated CRC, 0 where there is none.
-        summary: the parsed index, as (type, content).
-        offsets: whether the file lists where the groups of its index are.
-        summary_crc: the stated CRC of the index, 0 where there is none.
+        data_end: start of the record that ends the data section.
+        data_crc: stated CRC of the data section, 0 if there is none.
+        summary: records of the index, as (type, content).
+        offsets: whether the file lists the positions of the groups of its index.
+        summary_crc: stated CRC of the index, 0 if there is none.
         stamps: records of the data section that are stamps.
     """
 
@@ -71,15 +71,15 @@ class _Layout:
 
 @dataclass(frozen=True, slots=True)
 class McapStamp:
-    """A recording in MCAP.
+    """An MCAP recording.
 
-    The digest is over all records of the data section but stamps.
+    The digest covers all records of the data section except stamps.
     """
 
     path: Path
 
     def read(self) -> str | None:
-        """The text of the newest record."""
+        """Return the text of the newest stamp, or None."""
         with open_regular(self.path) as stream:
             layout = self._layout(stream)
             if not layout.stamps:
@@ -91,7 +91,7 @@ class McapStamp:
         return text
 
     def write(self, text: str) -> None:
-        """Write the file again with the record, whole or not at all."""
+        """Rewrite the file with the record, atomically."""
         from mcap.exceptions import EndOfFile
 
         with open_regular(self.path) as stream, open_replacement(self.path) as target:
@@ -110,7 +110,7 @@ class McapStamp:
                 raise self._damaged("a record of its index is cut off") from None
 
     def digest(self) -> str:
-        """Of the records, chunks as they are packed."""
+        """Return the SHA-256 of the records, with chunks in compressed form, hex."""
         hashed = hashlib.sha256()
         with open_regular(self.path) as stream:
             layout = self._layout(stream)
@@ -209,7 +209,7 @@ class McapStamp:
 
 
 def _between(left_out: Sequence[_Record], end: int) -> Iterator[tuple[int, int]]:
-    """Stretches of a file from its start to ``end`` without some records."""
+    """Yield the byte ranges from the file's start to ``end``, without the records ``left_out``."""
     start = 0
     for record in left_out:
         yield start, record.start
@@ -241,7 +241,7 @@ def _metadata_record(text: str) -> bytes:
 
 
 def _bytes_of(record: Any) -> bytes:
-    """A record of the library with its head."""
+    """Serialize a record of the MCAP library, header included."""
     from mcap.data_stream import RecordBuilder
 
     builder: Any = RecordBuilder()
@@ -250,14 +250,14 @@ def _bytes_of(record: Any) -> bytes:
 
 
 def _rest(layout: _Layout, start: int, place: int, length: int) -> bytes:
-    """Index, offsets, footer and magic, for an index that begins at ``start``."""
+    """Serialize index, offsets, footer and magic, for an index that begins at ``start``."""
     from mcap.records import MetadataIndex
 
     records = list(_moved(layout)) if layout.summary else []
     if records:
         index = _bytes_of(MetadataIndex(offset=place, length=length, name=NAME))
         at = max((i for i, (op, _) in enumerate(records) if op == METADATA_INDEX), default=-1)
-        # A group of the index is contiguous: beside its kind, or a group of its own at the end.
+        # A group of the index is contiguous: insert next to its kind, or append a new group.
         records.insert(at + 1 if at >= 0 else len(records), (METADATA_INDEX, index[9:]))
     body = bytearray()
     groups: list[list[int]] = []
@@ -279,7 +279,7 @@ def _rest(layout: _Layout, start: int, place: int, length: int) -> bytes:
 
 
 def _moved(layout: _Layout) -> Iterator[tuple[int, bytes]]:
-    """Records of the index, for data without the earlier stamps and with one more to come."""
+    """Yield the index records, adjusted to data without earlier stamps and with one new record."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex, Statistics
 

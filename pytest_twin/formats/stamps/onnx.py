@@ -1,4 +1,4 @@
-"""The stamp of an ONNX model: its metadata property ``twin``."""
+"""Read and write the stamp of an ONNX model: its metadata property ``twin``."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from pytest_twin.formats.stamps.base import NAME
 
 @dataclass(frozen=True, slots=True)
 class OnnxStamp:
-    """A policy or a residual as an ONNX model.
+    """A policy or a residual model in ONNX format.
 
-    The digest is over the model without this property, and the files of its external tensors.
+    The digest covers the model without this property, and the files of its external tensors.
     """
 
     path: Path
 
     def read(self) -> str | None:
-        """The property's text."""
+        """Return the property's text, or None."""
         found = [entry.value for entry in self._model().metadata_props if entry.key == NAME]
         return str(found[-1]) if found else None
 
     def write(self, text: str) -> None:
-        """Write the file again with the property, whole or not at all."""
+        """Rewrite the file with the property, atomically."""
         model = self._model()
         _drop(model)
         entry = model.metadata_props.add()
@@ -37,7 +37,7 @@ class OnnxStamp:
         atomic.write_bytes(self.path, model.SerializeToString(deterministic=True))
 
     def digest(self) -> str:
-        """Of the model's content."""
+        """Return the SHA-256 of the model's content, hex."""
         model = self._model()
         _drop(model)
         hashed = hashlib.sha256(model.SerializeToString(deterministic=True))
@@ -63,7 +63,7 @@ class OnnxStamp:
             model.ParseFromString(data)
         except DecodeError as error:
             raise FormatError(f"not an ONNX model: {str(error)[:80]}", path=self.path) from None
-        # The library hands text that is not UTF-8 out as bytes, and does not take it back.
+        # The library returns text that is not UTF-8 as bytes, and cannot write such bytes.
         if not all(isinstance(t, str) for e in model.metadata_props for t in (e.key, e.value)):
             raise FormatError(
                 "a metadata property that is not UTF-8 text", path=self.path, expected="UTF-8"
@@ -84,7 +84,7 @@ def _drop(model: Any) -> None:
 
 
 def _external(model: Any) -> set[str]:
-    """Files of tensors that lie outside the model, relative to it."""
+    """Return the files of external tensors, relative to the model."""
     return {
         entry.value
         for tensor in model.graph.initializer
