@@ -1,1 +1,1 @@
-"""From the supplier's files to realizations that can be trusted, and what each conversion lost."""
+"""Convert the supplier's files to realizations, and report what each conversion changed or lost."""

@@ -1,4 +1,4 @@
-"""The change log of a normalized asset: every change, and every fault that was kept."""
+"""The change log of a normalized asset: all changes, and all faults that were kept."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One thing that differs from the source.
+    """One difference from the source.
 
     Attributes:
         file: the source file, relative to the source's root.
         line: 1-based line there.
         where: the element and attribute, ``joint 'elbow'.axis``.
-        before, after: as written, with the unit; None where it did not exist, or was removed.
+        before, after: values as written, with unit; None if the value did not exist or was removed.
         why: the reason.
-        patch: the accepted patch that made it, None for a change of form alone.
+        patch: the accepted patch that caused it, None if only the form changed.
     """
 
     file: str
@@ -35,10 +35,10 @@ class Flag:
     """A fault of the source that the normalized asset keeps.
 
     Attributes:
-        value: as found, with its unit.
+        value: value as found, with its unit.
         why: what is wrong with it.
-        patch: the patch that would repair it, None where there is none.
-        critical: no realization can be trusted, or made, while it is there.
+        patch: patch that would repair it, or None.
+        critical: whether the fault prevents or invalidates every realization.
     """
 
     file: str
@@ -52,10 +52,10 @@ class Flag:
 
 @dataclass(frozen=True, slots=True)
 class ChangeLog:
-    """Changes and kept faults of a normalized asset, and the command that makes it again.
+    """Changes and kept faults of a normalized asset, and the command that reproduces it.
 
     Attributes:
-        command: arguments of the command that makes the same normalized asset.
+        command: arguments of the command that reproduces the normalized asset.
     """
 
     command: tuple[str, ...]
@@ -118,7 +118,7 @@ def _table(columns: Sequence[str], rows: Sequence[Mapping[str, str]]) -> list[st
 
 
 def escape_markdown(text: str) -> str:
-    """Text from a file as one cell of a Markdown table, with every markup character escaped."""
+    """Escape text for one cell of a Markdown table."""
     shown = "".join(c if c.isprintable() else "�" for c in " ".join(text.split()))
     for char in "\\`*_[]<>|":
         shown = shown.replace(char, "\\" + char)

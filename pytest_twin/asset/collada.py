@@ -1,4 +1,4 @@
-"""What a COLLADA file says about its axes."""
+"""Read the up axis of a COLLADA file."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from pathlib import Path
 from pytest_twin.formats import xml
 
 DEFAULT_UP_AXIS = "Y_UP"
-"""Of a file without ``up_axis``, by the COLLADA specification."""
+"""Up axis of a file that states none, by the COLLADA specification."""
 
 
 def stated_up_axis(path: Path) -> str | None:
-    """``X_UP``, ``Y_UP`` or ``Z_UP`` as the file states it; None where it states none.
+    """Return ``X_UP``, ``Y_UP`` or ``Z_UP`` as stated; None if the file states none.
 
     Raises:
-        FormatError: not well-formed, or beyond a bound.
+        FormatError: not well-formed, or a limit is exceeded.
     """
     for element in xml.parse(path).iter("{*}asset"):
         text = (element.findtext("{*}up_axis") or "").strip()

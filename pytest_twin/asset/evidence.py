@@ -1,4 +1,4 @@
-"""The kinds of files that came with a robot, and the kinds that are missing."""
+"""Sort the files supplied with a robot by kind, and list missing kinds."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import PurePosixPath
 
 WANTED = ("manual", "CAD", "calibration certificate", "firmware", "SDK")
-"""Kinds of evidence that every asset should have; a manifest names those that are missing."""
+"""Kinds of evidence that every asset should have; the manifest lists the missing ones."""
 
 _CERTIFICATE = re.compile(r"calib|certificat|kalibri|zertifikat", re.IGNORECASE)
 _MANUAL = re.compile(r"manual|handbook|datasheet|guide|specification", re.IGNORECASE)
@@ -27,7 +27,7 @@ _KIND_OF = {f".{s}": kind for kind, listed in _BY_SUFFIX.items() for s in listed
 
 
 def kind_of(name: str) -> str:
-    """The kind of a file by its path, ``other`` where it is unknown."""
+    """Return the kind of a file by its path, ``other`` if unknown."""
     path = PurePosixPath(name)
     suffix, stem = path.suffix.lower(), path.name
     folders = {part.lower() for part in path.parts[:-1]}
@@ -51,7 +51,7 @@ def kind_of(name: str) -> str:
 
 
 def sort_files(names: Iterable[str]) -> dict[str, list[str]]:
-    """Kind -> its files, both sorted."""
+    """Return kind -> its files, both sorted."""
     found: dict[str, list[str]] = {}
     for name in sorted(names):
         found.setdefault(kind_of(name), []).append(name)
@@ -59,6 +59,6 @@ def sort_files(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def missing(found: Iterable[str]) -> list[str]:
-    """Kinds of evidence without a file."""
+    """Return the kinds of evidence without a file."""
     present = set(found)
     return [kind for kind in WANTED if kind not in present]

@@ -1,4 +1,4 @@
-"""The manifest of an asset: its states, source, normalized, realization, each with its digest."""
+"""The manifest of an asset: its states (source, normalized, realization) with digests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pytest_twin.formats.paths import decode_text, read_bytes
 
 FILE_NAME = "manifest.json"
 SOURCE_FOLDER = "source"
-"""Where the frozen files lie, beside the manifest."""
+"""Folder of the supplier's unchanged files, next to the manifest."""
 STATES = ("source", "normalized", "realization")
 _MAX_BYTES = 64 * 2**20
 
@@ -27,7 +27,7 @@ class State:
 
     Attributes:
         files: path relative to the manifest, with ``/`` -> SHA-256.
-        facts: what else is known of it, JSON-able: who supplied it, which engine made it.
+        facts: further JSON fields, such as the supplier or the engine that produced the state.
     """
 
     files: Mapping[str, str]
@@ -35,23 +35,23 @@ class State:
 
     @property
     def digest(self) -> str:
-        """SHA-256 over the paths and digests of all files, hex."""
+        """Return the SHA-256 over the paths and digests of all files, hex."""
         return bytes_sha256(canonical(dict(self.files)))
 
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """The states of one asset; those that it has not reached are left out."""
+    """States of one asset; states that it has not reached are omitted."""
 
     asset: str
     states: Mapping[str, State] = field(default_factory=dict)
 
     def with_state(self, name: str, state: State) -> Manifest:
-        """The same with one state put in."""
+        """Return a copy with one state set."""
         return replace(self, states={**self.states, name: state})
 
     def to_text(self) -> str:
-        """JSON, the same for the same content."""
+        """Return JSON text that depends on the content only."""
         data = {
             "schema": 1,
             "asset": self.asset,
@@ -69,10 +69,10 @@ class Manifest:
 
 
 def state_of(folder: Path, files: Iterable[Path], facts: Mapping[str, Any] | None = None) -> State:
-    """The state that ``files`` below ``folder`` make up.
+    """Build the state of ``files`` below ``folder``.
 
     Raises:
-        PathError: a file is missing, or no regular file.
+        PathError: a file is missing or not a regular file.
     """
     return State(
         {path.relative_to(folder).as_posix(): file_sha256(path) for path in files}, facts or {}
@@ -80,7 +80,7 @@ def state_of(folder: Path, files: Iterable[Path], facts: Mapping[str, Any] | Non
 
 
 def write(path: Path, manifest: Manifest) -> None:
-    """Write a manifest, whole or not at all."""
+    """Write a manifest atomically."""
     atomic.write_text(path, manifest.to_text())
 
 
@@ -88,8 +88,8 @@ def read(path: Path) -> Manifest:
     """Read a manifest.
 
     Raises:
-        PathError: missing, or no regular file.
-        FormatError: no manifest, or a digest that does not follow from its files.
+        PathError: missing, or not a regular file.
+        FormatError: not a manifest, or a digest that differs from that of its files.
     """
     text = decode_text(read_bytes(path, _MAX_BYTES), path)
     try:
@@ -134,10 +134,11 @@ def _are_files(files: dict[str, Any]) -> bool:
 
 
 def changes_of_source(path: Path, manifest: Manifest) -> list[str]:
-    """What is not as it was taken in, one line each; nothing where the source lies elsewhere.
+    """Return changes of the source since intake, one line each; empty if it is elsewhere.
 
     Args:
-        path: the manifest's own file.
+        path: path of the manifest.
+        manifest: its content.
     """
     source = manifest.states.get("source")
     if source is None or source.facts.get("folder") != SOURCE_FOLDER:
@@ -157,10 +158,10 @@ def changes_of_source(path: Path, manifest: Manifest) -> list[str]:
 
 
 def find(path: Path) -> tuple[Path, Manifest] | None:
-    """The manifest above a file that lists it in one of its states, if there is one.
+    """Find the manifest in a parent folder that lists a file in one of its states.
 
     Raises:
-        FormatError: a manifest stands there that cannot be read.
+        FormatError: a manifest in a parent folder cannot be read.
     """
     for folder in path.parents:
         candidate = folder / FILE_NAME
@@ -171,7 +172,7 @@ def find(path: Path) -> tuple[Path, Manifest] | None:
         except FormatError:
             if (folder / SOURCE_FOLDER).is_dir():
                 raise
-            # Other tools have files of this name too.
+            # Other tools also write files of this name.
             continue
         name = path.relative_to(folder).as_posix()
         if any(name in state.files for state in manifest.states.values()):

@@ -1,8 +1,8 @@
-"""A URDF made portable: the same robot, explicit and self-contained, with a log of changes.
+"""Normalize a URDF: the same robot in explicit and self-contained form, with a log of changes.
 
-Form is normalized: meshes in metres beside the file, unit axes, stated defaults, names for shapes.
-Physical values are never invented: an impossible inertia is kept and flagged until its repair is
-accepted by name.
+Normalization changes the form: meshes in metres next to the file, unit axes, explicit defaults,
+names for shapes. It never invents physical values: an impossible inertia is kept and reported until
+its repair is accepted by name.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 UNITS = "units: metre, kilogram, second, radian; newton, newton metre"
 _UNIT_LENGTH = 1e-9
 _FLAT = 1e-9
-"""Fraction of the largest principal moment below which another is zero, as in the audit."""
+"""Fraction of the largest principal moment below which a moment counts as zero, as in the audit."""
 _SAFE = re.compile(r"[^A-Za-z0-9_-]+")
-# One component of a path, and no hidden file.
+# One component of a path that is not hidden.
 _FILE_NAME = re.compile(r"[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}")
 _IMAGES = (".png", ".jpg", ".jpeg", ".tga", ".bmp")
 
@@ -53,8 +53,10 @@ class Normalized:
         urdf: the file.
         files: every file that was written, the URDF first.
         source_files: every file that was read, the URDF first.
-        repairs: link -> ixx iyy izz ixy ixz iyz in its inertial frame, accepted by name.
-        collision_points: a collision mesh as the source names it -> its vertices (n, 3), m.
+        changes: changes of the source.
+        flags: faults that were kept.
+        repairs: link -> accepted repair: ixx iyy izz ixy ixz iyz in its inertial frame, kg*m^2.
+        collision_points: collision mesh, as named in the source -> (n, 3) vertices, m.
     """
 
     urdf: Path
@@ -76,23 +78,23 @@ def normalize(
     """Write the normalized asset of a URDF.
 
     Args:
-        source: the URDF; only read.
-        folder: an existing folder, which gets ``<name>.urdf`` and ``meshes/``.
-        located: where files that the URDF names may lie; by default below the model's root.
-        accept: named patches, ``inertia-repair:<link>``.
+        source: the URDF, which is not changed.
+        folder: an existing folder for ``<name>.urdf`` and ``meshes/``.
+        located: folders that may contain the URDF's files; by default those below the model's root.
+        accept: accepted patches, ``inertia-repair:<link>``.
 
     Raises:
-        FormatError: not well-formed, beyond a bound, or a broken collision mesh.
-        ModelError: not a tree of links, or a value that no robot can have.
-        PathError: a collision mesh that is missing or outside the roots.
-        SpecError: an accepted patch that nothing asks for.
+        FormatError: not well-formed, a limit is exceeded, or a collision mesh is damaged.
+        ModelError: not a tree of links, or an impossible value.
+        PathError: a collision mesh is missing or outside the roots.
+        SpecError: an accepted patch is not applicable.
     """
     robot = urdf.read(source)
     return _Normalizer(source, robot, folder, located or locate(source), accept).run()
 
 
 def file_stem(name: str, fallback: str) -> str:
-    """A portable file name, without suffix."""
+    """Return a portable file name, without suffix."""
     return _SAFE.sub("_", name).strip("_-")[:80] or fallback
 
 
@@ -152,12 +154,12 @@ class _Normalizer:
                     "XML",
                     found.words,
                     "written as the standard asks",
-                    "the file is not well-formed XML; MuJoCo and Pinocchio read it, others refuse",
+                    "not well-formed XML: MuJoCo and Pinocchio accept the file, others refuse it",
                 )
             )
 
     def _with_prefixes(self, text: str) -> str:
-        """The text with every prefix declared: strict parsers refuse one that is not."""
+        """Declare every prefix in the text, because strict parsers refuse undeclared ones."""
         used = {
             str(name).partition(":")[0]
             for element in self.root.iter()
@@ -198,7 +200,7 @@ class _Normalizer:
         if not name.strip():
             self._set(self.root, "name", self.out.urdf.stem, "the robot had no name")
         elif not _FILE_NAME.fullmatch(name):
-            # Converters call files by it.
+            # Converters use the name in file names.
             self._set(self.root, "name", file_stem(name, "robot"), "the name cannot be a file name")
         for link in self.root.findall("link"):
             for kind in ("visual", "collision"):
@@ -232,13 +234,13 @@ class _Normalizer:
                 self._set(axis, "xyz", digits(joint.axis), "the axis was not a unit vector")
 
     def _lost_mimic(self, element: Any) -> None:
-        """Take out a mimic of a joint that is not there: converters refuse the robot for it."""
+        """Remove a mimic of a joint that does not exist, because converters refuse the robot."""
         lost = self.robot.lost_mimics.get(element.get("name", ""))
         if lost is None:
             return
         node = element.find("mimic")
         element.remove(node)
-        why = "it is to follow a joint that is not there"
+        why = "it follows a joint that does not exist"
         self._change(element, "mimic", lost.joint, None, why)
         where = f"joint '{element.get('name')}'.mimic"
         self.out.flags.append(
@@ -246,9 +248,9 @@ class _Normalizer:
         )
 
     def _state_limit(self, element: Any) -> None:
-        """State effort and velocity: urdfdom refuses a whole robot for one joint without them."""
+        """State effort and velocity limits, without which urdfdom refuses the robot."""
         limit = element.find("limit")
-        why = "not stated, and urdfdom refuses the robot without it; 0 says that it is not known"
+        why = "not stated, and urdfdom refuses the robot without it; 0 means unknown"
         if limit is None:
             limit = etree.SubElement(element, "limit")
         for key in ("effort", "velocity"):
@@ -267,7 +269,7 @@ class _Normalizer:
             if link.name in self.robot.corrected:
                 self._state_correction(element.find("inertial"), link)
             share = inertia.violation(link.inertia)
-            # A zero after a change of frame leaves rounding errors, which are no inertia.
+            # A change of frame turns a zero into rounding errors, which are not an inertia.
             if share <= inertia.ROUNDING or np.abs(link.inertia).max() < inertia.MASS_FLOOR:
                 self._flag_line(element, link)
                 continue
@@ -292,8 +294,8 @@ class _Normalizer:
             self._repair(element, node, link, patch)
 
     def _state_correction(self, element: Any, link: urdf.Link) -> None:
-        """State what the file asks MuJoCo's compiler for, so that every simulator has it."""
-        why = "as <mujoco><compiler> of the source asks for"
+        """Apply the file's options for MuJoCo's compiler, for all simulators."""
+        why = "as required by <mujoco><compiler> of the source"
         self._set(element.find("mass"), "value", digits([link.mass]), why)
         assert link.inertial is not None
         _, axes = urdf.origin(link.inertial)
@@ -302,7 +304,7 @@ class _Normalizer:
             self._set(element.find("inertia"), key, digits([value]), why)
 
     def _mesh_folder(self) -> None:
-        """Point MuJoCo, where the file tells it where meshes are, to those of this asset."""
+        """Point MuJoCo's mesh folder, if the file states one, to the meshes of this asset."""
         for compiler in self.root.findall("mujoco/compiler"):
             for key in ("assetdir", "texturedir"):
                 if key in compiler.attrib:
@@ -312,7 +314,7 @@ class _Normalizer:
             self._set(compiler, "strippath", "true", "MuJoCo adds meshdir to the file's name")
 
     def _flag_line(self, element: Any, link: urdf.Link) -> None:
-        """Flag a mass on a line: every format can state it, and no body has it."""
+        """Report the inertia of a mass on a line: every format can state it, and no body has it."""
         moments = np.linalg.eigvalsh(link.inertia)
         if link.mass <= 0 or moments[2] < inertia.MASS_FLOOR or moments[0] > _FLAT * moments[2]:
             return
@@ -328,7 +330,7 @@ class _Normalizer:
         )
 
     def _state_inertial(self, element: Any) -> None:
-        """State zeros that the text leaves out: without them some parsers drop the element."""
+        """State omitted zeros, without which some parsers drop the element."""
         for tag, keys in (("mass", ("value",)), ("inertia", _MOMENTS)):
             node = element.find(tag)
             if node is None:
@@ -343,7 +345,7 @@ class _Normalizer:
 
     def _repair(self, element: Any, node: Any, link: urdf.Link, patch: str) -> None:
         repaired = inertia.consistent(link.inertia)
-        # Stated about the centre of mass in the link's axes; the file's inertial frame may turn.
+        # The moments refer to link axes; the inertial frame of the file may be rotated.
         _, axes = urdf.origin(link.inertial) if link.inertial else (None, np.eye(3))
         values = inertia.six(axes.T @ repaired @ axes)
         self.out.repairs[link.name] = values
@@ -381,7 +383,7 @@ class _Normalizer:
             if must:
                 raise
             link.remove(shape)
-            problem = f"{error.problem}; a visual mesh is left out"
+            problem = f"{error.problem}; the visual mesh is omitted"
             self._change(shape, "", f"mesh {reference}", None, problem)
             return
         if must:
@@ -401,12 +403,12 @@ class _Normalizer:
         if path.suffix.lower() != ".obj":
             said.append(f"{path.suffix.lower()} was converted to .obj, which every simulator loads")
         if path.suffix.lower() == ".dae":
-            said.append("its unit is applied to its vertices; its materials are left out")
+            said.append("its unit is applied to its vertices; its materials are omitted")
             axis = stated_up_axis(path)
             if axis != "Z_UP":
                 said.append(f"its up axis is {axis or 'not stated'}; its vertices are not turned")
         if path.suffix.lower() in gltf.SUFFIXES:
-            said.append("its y axis is up, and its vertices are not turned; materials are left out")
+            said.append("its y axis is up, and its vertices are not turned; materials are omitted")
         if element.get("scale") is not None:
             said.append(f"scale {element.get('scale')} is applied to its vertices, in metres")
             del element.attrib["scale"]
@@ -495,7 +497,7 @@ class _Normalizer:
 
 
 def _label(element: Any) -> str:
-    """The name of an element, with the link or joint that contains it."""
+    """Return an element's name, with the link or joint that contains it."""
     name = element.get("name")
     own = element.tag if name is None else f"{element.tag} '{name}'"
     for parent in element.iterancestors("link", "joint"):
@@ -504,7 +506,7 @@ def _label(element: Any) -> str:
 
 
 def xml_numbers(text: str | None, default: tuple[float, ...]) -> Vector:
-    """Numbers of an attribute, NaN for a word that is no number; or the default."""
+    """Return the numbers of an attribute (NaN for other words), or the default."""
     return np.array(default if text is None else [_number(word) for word in text.split()])
 
 
@@ -516,10 +518,10 @@ def _number(word: str) -> float:
 
 
 def digits(values: Any) -> str:
-    """The shortest decimals that parse to the same numbers."""
+    """Format numbers with the fewest digits that parse to the same values."""
     return " ".join(repr(float(value) + 0.0).removesuffix(".0") for value in values)
 
 
 def relative_to(path: Path, folder: Path) -> str:
-    """A path as the manifest writes it."""
+    """Return a path in the form of the manifest."""
     return Path(os.path.relpath(path, folder)).as_posix()

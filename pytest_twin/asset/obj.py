@@ -1,4 +1,4 @@
-"""Meshes as Wavefront OBJ: what MuJoCo, USD converters and Pinocchio all load."""
+"""Write meshes as Wavefront OBJ, which MuJoCo, USD converters and Pinocchio all load."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pytest_twin.realization.mesh import Triangles
 
 
 def text(triangles: Triangles) -> str:
-    """Vertices in metres and triangles, the same text for the same mesh.
+    """Return vertices in metres and triangles as OBJ text, equal for equal meshes.
 
-    Nine digits carry every single-precision number exactly, and no simulator keeps more.
+    Nine digits represent every single-precision number exactly; no simulator stores more.
     """
     vertices = np.asarray(triangles.vertices, dtype=np.float64) + 0.0
     faces = np.asarray(triangles.faces, dtype=np.int64) + 1

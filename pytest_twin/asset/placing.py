@@ -1,4 +1,4 @@
-"""Put what was made into its folder, file by file, the manifest last."""
+"""Move the files of a realization to their folder, the manifest last."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _NOTHING = State({})
 
 
 def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
-    """The manifest that froze a source file, None where it was never taken in.
+    """Return the intake manifest of a source file, or None.
 
     Raises:
-        PathError: the source is not what was taken in.
+        PathError: the source has changed since intake.
         FormatError: its manifest cannot be read.
     """
     known = manifest.find(source)
@@ -30,9 +30,9 @@ def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
     changed = manifest.changes_of_source(*known)
     if changed:
         raise PathError(
-            f"the source asset is not what was taken in: {changed[0]}",
+            f"the source asset has changed since intake: {changed[0]}",
             path=known[0],
-            expected="the frozen source; take a new one in with `pytest-twin intake`",
+            expected="the unchanged source, or a new `pytest-twin intake` of the changed one",
         )
     return known
 
@@ -40,13 +40,17 @@ def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
 def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -> None:
     """Move the files of ``staging`` to ``out`` and write the manifest.
 
-    Files of an earlier run that are not made any more go; nothing else in the folder is touched.
+    Files of an earlier run that are no longer produced are deleted. Other files in the folder
+    are not changed.
 
     Args:
-        made: what ``realize`` told; gets ``manifest``, as written.
+        staging: folder with the new files.
+        out: target folder.
+        source: the source URDF.
+        made: result of ``realize``; its key ``manifest`` is set here.
 
     Raises:
-        PathError: the source lies where a file would go, or a link is in the way.
+        PathError: a file would overwrite the source, or a link has its name.
     """
     files = sorted(path for path in staging.rglob("*") if path.is_file())
     targets = {out / path.relative_to(staging): path for path in files}
@@ -89,10 +93,10 @@ def _manifest(out: Path, source: Path, made: Mapping[str, Any], old: Manifest | 
     mine = known is not None and known[0].parent == out
     if not mine and old is not None and old.states.get("source", _NOTHING).facts.get("folder"):
         raise PathError(
-            "another asset was taken in there", path=out, expected="its own URDF, or a new folder"
+            "the folder contains another asset", path=out, expected="its own URDF, or a new folder"
         )
     if known is not None:
-        # An asset that was taken in vouches for all of its files.
+        # The manifest of an asset lists all of its files.
         state = known[1].states["source"]
         if not mine:
             facts = {key: value for key, value in state.facts.items() if key != "folder"}

@@ -1,6 +1,6 @@
-"""From a URDF to a normalized URDF, an MJCF, a USD stage, and the matrix of what each one lost.
+"""Convert a URDF to a normalized URDF, an MJCF and a USD stage, with a semantic-loss matrix.
 
-Runs in the child process: everything that a stranger's file reaches is loaded here.
+This module runs in the child process, because it loads untrusted files.
 """
 
 from __future__ import annotations
@@ -53,16 +53,18 @@ def realize(
 
     Args:
         source: the URDF.
-        accept: named patches, ``inertia-repair:<link>``.
-        packages: ROS package -> its folder, as the user names it.
-        roots: folders that the user names for its files.
+        folder: an empty folder for the results.
+        accept: accepted patches, ``inertia-repair:<link>``.
+        packages: ROS package -> its folder, as given by the user.
+        roots: further folders that may contain its files, as given by the user.
+        progress: called with the fraction done.
 
     Returns:
-        ``files`` of each state, ``critical`` failures, ``notes``, ``left_out``, and ``counts`` of
-        the matrix.
+        ``files`` of each state, ``critical`` failures, ``notes``, ``left_out`` forms, and
+            ``counts`` of verdicts in the matrix.
 
     Raises:
-        TwinError: no robot that could be read.
+        TwinError: the file contains no robot that can be read.
     """
     say = progress or (lambda fraction: None)
     path, out = Path(source), Path(folder)
@@ -130,7 +132,7 @@ def realize(
 
 
 def _repaired(robot: urdf.Robot, made: Normalized) -> urdf.Robot:
-    """The source with the patches that were accepted: what every form has to hold."""
+    """Return the source with accepted patches, which every form has to represent."""
     for name in robot.corrected:
         link = robot.links[name]
         assert link.inertial is not None
@@ -146,7 +148,7 @@ def _repaired(robot: urdf.Robot, made: Normalized) -> urdf.Robot:
 
 
 def _state(inertial: Node, mass: float, values: Sequence[float]) -> None:
-    """Put a mass [kg] and ixx iyy izz ixy ixz iyz [kg*m^2] instead of what is stated."""
+    """Replace the stated mass [kg] and ixx iyy izz ixy ixz iyz [kg*m^2]."""
     keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     stated = {"mass": {"value": mass}, "inertia": dict(zip(keys, values, strict=True))}
     for tag, numbers in stated.items():
@@ -203,7 +205,7 @@ def _pinocchio(made: Normalized, robot: urdf.Robot, told: urdf.Robot, before: De
 
 
 def _failed(target: str, error: TwinError, folder: Path) -> Conversion:
-    # Files are distinguished by their names in the asset; the folder they were made in is removed.
+    # Remove the temporary folder from paths, so that messages name files of the asset.
     problem = str(error).replace(f"{folder}/", "")
     return Conversion("URDF", target, "none", problem=problem, critical=True)
 
@@ -218,7 +220,7 @@ def _write(out: Path, matrix: Matrix, log: ChangeLog) -> None:
 
 
 def _finite(value: Any) -> Any:
-    """JSON knows no infinity: such a number becomes its name."""
+    """Replace non-finite numbers, which JSON cannot represent, by their names."""
     if isinstance(value, float) and not np.isfinite(value):
         return str(value)
     if isinstance(value, dict):

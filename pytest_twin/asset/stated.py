@@ -1,4 +1,4 @@
-"""What a URDF states beside links and joints, sorted by the table of elements."""
+"""Collect what a URDF states besides links and joints, using the table of elements."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from pytest_twin.asset.urdf_elements import TEXT, Entry, by_path, known_paths
 from pytest_twin.realization.node import Node
 
 _PARTS = ("param", "command_interface", "state_interface")
-"""Named elements that people look for by what they belong to: a parameter of joint 'elbow'."""
+"""Elements that are described by their owner: a parameter of joint 'elbow'."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """One element or attribute of a file.
+    """One element or attribute of a URDF.
 
     Attributes:
         node: the element.
         label: ``joint/limit@jerk``.
         owner: the named element that it belongs to, ``joint 'elbow'``.
-        value: as written.
-        entry: of the table, None where no format of the table defines it.
+        value: value as written.
+        entry: entry of the table, None if no format of the table defines it.
     """
 
     node: Node
@@ -32,9 +32,9 @@ class Stated:
 
 
 def stated(robot: Node) -> Iterator[Stated]:
-    """Every element and attribute below ``robot``, in the order of the file.
+    """Yield every element and attribute below ``robot``, in the order of the file.
 
-    Elements below one that no format defines are left out.
+    Children of an undefined element are omitted.
     """
     waiting: list[tuple[Node, str, str]] = [(robot, "", "robot")]
     while waiting:
@@ -69,7 +69,7 @@ def stated(robot: Node) -> Iterator[Stated]:
 
 
 def neutral(found: Stated) -> bool:
-    """Whether its value changes nothing: an offset of 0, a reduction of 1."""
+    """Whether its value has no effect, such as an offset of 0 or a reduction of 1."""
     if found.entry is None or found.entry.neutral is None:
         return False
     expected = found.entry.neutral
@@ -85,7 +85,7 @@ def neutral(found: Stated) -> bool:
 
 
 def rows(robot: Node) -> dict[str, dict[str, str]]:
-    """Row of the loss matrix -> label and owner -> values, of what no realization carries."""
+    """Return row of the loss matrix -> label and owner -> values that no realization preserves."""
     found: dict[str, dict[str, str]] = {}
     for one in stated(robot):
         if one.entry is None or one.entry.goes.row is None:

@@ -1,6 +1,6 @@
-"""Take a supplier's archive or folder apart without letting it out of its place.
+"""Unpack a supplier's archive or folder safely, without writing outside the target folder.
 
-Runs in the child process: the bounds on memory and time are the child's.
+This module runs in the child process, whose limits on memory and time apply.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile
 
 @dataclass(frozen=True, slots=True)
 class IntakeLimits:
-    """Bounds on what a supplier sends.
+    """Limits for a supplier's archive or folder.
 
     Attributes:
-        files: how many there may be.
-        file_bytes, total_bytes: of one, and of all of them, unpacked.
-        archive_bytes: of the archive itself.
-        depth: folders in folders.
-        name_bytes: of one component of a path.
+        files: largest number of files.
+        file_bytes, total_bytes: largest unpacked size of one file and of all files.
+        archive_bytes: largest size of the archive.
+        depth: largest number of nested folders.
+        name_bytes: largest length of one path component.
     """
 
     files: int = 20_000
@@ -62,9 +62,9 @@ def unpack(origin: str, folder: str, limits: IntakeLimits = LIMITS) -> list[str]
         The files, relative to ``folder``, sorted.
 
     Raises:
-        PathError: a name that leads out of the folder, a link, or anything but files and folders.
-        FormatError: a broken or encrypted archive, or two files of one name.
-        LimitError: more, larger or deeper than the bounds.
+        PathError: a name leaves the folder, or an entry is neither a file nor a folder.
+        FormatError: a damaged or encrypted archive, or two files with one name.
+        LimitError: a limit is exceeded.
     """
     path, target = Path(origin), _Target(Path(origin), Path(folder), limits)
     try:
@@ -75,11 +75,11 @@ def unpack(origin: str, folder: str, limits: IntakeLimits = LIMITS) -> list[str]
     except TwinError:
         raise
     except (tarfile.TarError, zipfile.BadZipFile, EOFError, zlib.error, lzma.LZMAError) as error:
-        raise FormatError(f"a broken archive: {_words(error)}", path=path) from None
+        raise FormatError(f"a damaged archive: {_words(error)}", path=path) from None
     except (NotImplementedError, RuntimeError, ValueError, OSError) as error:
         raise FormatError(f"an archive that cannot be read: {_words(error)}", path=path) from None
     if not target.names:
-        raise FormatError("nothing in it", path=path, expected="a robot's files")
+        raise FormatError("it contains no file", path=path, expected="a robot's files")
     return sorted(target.names.values())
 
 
@@ -88,7 +88,7 @@ def _words(error: Exception) -> str:
 
 
 class _Target:
-    """The folder that files are put into, and the bounds on them."""
+    """Writes files to the target folder and checks the limits."""
 
     def __init__(self, origin: Path, folder: Path, limits: IntakeLimits) -> None:
         self.origin = origin
@@ -118,16 +118,16 @@ class _Target:
                     raise self.limit("a file is too large", name, bound)
                 if self.bytes > self.limits.total_bytes:
                     bound = f"at most {self.limits.total_bytes} bytes"
-                    raise self.limit("unpacked it is too large", name, bound)
+                    raise self.limit("too large after unpacking", name, bound)
                 out.write(block)
         target.chmod(_READ_ONLY)
 
     def _place(self, name: str) -> PurePosixPath:
         place = PurePosixPath(name)
         if not name or name.startswith("/") or ".." in place.parts:
-            raise self.refuse("a name that leads out of the archive", name, "a relative path")
+            raise self.refuse("a name that leaves the archive", name, "a relative path")
         if "\\" in name or ":" in place.parts[0]:
-            raise self.refuse("a name of another system", name, "folders parted by '/'")
+            raise self.refuse("a name of another system", name, "folders separated by '/'")
         if not name.isprintable():
             raise self.refuse("a name with a control character", name, "printable characters")
         parts = [part for part in place.parts if part != "."]
@@ -144,7 +144,7 @@ class _Target:
         if too_long:
             raise self.limit("a name is too long", name, f"at most {self.limits.name_bytes} bytes")
         place = PurePosixPath(*parts)
-        # Two names that one file system holds apart and another does not are one too many.
+        # Refuse two names that are equal on file systems that ignore case or normalization.
         key = str(place).casefold()
         if key in self.names:
             raise FormatError(

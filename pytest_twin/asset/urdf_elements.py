@@ -1,11 +1,11 @@
-"""Every element and attribute that a URDF file may hold, and where each of them goes.
+"""Table of all elements and attributes of URDF files, and where each is converted to.
 
 Sources: urdfdom's ``urdf.xsd`` and parser (with the limits of URDF 1.2), the draft of URDF sensors,
 the SRDF specification of MoveIt, ros_control's and ros2_control's component parsers, the extension
 tags of sdformat's URDF parser, MuJoCo's block in a URDF, and PyBullet's contact elements.
 
-A path is relative to ``robot``. ``/**`` at its end means the element with all that is below it,
-``/*`` every other child.
+Paths are relative to ``robot``. A final ``/**`` means the element with all its descendants, a
+final ``/*`` every other child.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from dataclasses import dataclass
 from functools import cache
 
 TEXT = "text()"
-"""In place of an attribute: the text of the element."""
+"""Represents the text of the element instead of an attribute."""
 
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """Where an element or attribute goes.
+    """How realizations represent an element or attribute.
 
     Attributes:
-        row: of the semantic-loss matrix, None where every realization carries it.
-        code: of the finding that names it, None where the row is enough.
-        why: what is lost with it.
-        settle: what to do about it.
+        row: row of the semantic-loss matrix, None if every realization preserves it.
+        code: code of the audit finding, None if the row suffices.
+        why: consequence of the loss.
+        settle: next step.
     """
 
     row: str | None = None
@@ -36,9 +36,9 @@ class Destination:
 
 CARRIED = Destination()
 NAMES = Destination()
-"""Carried as a name or as the structure that other elements refer to."""
+"""Preserved as a name or structure that other elements refer to."""
 APPLIED = Destination()
-"""Applied to the robot before it is written: every realization is the robot after it."""
+"""Applied to the robot before it is written, so that every realization includes it."""
 SPEEDS = Destination("velocity limits")
 SOFT_LIMITS = Destination("safety controllers")
 REDUCTIONS = Destination("transmissions")
@@ -52,19 +52,19 @@ CONTACT = Destination(
 DRIVE = Destination(
     "drive elements",
     "transmissions.drive_element",
-    "no realization carries it: the simulated drive lacks this part of the real one",
+    "no realization preserves it: the simulated drive lacks this part of the real one",
     "state it in the model (armature, actuator gear, reference position), or fit it to a recording",
 )
 CALIBRATION = Destination(
     "joint calibration",
     "joints.calibration",
-    "no realization carries it: the zero of the real joint depends on it",
+    "no realization preserves it: the zero of the real joint depends on it",
     "state the offset under `calibration:` in twin.yaml",
 )
 DYNAMIC_LIMITS = Destination(
     "acceleration limits",
     "joints.dynamic_limit",
-    "no realization carries it: a simulated command may accelerate faster than the real joint",
+    "no realization preserves it: a simulated command may accelerate faster than the real joint",
     "bound the commands where they are made, or give the controller in twin.yaml this limit",
 )
 QUATERNION = Destination(
@@ -76,25 +76,25 @@ QUATERNION = Destination(
 INTERFACES = Destination(
     "controller interfaces",
     "controllers.interface_setting",
-    "no realization carries it: the driver of the real robot obeys it",
+    "no realization preserves it: the driver of the real robot obeys it",
     "give the controller in twin.yaml the same limits, rates and initial values",
 )
 SIMULATOR = Destination(
     "simulator settings",
     "controllers.simulator_setting",
-    "it binds in Gazebo alone: the same robot moves differently in another simulator",
+    "only Gazebo applies it: the same robot moves differently in another simulator",
     "state it in the model of each simulator, or remove it",
 )
 PLANNING = Destination(
     "planning settings",
     "controllers.planning_setting",
-    "it belongs into an SRDF: no realization carries it",
+    "it belongs in an SRDF: no realization preserves it",
     "move it into the SRDF; state poses and excluded pairs in the twin where goldens need them",
 )
 DESCRIPTION = Destination(
     "descriptive elements",
     "controllers.descriptive",
-    "no realization carries it; nothing that moves depends on it",
+    "no realization preserves it; nothing that moves depends on it",
     "nothing, unless a tool of yours reads it",
 )
 
@@ -106,10 +106,10 @@ class Entry:
     Attributes:
         path: below ``robot``, ``joint/limit``.
         attribute: its name, :data:`TEXT` for the element's text, None for the element itself.
-        sample: a value that it may have, other than its default.
-        goes: where.
-        neutral: a value that changes nothing, None where every value counts.
-        is_physical: whether a robot moves differently without it.
+        sample: a valid value other than its default.
+        goes: how realizations represent it.
+        neutral: a value without effect, None if every value has an effect.
+        is_physical: whether it affects the robot's motion.
     """
 
     path: str
@@ -121,13 +121,13 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """``joint/limit@lower``, or the path alone."""
+        """Return ``path@attribute``, such as ``joint/limit@lower``, or only the path."""
         alone = self.attribute in (None, TEXT)
         return self.path if alone else f"{self.path}@{self.attribute}"
 
 
 def _attributes(path: str, goes: Destination, values: str, *, physics: bool = False) -> list[Entry]:
-    """Entries of one element from ``name=value; name=value``."""
+    """Build entries of one element from ``name=value; name=value``."""
     found = []
     for pair in values.split(";"):
         name, _, value = pair.strip().partition("=")
@@ -138,7 +138,7 @@ def _attributes(path: str, goes: Destination, values: str, *, physics: bool = Fa
 def _texts(
     path: str, goes: Destination, values: str, *, physics: bool = False, neutral: str | None = None
 ) -> list[Entry]:
-    """Entries of child elements with text, from ``tag=value; tag=value``."""
+    """Build entries of child elements with text, from ``tag=value; tag=value``."""
     found = []
     for pair in values.split(";"):
         name, _, value = pair.strip().partition("=")
@@ -407,13 +407,13 @@ ENTRIES: tuple[Entry, ...] = (
 
 @cache
 def by_path() -> dict[tuple[str, str | None], Entry]:
-    """(path, attribute) -> its entry."""
+    """Return (path, attribute) -> its entry."""
     return {(entry.path, entry.attribute): entry for entry in ENTRIES}
 
 
 @cache
 def known_paths() -> frozenset[str]:
-    """Every path that the table names, and those above them."""
+    """Return all paths of the table and their parents."""
     found: set[str] = set()
     for entry in ENTRIES:
         parts = entry.path.removesuffix("/**").removesuffix("/*").split("/")

@@ -75,7 +75,7 @@ def test_a_changed_source_is_named(
     words = change(asset)
     lines = said(asset)
     assert len(lines) == 1
-    assert f"the source asset is not what was taken in: {words}" in lines[0]
+    assert f"the source asset has changed since intake: {words}" in lines[0]
     # The gate takes whatever speaks against the twin as a reason to refuse.
     with Sandbox() as sandbox:
         problems = look_around(load_twin(asset.parent / "twin.yaml"), [], sandbox).problems

@@ -62,7 +62,7 @@ def test_every_change_says_where_from_what_to_what_and_why(tmp_path: Path) -> No
     assert mesh.before == "package://arm_description/meshes/part.stl"
     assert "scale 0.001 0.001 0.001 is applied to its vertices, in metres" in mesh.why
     other = next(c for c in found.changes if c.after == "meshes/part_2.obj")
-    assert "its unit is applied to its vertices; its materials are left out" in other.why
+    assert "its unit is applied to its vertices; its materials are omitted" in other.why
     assert "its up axis is Y_UP" in other.why
 
 
@@ -134,7 +134,7 @@ def test_a_lost_visual_is_logged_and_a_lost_collision_refused(tmp_path: Path) ->
     found = made(source, tmp_path / "out")
     gone = next(change for change in found.changes if change.after is None)
     assert gone.before == "mesh package://arm_description/meshes/part.dae"
-    assert gone.why == "no such file; a visual mesh is left out"
+    assert gone.why == "no such file; the visual mesh is omitted"
     (source.parents[1] / "meshes/part.stl").unlink()
     with pytest.raises(PathError, match="no such file") as caught:
         made(source, tmp_path / "again")

@@ -163,7 +163,7 @@ def test_an_asset_that_was_taken_in_is_not_replaced(
     assert main(["intake", str(urdf.parents[1]), "--out", str(taken)]) == 0
     before = (taken / "manifest.json").read_text()
     assert main(["realize", str(urdf), "--out", str(taken)]) == 2
-    assert "another asset was taken in there" in capsys.readouterr().err
+    assert "the folder contains another asset" in capsys.readouterr().err
     assert (taken / "manifest.json").read_text() == before
 
 

@@ -123,9 +123,7 @@ def test_a_mimic_of_no_joint_couples_nothing_and_is_critical(tmp_path: Path) -> 
     path = robot(tmp_path, mimic='<mimic joint="nowhere"/>')
     assert load(path).model.neq == 0
     made = realized(path, tmp_path / "made")
-    assert made["critical"] == [
-        "joint 'k'.mimic: it is to follow a joint that is not there (nowhere)"
-    ]
+    assert made["critical"] == ["joint 'k'.mimic: it follows a joint that does not exist (nowhere)"]
     assert audit_file(str(path))["verdict"] == "critical"
 
 

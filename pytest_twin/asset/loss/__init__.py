@@ -1,1 +1,1 @@
-"""The semantic-loss matrix: what a conversion keeps, changes and loses."""
+"""The semantic-loss matrix: features that a conversion keeps, changes or loses."""

@@ -1,4 +1,4 @@
-"""Kinematics and dynamics of a robot, measured before and after a conversion."""
+"""Compare kinematics and dynamics of a robot before and after a conversion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Vector = NDArray[np.float64]
 _STEP = 0.1
 _PARALLEL = 1e-12
 _LEAST_MASS = 1e-6
-"""kg: a robot whose masses are placeholders has no centre of mass to compare."""
+"""kg: a lighter robot has placeholder masses, so its centre of mass is not compared."""
 
 
 def rows(
@@ -28,11 +28,13 @@ def rows(
     by: str,
     poses: list[dict[str, float]],
 ) -> Iterable[Row]:
-    """Poses, directions, mass, gravity torque, mass matrix and default state.
+    """Yield rows on poses, directions, mass, gravity torque, mass matrix and default state.
 
     Args:
-        reference: the source robot in another engine than the target's; ``by`` names it.
-        poses: configurations, rad and m by joint.
+        source, target: the robot before and after the conversion.
+        reference: the source robot in a different engine than the target's.
+        by: name of the reference engine.
+        poses: configurations: joint -> rad or m.
     """
     ran = f"{by} against {target.engine} at {len(poses)} configurations"
     frames = [name for name in reference.frames if name in target.dynamics.frames]
@@ -76,7 +78,7 @@ def rows(
 
 
 def turned(first: Vector, second: Vector) -> float:
-    """Angle between two rotations, accurate for small angles, rad."""
+    """Return the angle between two (3, 3) rotations, accurate for small angles, rad."""
     chord = float(np.linalg.norm(first[:3, :3] - second[:3, :3])) / math.sqrt(8.0)
     return 2.0 * math.asin(min(1.0, chord))
 
@@ -84,7 +86,7 @@ def turned(first: Vector, second: Vector) -> float:
 def _orders(
     first: Dynamics, second: Dynamics, shared: Mapping[str, float]
 ) -> tuple[list[int], list[int]]:
-    """Indices of the shared joints in the two orders."""
+    """Return the indices of the shared joints in both orders."""
     return (
         [first.joints.index(name) for name in shared],
         [second.joints.index(name) for name in shared],
@@ -93,7 +95,7 @@ def _orders(
 
 @dataclass(frozen=True, slots=True)
 class _Difference:
-    """Of two quantities, in ``unit``; it is exact up to 1e-9 of ``scale``."""
+    """Difference of two quantities, in ``unit``; below 1e-9 of ``scale`` it counts as exact."""
 
     value: float
     unit: str
@@ -114,7 +116,7 @@ def _measured(
     shown = after or before
     if verdict == "changed" and after is None:
         shown = f"{before}, off by up to {difference:.3g} {unit}"
-    # NaN compares as false, and so counts as beyond the tolerance.
+    # A comparison with NaN is False, so NaN exceeds the tolerance.
     critical = not difference <= SINGLE * scale
     if not math.isfinite(difference):
         verdict, critical = "changed", True
@@ -124,7 +126,7 @@ def _measured(
 
 
 def _directions(source: Description, target: Description, reference: Dynamics, by: str) -> Row:
-    """The screw axis of the motion when each joint is moved alone from zero."""
+    """Compare the screw axis of the motion when each joint moves alone from zero."""
     shared = [name for name in reference.joints if name in target.dynamics.joints]
     frames = [name for name in reference.frames if name in target.dynamics.frames]
     home_one, home_two = reference.poses({}), target.dynamics.poses({})
@@ -154,7 +156,7 @@ def _directions(source: Description, target: Description, reference: Dynamics, b
 
 
 def _screw(motion: Vector) -> Vector | None:
-    """Unit direction of a motion: of its rotation, else its translation; None without motion."""
+    """Return the unit direction of a motion's rotation, else of its translation, else None."""
     skew = motion[:3, :3] - motion[:3, :3].T
     axis = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
     length = float(np.linalg.norm(axis))

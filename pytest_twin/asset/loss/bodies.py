@@ -1,4 +1,4 @@
-"""Rows about bodies: mass, frames, shapes, contact and sensors."""
+"""Rows of the loss matrix on bodies: mass, frames, shapes, contact and sensors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Vector = NDArray[np.float64]
 
 
 def links(source: Description, target: Description) -> Row:
-    """Mass, centre of mass and inertia of each body."""
+    """Compare mass, centre of mass and inertia of each body."""
     massive = {name for name, link in source.links.items() if link.mass or link.inertia.any()}
     items = []
     for name in sorted(massive | set(target.links)):
@@ -58,9 +58,9 @@ def links(source: Description, target: Description) -> Row:
 
 
 def _moved_away(source: Description, target: Description) -> bool:
-    """Whether the summed inertia of a group of fixed links differs from before.
+    """Whether the total inertia of a rigid group of links changed.
 
-    A conversion may merge such links, which changes no motion.
+    A conversion may merge such links, which does not change the motion.
     """
     if not target.links:
         return False
@@ -93,7 +93,7 @@ def _moved_away(source: Description, target: Description) -> bool:
 
 
 def _moments(link: LinkFacts, pose: Vector) -> Vector:
-    """(4, 4) pseudo-inertia in another frame; it is additive over bodies (Wensing et al., 2018)."""
+    """Return the (4, 4) pseudo-inertia in another frame; it is additive (Wensing et al., 2018)."""
     second = np.trace(link.inertia) / 2 * np.eye(3) - link.inertia
     matrix = np.zeros((4, 4))
     matrix[:3, :3] = second + link.mass * np.outer(link.com, link.com)
@@ -104,7 +104,7 @@ def _moments(link: LinkFacts, pose: Vector) -> Vector:
 
 
 def frames(source: Description, target: Description) -> Row:
-    """Every link has a pose in the target."""
+    """Compare the frames that have a pose in the target with the source's links."""
     missing = sorted(set(source.dynamics.frames) - set(target.dynamics.frames))
     items = [Item(name, "lost", "a frame", None) for name in missing]
     count = len(source.dynamics.frames)
@@ -119,7 +119,7 @@ def frames(source: Description, target: Description) -> Row:
 
 
 def shapes(source: Description, target: Description) -> Row:
-    """Kind and place of every collision shape, link by link."""
+    """Compare kind and position of every collision shape, link by link."""
     items = []
     for link in sorted(set(source.shapes) | set(target.shapes)):
         before, after = source.shapes.get(link, ()), target.shapes.get(link, ())
@@ -144,7 +144,7 @@ def shapes(source: Description, target: Description) -> Row:
 
 
 def disabled_pairs(source: Description, target: Description) -> Row:
-    """Pairs of links whose collision is disabled."""
+    """Compare the pairs of links whose collision is disabled."""
     fresh = target.disabled_pairs - source.disabled_pairs
     lost = source.disabled_pairs - target.disabled_pairs
     items = [Item(_pair(pair), "lost", "disabled", None) for pair in sorted(map(sorted, lost))]
@@ -167,7 +167,7 @@ def _pair(pair: Iterable[str]) -> str:
 
 
 def contact(source: Description, target: Description) -> Row:
-    """Contact parameters, stated or by default."""
+    """Compare contact parameters, stated or default."""
     stated = {name: f"{count} times" for name, count in source.contact.items()}
     held = {name: f"{count} shapes" for name, count in target.contact.items()}
     items = [Item(name, "lost", value, None) for name, value in stated.items()]
@@ -187,7 +187,7 @@ def contact(source: Description, target: Description) -> Row:
 
 
 def sensors(source: Description, target: Description) -> Row:
-    """Frames of sensors, and whether the target has a signal there."""
+    """Compare frames of sensors, and check for a signal in the target."""
     items = []
     for name, kind in source.sensors.items():
         held = target.sensors.get(name)

@@ -1,4 +1,4 @@
-"""Comparison of two forms of a robot, feature by feature; both are compiled already."""
+"""Compare two compiled forms of a robot, feature by feature."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ _REACH = math.pi
 def compare(
     source: Description, target: Description, reference: Dynamics, reference_name: str
 ) -> Conversion:
-    """Every row of one conversion.
+    """Compute all rows of one conversion.
 
     Args:
-        reference: the source robot in another engine than the target's.
-        reference_name: its name.
+        source, target: the robot before and after the conversion.
+        reference: the source robot in a different engine than the target's.
+        reference_name: name of that engine.
     """
     poses = configurations(source, reference, target.dynamics)
     rows = [
@@ -69,9 +70,9 @@ def compare(
 def configurations(
     source: Description, *dynamics: Dynamics, count: int = POSES
 ) -> list[dict[str, float]]:
-    """Zeros, and ``count`` random configurations within the limits that satisfy every mimic.
+    """Return zeros and ``count`` random configurations within limits and mimic laws, rad or m.
 
-    Only joints that all of ``dynamics`` have are given a value.
+    Only joints that exist in all ``dynamics`` get a value.
     """
     shared = [name for name in source.dynamics.joints if all(name in d.joints for d in dynamics)]
     generator = np.random.default_rng(20240229)

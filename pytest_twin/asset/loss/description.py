@@ -1,4 +1,4 @@
-"""One description for every form of a robot: URDF, MJCF, USD, Pinocchio."""
+"""A common description of a robot for all forms: URDF, MJCF, USD, Pinocchio."""
 
 from __future__ import annotations
 
@@ -15,43 +15,44 @@ Vector = NDArray[np.float64]
 
 
 class Dynamics(Protocol):
-    """Kinematics and dynamics of a robot; joint values in rad or m, 0 where left out.
+    """Kinematics and dynamics of a robot; joint values in rad or m, 0 if omitted.
 
-    Poses and positions are in the root link. Joints with one degree of freedom alone count.
+    Poses and positions are in the root link's frame. Only joints with one degree of freedom are
+    included.
     """
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints of one degree of freedom."""
+        """Return the joints with one degree of freedom."""
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Links and frames that have a pose."""
+        """Return the links and frames that have a pose."""
 
     def poses(self, q: Mapping[str, float]) -> Mapping[str, Vector]:
-        """``transform_root_to_frame`` (4, 4) of every frame."""
+        """Return ``transform_root_to_frame`` (4, 4) of every frame."""
 
     def mass(self) -> float:
-        """kg."""
+        """Return the total mass, kg."""
 
     def center_of_mass(self, q: Mapping[str, float]) -> Vector:
-        """(3,) m."""
+        """Return the (3,) centre of mass in the root frame, m."""
 
     def gravity_torque(self, q: Mapping[str, float]) -> Vector:
-        """(n,) N*m or N that hold the joints against gravity, in the order of ``joints``."""
+        """Return (n,) efforts that hold the joints against gravity, N*m or N, as ``joints``."""
 
     def mass_matrix(self, q: Mapping[str, float]) -> Vector:
-        """(n, n) in the order of ``joints``."""
+        """Return the (n, n) joint-space mass matrix in the order of ``joints``, SI units."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkFacts:
-    """A body of its own.
+    """Inertial properties of a body.
 
     Attributes:
-        mass: kg.
-        com: (3,) in the link, m.
-        inertia: (3, 3) about that centre, link axes, kg*m^2.
+        mass: mass, kg.
+        com: (3,) centre of mass in the link's frame, m.
+        inertia: (3, 3) about the centre of mass, link axes, kg*m^2.
     """
 
     mass: float
@@ -61,14 +62,16 @@ class LinkFacts:
 
 @dataclass(frozen=True, slots=True)
 class JointFacts:
-    """A joint that moves.
+    """Properties of a moving joint.
 
     Attributes:
         kind: ``hinge``, ``slide``, ``free``, ``planar``.
-        range: (lower, upper) rad or m, None where it is unlimited.
-        velocity: limit, rad/s or m/s; effort: limit, N*m or N; None without a limit.
-        damping: N*m*s/rad or N*s/m; friction: N*m or N.
-        default: position of the loaded model, rad or m.
+        range: (lower, upper), rad or m; None if unlimited.
+        velocity: velocity limit, rad/s or m/s; None if unlimited.
+        effort: effort limit, N*m or N; None if unlimited.
+        damping: viscous friction, N*m*s/rad or N*s/m.
+        friction: Coulomb friction, N*m or N.
+        default: position in the model's default state, rad or m.
     """
 
     kind: str
@@ -82,22 +85,24 @@ class JointFacts:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """One form of a robot.
+    """Description of one form of a robot.
 
     Attributes:
-        name: ``MJCF``; engine: what read it.
-        links: those with a body of their own.
-        joints: those that move.
+        name: name of the form, such as ``MJCF``.
+        engine: parser or simulator that read it.
+        dynamics: its kinematics and dynamics.
+        links: links that have their own body.
+        joints: moving joints.
         independent: degrees of freedom less those that couplings remove.
         actuators: actuator -> (joint, gear, force range in N*m or N or None).
-        drives: joint -> feedback of its actuator, in words (gains, bounds).
+        drives: joint -> description of its actuator's feedback (gains, limits).
         mimics: follower -> (leader, multiplier, offset in rad or m).
-        constraints: other constraints and tendons, each in words.
+        constraints: descriptions of other constraints and tendons.
         shapes: link -> its collision shapes, sorted by position.
         disabled_pairs: pairs of links whose collision is disabled.
-        contact: contact parameters, in words -> count of shapes.
+        contact: description of contact parameters -> number of shapes.
         sensors, transmissions, safety, custom: name -> description.
-        stated: row of the matrix -> element -> value, by the table of URDF elements.
+        stated: row of the loss matrix -> element -> value, from the table of URDF elements.
     """
 
     name: str
@@ -121,10 +126,10 @@ class Description:
 
     @property
     def driven(self) -> frozenset[str]:
-        """Joints that an actuator acts on."""
+        """Return the joints with an actuator."""
         return frozenset(joint for joint, _, _ in self.actuators.values())
 
     @property
     def passive(self) -> frozenset[str]:
-        """Joints that neither an actuator nor a mimic moves."""
+        """Return the joints without actuator and mimic."""
         return frozenset(self.joints) - self.driven - frozenset(self.mimics)

@@ -1,4 +1,4 @@
-"""The description of an MJCF, from the compiled model and from its behaviour."""
+"""Describe an MJCF by its compiled model and simulated behaviour."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _OVERDRIVEN = 1e9
 
 
 class MujocoDynamics:
-    """Kinematics and dynamics of a compiled model by name, without contacts."""
+    """Kinematics and dynamics of a compiled model, without contacts, indexed by name."""
 
     def __init__(self, model: mujoco.MjModel, root: str) -> None:
         self.model = model
@@ -44,12 +44,12 @@ class MujocoDynamics:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Hinges and slides, in model order."""
+        """Return hinges and slides, in model order."""
         return tuple(self._joints)
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Bodies."""
+        """Return the bodies."""
         return tuple(self._bodies)
 
     def _at(self, q: Mapping[str, float]) -> mujoco.MjData:
@@ -67,17 +67,17 @@ class MujocoDynamics:
         return pose
 
     def poses(self, q: Mapping[str, float]) -> dict[str, Vector]:
-        """``transform_root_to_frame`` (4, 4) of every body."""
+        """Return ``transform_root_to_frame`` (4, 4) of every body."""
         data = self._at(q)
         back = inverse(self._pose(data, self._bodies[self._root]))
         return {name: back @ self._pose(data, body) for name, body in self._bodies.items()}
 
     def mass(self) -> float:
-        """kg, static bodies included."""
+        """Return the total mass, static bodies included, kg."""
         return float(self.model.body_mass.sum())
 
     def center_of_mass(self, q: Mapping[str, float]) -> Vector:
-        """(3,) m, static bodies included."""
+        """Return the (3,) centre of mass, static bodies included, m."""
         data, total = self._at(q), self.mass()
         moment = self.model.body_mass @ data.xipos
         world = moment / total if total > 0 else np.zeros(3)
@@ -87,14 +87,14 @@ class MujocoDynamics:
         return [int(self.model.jnt_dofadr[i]) for i in self._joints.values()]
 
     def gravity_torque(self, q: Mapping[str, float]) -> Vector:
-        """(n,) N*m or N: the bias force at rest."""
+        """Return the (n,) bias forces at rest, N*m or N."""
         data = self._at(q)
         data.qvel[:] = 0.0
         mujoco.mj_fwdVelocity(self.model, data)
         return np.array(data.qfrc_bias[self._columns()])
 
     def mass_matrix(self, q: Mapping[str, float]) -> Vector:
-        """(n, n), armature included."""
+        """Return the (n, n) mass matrix, armature included."""
         data = self._at(q)
         mujoco.mj_crb(self.model, data)
         full = np.zeros((self.model.nv, self.model.nv))
@@ -104,9 +104,10 @@ class MujocoDynamics:
 
 
 def describe(model: mujoco.MjModel, root: str) -> Description:
-    """The description of a compiled model.
+    """Describe a compiled model.
 
     Args:
+        model: the compiled model.
         root: the link that is fixed to the world.
     """
     actuators = _actuators(model)
@@ -194,7 +195,7 @@ def _actuators(
 
 
 def _saturated_effort(model: mujoco.MjModel) -> dict[str, float]:
-    """Joint -> largest force of its actuators, with every control beyond its bounds."""
+    """Return joint -> largest force of its actuators, with every control beyond its limits."""
     data = mujoco.MjData(model)
     found: dict[str, float] = {}
     for sign in (1.0, -1.0):
@@ -210,7 +211,7 @@ def _saturated_effort(model: mujoco.MjModel) -> dict[str, float]:
 
 
 def _sensors(model: mujoco.MjModel) -> dict[str, str]:
-    """Site -> the sensors on it; ``site`` where it has none."""
+    """Return site -> its sensors; ``site`` if it has none."""
     found: dict[str, list[str]] = {
         _name(model, mujoco.mjtObj.mjOBJ_SITE, site): [] for site in range(model.nsite)
     }
@@ -223,7 +224,7 @@ def _sensors(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def _drives(model: mujoco.MjModel) -> dict[str, str]:
-    """Actuators whose force depends on the joint's position or velocity."""
+    """Return joint -> feedback of its actuator on position or velocity."""
     found = {}
     for name, (joint, _, _) in _actuators(model).items():
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
@@ -250,7 +251,7 @@ class _without_contact:  # noqa: N801
 def _equalities(
     model: mujoco.MjModel,
 ) -> tuple[dict[str, tuple[str, float, float]], int, tuple[str, ...]]:
-    """Mimics by their constraint residuals, rank of all equalities, and other constraints."""
+    """Return mimics from constraint residuals, rank of all equalities, and other constraints."""
     mimics: dict[str, tuple[str, float, float]] = {}
     others = []
     if not model.neq:
@@ -319,7 +320,7 @@ def _shape(model: mujoco.MjModel, geom: int) -> Shape:
 
 
 def _disabled(model: mujoco.MjModel, geoms: Mapping[str, list[int]]) -> frozenset[frozenset[str]]:
-    """Pairs of bodies with shapes whose collision MuJoCo disables."""
+    """Return pairs of bodies with shapes whose collision MuJoCo disables."""
     excluded = {int(signature) for signature in model.exclude_signature}
     parents = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     found = set()

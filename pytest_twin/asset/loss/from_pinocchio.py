@@ -1,4 +1,4 @@
-"""The description of a URDF by Pinocchio's parser and algorithms."""
+"""Describe a URDF as read by Pinocchio."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Vector = NDArray[np.float64]
 
 
 class PinocchioDynamics:
-    """Kinematics and dynamics of a Pinocchio model by the names of the URDF."""
+    """Kinematics and dynamics of a Pinocchio model, indexed by names of the URDF."""
 
     def __init__(self, model: pin.Model, root: str) -> None:
         self.model = model
@@ -40,12 +40,12 @@ class PinocchioDynamics:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints of one degree of freedom, as Pinocchio orders them."""
+        """Return joints with one degree of freedom, in Pinocchio's order."""
         return tuple(self._ids)
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Links."""
+        """Return the links."""
         return tuple(self._frames)
 
     def _configuration(self, q: Mapping[str, float]) -> Vector:
@@ -59,16 +59,16 @@ class PinocchioDynamics:
         return full
 
     def poses(self, q: Mapping[str, float]) -> dict[str, Vector]:
-        """``transform_root_to_frame`` (4, 4) of every link."""
+        """Return ``transform_root_to_frame`` (4, 4) of every link."""
         pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
         return {name: self._data.oMf[i].homogeneous for name, i in self._frames.items()}
 
     def mass(self) -> float:
-        """kg, static links included."""
+        """Return the total mass, static links included, kg."""
         return float(sum(inertia.mass for inertia in self.model.inertias))
 
     def center_of_mass(self, q: Mapping[str, float]) -> Vector:
-        """(3,) m, static links included."""
+        """Return the (3,) centre of mass, static links included, m."""
         pin.forwardKinematics(self.model, self._data, self._configuration(q))
         moment = np.zeros(3)
         for placement, inertia in zip(self._data.oMi, self.model.inertias, strict=True):
@@ -80,12 +80,12 @@ class PinocchioDynamics:
         return [self.model.joints[i].idx_v for i in self._ids.values()]
 
     def gravity_torque(self, q: Mapping[str, float]) -> Vector:
-        """(n,) N*m or N."""
+        """Return (n,) efforts that hold the joints against gravity, N*m or N."""
         torque = pin.computeGeneralizedGravity(self.model, self._data, self._configuration(q))
         return np.asarray(torque[self._columns()])
 
     def mass_matrix(self, q: Mapping[str, float]) -> Vector:
-        """(n, n)."""
+        """Return the (n, n) mass matrix."""
         matrix = np.array(pin.crba(self.model, self._data, self._configuration(q)))
         matrix = np.triu(matrix) + np.triu(matrix, 1).T
         columns = self._columns()
@@ -93,10 +93,10 @@ class PinocchioDynamics:
 
 
 def reference(robot: Robot) -> PinocchioDynamics:
-    """The rigid bodies of a URDF, without shapes, in Pinocchio.
+    """Load the rigid bodies of a URDF, without shapes, in Pinocchio.
 
     Raises:
-        ModelError: Pinocchio refuses it.
+        ModelError: Pinocchio refuses the URDF.
     """
     try:
         return PinocchioDynamics(pin.buildModelFromXML(dynamics_text(robot.node)), robot.root)
@@ -106,10 +106,10 @@ def reference(robot: Robot) -> PinocchioDynamics:
 
 
 def describe(path: Path, robot: Robot) -> Description:
-    """The robot as ``pinocchio.buildModelFromUrdf`` loads the normalized URDF.
+    """Describe the normalized URDF as loaded by ``pinocchio.buildModelFromUrdf``.
 
     Raises:
-        ModelError: Pinocchio refuses it.
+        ModelError: Pinocchio refuses the URDF.
     """
     try:
         model = pin.buildModelFromUrdf(str(path))
@@ -168,7 +168,7 @@ def _bound(value: float) -> float | None:
 
 def _shape(shape: pin.GeometryObject, link: pin.SE3) -> Shape:
     geometry = shape.geometry
-    # Both stand in the joint's frame.
+    # Both placements are relative to the joint's frame.
     pose = (link.inverse() * shape.placement).homogeneous
     if isinstance(geometry, coal.Box):
         return shapes.of_box(2 * np.asarray(geometry.halfSide), pose)

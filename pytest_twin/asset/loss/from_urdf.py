@@ -1,4 +1,4 @@
-"""The description of a URDF, from its text."""
+"""Describe a URDF by its text."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ _KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "flo
 
 
 def describe(robot: Robot, extras: Extras, meshes: Mapping[str, Vector]) -> Description:
-    """The description of a URDF.
+    """Describe a URDF.
 
     Args:
+        robot: the robot.
         extras: transmissions, sensors, contact and custom tags of its file.
-        meshes: file name of a collision mesh, as written -> vertices (n, 3) without its scale, m.
+        meshes: file name of a collision mesh, as written -> (n, 3) unscaled vertices, m.
     """
     joints = {
         joint.name: JointFacts(
@@ -92,7 +93,7 @@ def describe(robot: Robot, extras: Extras, meshes: Mapping[str, Vector]) -> Desc
 
 
 def _idle_ranges(robot: Robot) -> dict[str, dict[str, str]]:
-    """Ranges of continuous joints: they bind in no engine, and no realization holds them."""
+    """Return ranges of continuous joints, which no engine applies and no realization preserves."""
     found = {}
     for joint in robot.joints.values():
         limit = joint.node.find("limit")

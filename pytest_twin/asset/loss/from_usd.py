@@ -1,4 +1,4 @@
-"""The description of a USD stage with UsdPhysics."""
+"""Describe a USD stage with UsdPhysics."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ _KINDS = {"revolute": "hinge", "prismatic": "slide"}
 
 
 def describe(path: Path, floating: Iterable[str] = ()) -> Description:
-    """The robot of a stage.
+    """Describe the robot of a stage.
 
     Args:
-        floating: links that no joint holds, and that the source moves freely.
+        path: the stage.
+        floating: links without a joint that move freely in the source.
     """
     robot = usd_read.read(path)
     joints = {

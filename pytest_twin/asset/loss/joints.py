@@ -1,4 +1,4 @@
-"""Rows about joints: kinds, limits, actuators, couplings."""
+"""Rows of the loss matrix on joints: kinds, limits, actuators, couplings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_twin.asset.loss.table import EXACT, SINGLE, alike, most, numbers, so
 
 
 def joints(source: Description, target: Description) -> Row:
-    """Kind of every moving joint."""
+    """Compare the kind of every moving joint."""
     items = []
     for name, facts in source.joints.items():
         if name not in target.joints:
@@ -38,7 +38,7 @@ def joints(source: Description, target: Description) -> Row:
 
 
 def independent(source: Description, target: Description) -> Row:
-    """Degrees of freedom less those that couplings remove."""
+    """Compare degrees of freedom minus those that couplings remove."""
     verdict: Verdict = "kept" if source.independent == target.independent else "changed"
     return Row(
         "independent degrees of freedom",
@@ -50,7 +50,7 @@ def independent(source: Description, target: Description) -> Row:
 
 
 def passive(source: Description, target: Description) -> Row:
-    """Joints without actuator and mimic."""
+    """Compare joints without actuator and mimic."""
     items = [
         Item(name, "changed", "driven", "passive")
         for name in sorted((target.passive - source.passive) & set(source.joints))
@@ -69,7 +69,7 @@ def passive(source: Description, target: Description) -> Row:
 
 
 def actuators(source: Description, target: Description) -> Row:
-    """Joint, gear and force range of each actuator."""
+    """Compare joint, gear and force range of each actuator."""
     items = []
     held = {joint: (gear, bound) for joint, gear, bound in target.actuators.values()}
     for joint, gear, bound in source.actuators.values():
@@ -93,7 +93,7 @@ def _actuator(gear: float, bound: tuple[float, float] | None) -> str:
 
 
 def limits(source: Description, target: Description) -> Iterable[Row]:
-    """Rows of position, velocity and effort limits."""
+    """Yield rows for position, velocity and effort limits."""
     readers: dict[str, tuple[Callable[[JointFacts], Any], str, str]] = {
         "position limits": (lambda facts: facts.range, "rad or m", "range of each joint"),
         "velocity limits": (lambda f: f.velocity, "rad/s or m/s", "velocity limit of each joint"),
@@ -147,7 +147,7 @@ def _value(value: Any, unit: str) -> str | None:
 
 
 def passive_terms(source: Description, target: Description) -> Row:
-    """Damping and friction of each joint."""
+    """Compare damping and friction of each joint."""
     items = []
     stated = 0
     for name, facts in source.joints.items():
@@ -172,7 +172,7 @@ def passive_terms(source: Description, target: Description) -> Row:
 
 
 def mimics(source: Description, target: Description) -> Row:
-    """Law of each mimic; a changed law is critical."""
+    """Compare the law of each mimic; a changed law is critical."""
     items = []
     for name, law in source.mimics.items():
         held = target.mimics.get(name)
@@ -201,7 +201,7 @@ def _law(law: tuple[str, float, float]) -> str:
 
 
 def constraints(source: Description, target: Description) -> Row:
-    """Tendons and constraints other than mimics."""
+    """Compare tendons and constraints other than mimics."""
     before, after = list(source.constraints), list(target.constraints)
     items = [Item(word, "lost", word, None) for word in before if word not in after]
     items += [Item(word, "changed", None, word) for word in after if word not in before]
@@ -216,7 +216,7 @@ def constraints(source: Description, target: Description) -> Row:
 
 
 def transmissions(source: Description, target: Description) -> Row:
-    """Gear of each actuator with a transmission."""
+    """Compare the gear of each actuator with a transmission."""
     items = []
     for joint, words in source.transmissions.items():
         if joint not in target.transmissions:

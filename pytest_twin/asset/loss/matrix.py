@@ -1,4 +1,4 @@
-"""The semantic-loss matrix: its data types."""
+"""Data types of the semantic-loss matrix."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 Verdict = Literal["kept", "changed", "lost", "none"]
-"""``none``: neither side has any."""
+"""``none`` means that neither side has the feature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +15,7 @@ class Item:
     """One named element that was changed or lost.
 
     Attributes:
-        before, after: values on both sides with units; None where a side has none.
+        before, after: values before and after the conversion, with units; None if absent.
     """
 
     name: str
@@ -29,12 +29,12 @@ class Row:
     """One feature of one conversion.
 
     Attributes:
-        before, after: summaries of both sides.
+        before, after: summaries before and after the conversion.
         comparison: how both sides were compared.
         difference: the largest measured difference, in ``unit``; None without a measurement.
         tolerance: largest difference that counts as kept.
         items: elements that were changed or lost.
-        critical: the realization cannot be trusted.
+        critical: whether the loss makes the realization unusable.
     """
 
     feature: str
@@ -54,8 +54,8 @@ class Conversion:
     """One conversion.
 
     Attributes:
-        problem: why the realization does not exist; ``rows`` is then empty.
-        critical: whether the problem fails the asset; a missing extra does not.
+        problem: reason why the realization does not exist; ``rows`` is then empty.
+        critical: whether the problem is a failure; a missing optional package is not.
     """
 
     source: str
@@ -68,7 +68,7 @@ class Conversion:
 
 @dataclass(frozen=True, slots=True)
 class Matrix:
-    """Every conversion of one asset."""
+    """All conversions of one asset."""
 
     robot: str
     source: str
@@ -76,7 +76,7 @@ class Matrix:
 
     @property
     def critical(self) -> list[str]:
-        """Critical problems and rows, one line each."""
+        """Return critical problems and rows, one line of text each."""
         found = []
         for conversion in self.conversions:
             name = f"{conversion.source} -> {conversion.target}"
@@ -95,6 +95,6 @@ class Matrix:
 
 
 def worst(verdicts: Sequence[Verdict]) -> Verdict:
-    """The most severe verdict, in the order lost, changed, kept, none."""
+    """Return the most severe verdict, in the order lost, changed, kept, none."""
     order: tuple[Verdict, ...] = ("lost", "changed", "kept", "none")
     return min(verdicts, key=order.index, default="none")

@@ -1,4 +1,4 @@
-"""The semantic-loss matrix as Markdown and HTML."""
+"""Write the semantic-loss matrix as Markdown and HTML."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pytest_twin.asset.loss.matrix import Matrix, Row
 
 
 def features(matrix: Matrix) -> list[str]:
-    """Every feature that a row has, in order."""
+    """Return all features, in the order of the rows."""
     return list(dict.fromkeys(row.feature for held in matrix.conversions for row in held.rows))
 
 
 def measured(row: Row) -> str:
-    """The measured difference and its tolerance."""
+    """Return the measured difference and its tolerance as text."""
     if row.difference is None or row.tolerance is None:
         return ""
     return f"{row.difference:.2g} {row.unit}, kept up to {row.tolerance:.2g}"
 
 
 def markdown(matrix: Matrix) -> str:
-    """A table of verdicts, then one table for each conversion."""
+    """Return a table of verdicts and one table for each conversion as Markdown."""
     say = escape_markdown
     lines = [f"# Semantic loss of {say(matrix.robot)}", ""]
     lines += [f"Fails: {say(line)}" for line in matrix.critical] + [""] * bool(matrix.critical)
@@ -74,7 +74,7 @@ def _verdict(row: Row) -> str:
 
 
 def html(matrix: Matrix) -> str:
-    """A self-contained page."""
+    """Return the matrix as a self-contained HTML page."""
     return _template().render(
         matrix=matrix,
         features=features(matrix),

@@ -1,4 +1,4 @@
-"""A collision shape in a form that every simulator can give: kind and bounding box."""
+"""Describe a collision shape by kind and bounding box, which every simulator provides."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Shape:
         return f"{self.kind}, {size} m around {centre}"
 
     def apart(self, other: Shape) -> float:
-        """Largest distance between corners of the two boxes along an axis, m."""
+        """Return the largest distance between corners of the two boxes along an axis, m."""
         return float(
             max(np.abs(self.lower - other.lower).max(), np.abs(self.upper - other.upper).max())
         )
@@ -63,7 +63,7 @@ def of_round(kind: str, radius: float, length: float, pose: Vector) -> Shape:
 
 
 def in_order(shapes: list[Shape]) -> tuple[Shape, ...]:
-    """Shapes sorted by position, rounded to 0.1 mm, so that two lists can be compared."""
+    """Sort shapes by position, rounded to 0.1 mm, so that two lists can be compared."""
     return tuple(
         sorted(shapes, key=lambda s: (*np.round(s.lower, 4), *np.round(s.upper, 4), s.kind))
     )

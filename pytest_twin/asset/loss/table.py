@@ -1,4 +1,4 @@
-"""Rows of the matrix, and their tolerances."""
+"""Build rows of the loss matrix; tolerances of the comparison."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pytest_twin.asset.loss.matrix import Item, Row, Verdict
 Vector = NDArray[np.float64]
 
 EXACT = 1e-9
-"""m, rad, or relative: the largest difference that counts as kept."""
+"""Largest difference that counts as kept: m, rad, or relative."""
 SINGLE = 2e-6
-"""The same for values in single precision: they count as changed, and are no fault."""
+"""Largest difference explained by single precision: changed, but not critical."""
 CLOSE = 1e-5
-"""m: for corners of shapes, whose vertices simulators store in single precision."""
+"""Tolerance for corners of shapes, m: simulators store vertices in single precision."""
 _MOST_ITEMS = 200
 
 
@@ -31,7 +31,7 @@ def table(
     empty: bool = False,
     critical: bool = False,
 ) -> Row:
-    """A row of named elements: kept where no item differs."""
+    """Build a row of named elements, which is kept if no item differs."""
     verdict: Verdict = "kept"
     if empty:
         verdict = "none"
@@ -53,7 +53,7 @@ def table(
 def stated(
     feature: str, before: Mapping[str, str], after: Mapping[str, str], comparison: str
 ) -> Row:
-    """A row of values that have to be equal on both sides."""
+    """Build a row of values that have to be equal before and after the conversion."""
     items = [
         Item(name, "lost" if name not in after else "changed", before.get(name), after.get(name))
         for name in sorted(set(before) | set(after))
@@ -67,13 +67,13 @@ def stated(
 def present(
     feature: str, before: Mapping[str, str], after: Mapping[str, str], comparison: str
 ) -> Row:
-    """A row of elements that the target has or lacks, whatever their values."""
+    """Build a row of elements that exist or are missing in the target, regardless of value."""
     items = [Item(name, "lost", before[name], None) for name in sorted(before) if name not in after]
     return table(feature, some(before), some(after), comparison, items, empty=not before)
 
 
 def some(names: Iterable[str]) -> str:
-    """Their count, and the first four names."""
+    """Return the number of names and the first four."""
     listed = sorted(names)
     if not listed:
         return "none"
@@ -82,17 +82,17 @@ def some(names: Iterable[str]) -> str:
 
 
 def numbers(values: Any) -> str:
-    """Numbers with six significant digits."""
+    """Format numbers with six significant digits."""
     return " ".join(f"{float(value):.6g}" for value in np.ravel(np.asarray(values)))
 
 
 def most(values: Vector) -> float:
-    """The largest magnitude, 0 of an empty array."""
+    """Return the largest magnitude, 0 for an empty array."""
     return float(np.abs(values).max()) if values.size else 0.0
 
 
 def alike(before: Any, after: Any) -> bool:
-    """Whether two values agree to ``EXACT``, or both are None."""
+    """Whether two values are equal within ``EXACT``, or both are None."""
     if before is None or after is None:
         return before is after
     return bool(np.allclose(before, after, rtol=EXACT, atol=EXACT))
