@@ -79,8 +79,7 @@ class Fit:
     degrees: float
 
     def distances(self) -> list[FloatArray]:
-        """Return (m,) squared residuals of each term, in units of the noise, summed over
-        columns."""
+        """Return (m,) squared residuals of each term in units of the noise, summed over columns."""
         return _distances(self.problem, self.residuals, self.noise)
 
 

@@ -73,8 +73,7 @@ def _median_gap(
 
 
 def scale_of_fit(fit: Fit) -> Suspect | None:
-    """Return a scale factor of the target's positions, estimated with all unknowns (first
-    order)."""
+    """Return a scale factor of the target's positions, estimated to first order with all else."""
     at = 0
     column = np.zeros(len(fit.jacobian))
     residuals = np.zeros(len(fit.jacobian))

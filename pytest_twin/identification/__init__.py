@@ -1,1 +1,1 @@
-"""Staged identification: what measured motion and effort say of a robot's parameters."""
+"""Staged identification of a robot's parameters from measured motion and effort."""

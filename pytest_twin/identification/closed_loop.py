@@ -1,4 +1,4 @@
-"""The fitted model under the recorded commands: open-loop simulation beside the nominal model's."""
+"""Compare simulations of fitted and nominal model under recorded commands with measurements."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _EXCLUDES = "nothing is fitted here: all accepted parameters together are simula
 
 @dataclass(frozen=True, slots=True)
 class PositionError:
-    """Root mean square of predicted less measured positions of one joint.
+    """Root mean square of predicted minus measured positions of one joint.
 
     Attributes:
-        nominal, fitted: of the two models, rad or m.
-        unit: of both.
+        nominal, fitted: error of the nominal and of the fitted model, rad or m.
+        unit: unit of both errors.
     """
 
     nominal: float
@@ -38,12 +38,12 @@ def trials_of(
     topics: Mapping[str, str],
     options: RecordingOptions,
 ) -> list[Trial] | TwinError:
-    """The trials of recordings, or why they are none: a motion alone has no command to simulate.
+    """Return the trials of recordings, or the error if they have no commands to simulate.
 
     Args:
-        nominal: the model.
-        recordings: that nothing was fitted on, or those that were where there are no others.
-        topics, options: how they are read.
+        nominal: the nominal model.
+        recordings: held-out recordings, or the fitted ones if nothing is held out.
+        topics, options: settings for reading the recordings.
     """
     try:
         return [
@@ -59,11 +59,11 @@ def trials_of(
 def simulated(
     nominal: Realization, fitted: Realization, trials: Sequence[Trial] | TwinError
 ) -> tuple[dict[str, PositionError], Stage]:
-    """Joint -> error of both models under the commands of recordings, and the stage.
+    """Return joint -> position error of both models, and the stage ``closed_loop``.
 
     Args:
         nominal, fitted: the two models.
-        trials: as :func:`trials_of` found them.
+        trials: result of :func:`trials_of`.
     """
     try:
         if isinstance(trials, TwinError):

@@ -1,4 +1,4 @@
-"""What an identification changes of the twin's encoders."""
+"""Changes of an identification to the encoder calibration of the twin."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _NONE = JointCalibration()
 
 
 def encoder_changes(realization: Realization, result: EffortResult) -> dict[str, EncoderChange]:
-    """Joint -> its encoder before and after, for ``encoders`` of ``identification.json``.
+    """Return joint -> encoder before and after, for ``encoders`` of ``identification.json``.
 
-    Joints that earlier records of the twin correct are stated again, so that a record that
-    supersedes them is complete.
+    Joints that earlier records of the twin correct are included, so that a record that supersedes
+    them is complete.
 
     Args:
-        realization: what was identified, with its twin.
-        result: what was found; nothing is taken from a stage that is not accepted.
+        realization: nominal model with its twin.
+        result: identification; stages that were not accepted change nothing.
     """
     twin = realization.twin
     calibrated = None if twin is None else twin.calibrated
@@ -40,7 +40,7 @@ def encoder_changes(realization: Realization, result: EffortResult) -> dict[str,
 
 
 def _corrected(now: JointCalibration, readings: Sequence[Reading]) -> JointCalibration:
-    """The relation with ``position = (1 + scale) q + bias`` of the model's q taken out."""
+    """Return the calibration corrected for ``position = (1 + scale) q + bias``."""
     bias = sum(one.value for one in readings if one.kind == BIAS)
     scale = 1.0 + sum(one.value for one in readings if one.kind != BIAS)
     return replace(now, offset=(now.offset - bias) / scale, scale=now.scale / scale)

@@ -1,4 +1,4 @@
-"""What an identification lays over the model, as the table ``fit:`` of a twin states it."""
+"""Changes of an identification to the model, as the table ``fit:`` of a twin."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _ATTRIBUTE = {
 
 
 def patches_of(realization: Realization, result: EffortResult) -> Patches:
-    """``joint`` and ``body`` -> name -> attribute -> value, of the stages that were accepted.
+    """Return ``joint`` and ``body`` -> name -> attribute -> value, of accepted stages.
 
     Args:
         realization: the nominal model.
-        result: what was found; its full parameters are written, which real bodies can have.
+        result: identification; its physically consistent parameters are written.
     """
     accepted = {stage.name for stage in result.stages if stage.state in ("accepted", "reopened")}
     values = dict(
@@ -34,7 +34,7 @@ def patches_of(realization: Realization, result: EffortResult) -> Patches:
     for joint in result.regressor.joints:
         if joint in result.without_effort:
             continue
-        # Of a joint whose effort is a current, the drive's parameters are in A.
+        # If the effort of a joint is a current, the drive parameters are in A.
         scale = values.get(f"{joint}.effort_scale", 1.0)
         if scale <= 0.0:
             continue

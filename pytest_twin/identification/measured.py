@@ -1,4 +1,4 @@
-"""Recorded states as joint positions and joint efforts, by what the signals are said to be."""
+"""Convert recorded states to joint positions and joint efforts, by the stated signals."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from pytest_twin.trial.roles import refuse_final
 from pytest_twin.trial.table import kept_commands, sorted_rows
 
 _FEWEST = 50
-"""States below which nothing is differentiated."""
+"""Fewest states of a recording for differentiation."""
 _NO_SENSOR = 0.5
-"""Share of efforts that are exactly 0 from which nothing measures them: a sensor has noise."""
+"""Fraction of efforts that are exactly 0 above which they are not measured. A sensor has noise."""
 _CLIPPED = 0.002
-"""Share of states that stand at the greatest effort, three in a row, from which it is a limit."""
+"""Fraction of states at the largest effort, three in a row, above which it is a limit."""
 _GAP = 5.0
-"""A pause this many times the usual interval cuts a recording."""
+"""Ratio of an interval to the median interval above which the recording is cut there."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One recording without holes, at the joints' side of the gears.
+    """One recording without gaps, on the joint side of the gears.
 
     Attributes:
-        path: of the recording.
-        start: s from the recording's first state.
+        path: path of the recording.
+        start: time from the recording's first state, s.
         joints: names in the model.
         time: (n,) s, increasing.
         position: (n, joints) rad or m.
         velocity: (n, joints) rad/s or m/s as recorded, or None.
         effort: (n, joints) N*m or N; in the recorded unit where ``unscaled``; NaN where there is no
             sensor.
-        unscaled: (joints,) whether the effort is a current of unknown constant.
-        limit: (joints,) greatest recorded effort that the drive gives, else infinity.
-        metadata: what the recording says of itself.
-        notes: what was done, one line each.
+        unscaled: (joints,) True if the effort is a current with unknown torque constant.
+        limit: (joints,) effort at which the drive saturates, else infinity.
+        metadata: metadata of the recording.
+        notes: messages on the conversion.
         command: (n, joints) position commands that hold at the states, in the recorded unit; NaN
             where there is none; None without any.
     """
@@ -74,12 +74,12 @@ class Measured:
 
 @dataclass(frozen=True)
 class MeasuredSet:
-    """Recordings by role.
+    """Recordings by their role.
 
     Attributes:
-        fit: parameters are fitted on these.
-        held_out: predicted only.
-        notes: one line each.
+        fit: recordings for fitting.
+        held_out: recordings for testing only.
+        notes: messages.
     """
 
     fit: tuple[Measured, ...]
@@ -94,11 +94,11 @@ def read_measured(
     options: RecordingOptions,
     signals: Signals,
 ) -> list[Measured]:
-    """The states of a recording, cut at its holes.
+    """Read the states of a recording, cut at its gaps.
 
     Raises:
-        RecordingError: no states, no positions, or too few of them.
-        TwinError: it cannot be read.
+        RecordingError: there are no states or positions, or too few.
+        TwinError: the recording cannot be read.
     """
     found = []
     for recording in recordings_at(path, topics, options):
@@ -144,9 +144,9 @@ def _commanded(
     topics: Mapping[str, str],
     options: RecordingOptions,
 ) -> tuple[dict[str, FloatArray], list[str]]:
-    """Command mode -> (n, joints) commands that hold at the states, NaN where there is none.
+    """Return command mode -> (n, joints) commands at the stamps of the states, NaN without command.
 
-    Beside measured efforts, commands that cannot be read are left out, and a note says so.
+    If efforts were measured, unreadable commands are left out with a note.
     """
     if "command" not in recording.series:
         return {}, []
@@ -230,7 +230,7 @@ def _at_joints(
 
 
 def _in_model(read: Measured, realization: Realization) -> Measured:
-    """The recording as the model counts joints, by the twin's calibration."""
+    """Return the recording in the model's joint coordinates, by the twin's calibration."""
     encoders = Encoders.of(calibration_of(realization), read.joints)
     return replace(
         read,
@@ -243,7 +243,7 @@ def _in_model(read: Measured, realization: Realization) -> Measured:
 def _positions(
     names: Sequence[str], raw: FloatArray, speed: FloatArray | None, signals: Signals
 ) -> tuple[FloatArray, FloatArray | None, list[str]]:
-    """Joint positions and velocities from readings on either side of the gears."""
+    """Compute joint positions and velocities from readings on motor or joint side."""
     position = np.empty_like(raw)
     velocity = None if speed is None else np.empty_like(raw)
     notes = []
@@ -259,7 +259,7 @@ def _positions(
             velocity[:, column] = speed[:, column] * factor
         if own.shared is not None and own.position.side == "motor":
             other = names.index(own.shared.joint)
-            # The other joint's zero is no turn of this motor.
+            # The zero of the other joint does not rotate this motor.
             zero = signals.of(own.shared.joint).zero
             position[:, column] -= own.shared.ratio * (position[:, other] - zero)
             if velocity is not None:
@@ -269,14 +269,14 @@ def _positions(
 
 
 def _dependents_last(names: Sequence[str], signals: Signals) -> list[str]:
-    """Joints whose motor turns with another one after that one."""
+    """Order the joints so that a coupled joint follows the joint that moves its motor."""
     return sorted(names, key=lambda name: signals.of(name).shared is not None)
 
 
 def _efforts(
     names: Sequence[str], effort: FloatArray, signals: Signals
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, list[str]]:
-    """Joint efforts; those that are no measurement become NaN, and a note says why."""
+    """Compute joint efforts; efforts that are no measurement become NaN, with a note."""
     effort = effort.copy()
     unscaled = np.zeros(len(names), dtype=bool)
     limit = np.full(len(names), np.inf)
@@ -323,7 +323,7 @@ def _efforts(
     for column, name in enumerate(names):
         shared = signals.of(name).shared
         if shared is not None and signals.of(name).effort.side == "motor":
-            # Virtual work: the motor's torque acts on both joints that turn it.
+            # By virtual work, the motor's torque acts on both joints that rotate it.
             effort[:, names.index(shared.joint)] += shared.ratio * effort[:, column]
             notes.append(
                 f"{name}: its motor's torque acts on {shared.joint} too and is added there"
@@ -332,7 +332,7 @@ def _efforts(
 
 
 def _clipped_at(values: FloatArray) -> float | None:
-    """The amount at which efforts stand, of several samples in a row; None where they do not."""
+    """Return the magnitude at which efforts saturate, several samples in a row; None otherwise."""
     size = np.abs(values[np.isfinite(values)])
     top = float(size.max(initial=0.0))
     at_top = size >= top * (1.0 - 1e-9)
@@ -341,9 +341,9 @@ def _clipped_at(values: FloatArray) -> float | None:
 
 
 def _unsigned(values: FloatArray) -> bool:
-    """Whether a drive that moves gives amounts alone: never below zero, and at zero often enough.
+    """Whether the efforts are magnitudes only: never negative, and often zero.
 
-    A joint that only carries weight has one sign too, but stays away from zero.
+    The effort of a joint that only carries weight has one sign too, but is never near zero.
     """
     return bool(values.min() >= 0.0 and np.quantile(values, 0.05) < 0.1 * np.quantile(values, 0.95))
 

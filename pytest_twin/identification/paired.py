@@ -1,4 +1,4 @@
-"""Whether one model predicts held-out motion better than another, beyond chance."""
+"""Paired test: does one model predict held-out motion significantly better than another?"""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 
 ONE_SIDED = 1.645
-"""Standard errors that a mean exceeds by chance in one of 20 cases."""
+"""One-sided 5 % quantile of the normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
 class Paired:
-    """The fall of a squared error, sample by sample.
+    """Mean reduction of a squared error over paired samples.
 
     Attributes:
         fall: mean of squared error before minus after, in the squared unit of the errors.
-        standard_error: of the mean, for samples that are correlated in time.
+        standard_error: standard error of the mean, for samples correlated in time.
     """
 
     fall: float
@@ -28,20 +28,20 @@ class Paired:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the error falls by more than chance explains (one-sided, 5 %)."""
+        """Whether the reduction is significant (one-sided, 5 %)."""
         return self.fall > ONE_SIDED * self.standard_error
 
 
 def paired(before: FloatArray, after: FloatArray, lengths: Sequence[int]) -> Paired:
-    """The paired comparison of two models' errors on the same samples.
+    """Compare the errors of two models on the same samples.
 
-    Both errors contain the same noise, so that their difference shows less of it than either
-    (Diebold, Mariano, Journal of Business and Economic Statistics 13, 1995). Differences that are
-    correlated in time count as their effective samples (Geyer 1992).
+    Both errors contain the same noise, so their difference has less noise than either (Diebold,
+    Mariano, Journal of Business and Economic Statistics 13, 1995). For differences that are
+    correlated in time, the effective sample size is used (Geyer 1992).
 
     Args:
-        before, after: (n, signals) errors of the two, each signal over its scale.
-        lengths: samples of each recording, one after another.
+        before, after: (n, signals) errors of both models, each signal divided by its scale.
+        lengths: number of samples of each recording, in the order of the rows.
     """
     change = np.sum(before**2 - after**2, axis=1)
     if not np.isfinite(change).all():

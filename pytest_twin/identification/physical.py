@@ -1,10 +1,10 @@
-"""Full parameters that real bodies can have, near the model's, and as the data say.
+"""Physically consistent full parameters, from base parameters and the nominal model.
 
-The base parameters are measured; how they are shared among the links is the model's word. A link is
-parametrized by the log-Cholesky coordinates of its pseudo-inertia relative to the model's (Rucker,
-Wensing, IEEE RA-L 7, 2022), so that every value of them is a body, and the same relative deviation
-costs the same for every link (the prior is invariant under changes of frame and unit: Lee, Wensing,
-Park, IEEE T-RO 36, 2020).
+The data determine the base parameters; the nominal model determines how they are distributed among
+the links. A link is parametrized by the log-Cholesky coordinates of its pseudo-inertia relative to
+the nominal one (Rucker, Wensing, IEEE RA-L 7, 2022). Every value of the coordinates is a physical
+body, and the same relative deviation costs the same for every link. This prior is invariant under
+changes of frame and unit (Lee, Wensing, Park, IEEE T-RO 36, 2020).
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from pytest_twin.identification.regressor import Column
 from pytest_twin.realization.inverse_dynamics import INERTIAL, pseudo_inertia
 
 _PRIOR_STD = 0.3
-"""Standard deviation of the log-Cholesky coordinates about the model's: 30 % of a link's mass or
-of its radius of gyration; what CAD models lack in cables, motors and covers."""
+"""Standard deviation of the log-Cholesky coordinates about the nominal model: 30 % of a link's mass
+or radius of gyration. CAD models lack about this much in cables, motors and covers."""
 _LIGHTEST = 1e-6
-"""kg; what the model has as lighter is a frame and no body."""
+"""Smallest mass of a body, kg. Lighter bodies of a model are frames only."""
 _OFF_BOUND = 1e-4
-"""SI units by which a start is off its bound, so that the solver can move it."""
+"""Distance of initial values from their bounds, SI units, so that the solver can move them."""
 _NOT_NEGATIVE = frozenset({"armature", "viscous_friction", "coulomb_friction", "effort_scale"})
 _PINOCCHIO = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _ROWS = np.array([0, 1, 2, 3, 1, 2, 2, 3, 3, 3])
 _COLUMNS = np.array([0, 1, 2, 3, 0, 0, 1, 0, 1, 2])
-"""Entries of a triangular (4, 4) matrix: its diagonal, then row by row what is below it."""
+"""Entries of a triangular (4, 4) matrix: first the diagonal, then the rows below it."""
 _TO_PINOCCHIO = [INERTIAL.index(name) for name in _PINOCCHIO]
 
 
 @dataclass(frozen=True)
 class Physical:
-    """Full parameters.
+    """Full parameters of links and drives.
 
     Attributes:
-        parameters: (p,) of all columns.
-        consistent: whether every link is a real body and no friction or armature is negative.
-        violations: where the unconstrained estimate is none, one line each.
-        cost: how much worse the data are predicted than by the unconstrained estimate: the
-            increase of the weighted sum of squares per base parameter.
+        parameters: (p,) parameters of all columns.
+        consistent: whether every inertia is physical and no friction or armature is negative.
+        violations: one line for each unphysical value of the unconstrained estimate.
+        cost: increase of the weighted sum of squares against the unconstrained estimate, per base
+            parameter.
     """
 
     parameters: FloatArray
@@ -59,14 +59,14 @@ def physical(
     base: FloatArray,
     information: FloatArray,
 ) -> Physical:
-    """The full parameters nearest to the model's that the data allow.
+    """Return the full parameters nearest to the nominal ones that agree with the data.
 
     Args:
-        columns: (p,) what they are.
-        prior: (p,) what the model states.
-        combination: (b, p) of the base parameters.
+        columns: (p,) description of the parameters.
+        prior: (p,) nominal parameters.
+        combination: (b, p) matrix from full to base parameters.
         base: (b,) estimated base parameters.
-        information: (b, b) inverse covariance of these.
+        information: (b, b) inverse covariance of the base parameters.
     """
     links = _links(columns, prior)
     others = np.array([i for i, c in enumerate(columns) if not c.inertial], dtype=np.intp)
@@ -99,7 +99,7 @@ def physical(
         bottom[:, :size] = np.eye(size) / _PRIOR_STD
         return np.concatenate([top, bottom])
 
-    # The drives' share is linear: the links' coordinates start from its solution, off its bounds.
+    # The drive parameters are linear. Their solution, moved off the bounds, is the initial value.
     bodies = prior.copy()
     bodies[others] = 0.0
     drives = optimize.lsq_linear(
@@ -122,36 +122,37 @@ def physical(
 
 
 class _Link:
-    """One link about the model's: J = L_0 U U^T L_0^T, U triangular with exp on its diagonal."""
+    """A link's pseudo-inertia relative to the nominal one: J = L_0 U U^T L_0^T, U triangular."""
 
     def __init__(self, at: int, stated: FloatArray) -> None:
         self.at = at
         matrix = pseudo_inertia(stated[_TO_PINOCCHIO])
         values, vectors = np.linalg.eigh(matrix)
-        # A model's link may be flat, or impossible; the nearest body with some thickness stands in.
+        # A nominal link may be flat or unphysical. It is replaced by the nearest body with some
+        # thickness.
         values = np.maximum(values, 1e-6 * values.max())
         self.root = np.linalg.cholesky(vectors @ np.diag(values) @ vectors.T)
 
     def parameters(self, x: FloatArray) -> FloatArray:
-        """(10,) in the order of ``INERTIAL``."""
+        """(10,) inertial parameters in the order of ``INERTIAL``."""
         triangle = self.root @ _triangle(x)
         return _of_pseudo(triangle @ triangle.T)
 
     def slope(self, x: FloatArray) -> FloatArray:
-        """(10, 10) derivative."""
+        """(10, 10) derivative of the parameters by the coordinates."""
         triangle = self.root @ _triangle(x)
         columns = []
         for k in range(10):
             row, column = _ROWS[k], _COLUMNS[k]
             size = np.exp(x[k]) if k < 4 else 1.0
-            # The change of J by one entry of U is of rank two.
+            # The derivative of J by one entry of U has rank two.
             half = size * np.outer(self.root[:, row], triangle[:, column])
             columns.append(_of_pseudo(half + half.T))
         return np.array(columns).T
 
 
 def _triangle(x: FloatArray) -> FloatArray:
-    """(4, 4) U of log-Cholesky coordinates: logarithms of its diagonal, then what is below it."""
+    """(4, 4) U from log-Cholesky coordinates: logarithms of the diagonal, then entries below it."""
     found = np.zeros((4, 4))
     found[_ROWS, _COLUMNS] = x
     found[_ROWS[:4], _COLUMNS[:4]] = np.exp(x[:4])
@@ -196,7 +197,7 @@ def _consistent(columns: Sequence[Column], values: FloatArray) -> bool:
 
 
 def _violations(columns: Sequence[Column], combination: FloatArray, base: FloatArray) -> list[str]:
-    """Drives whose unconstrained estimate no drive can have; only those that stand alone."""
+    """Return unphysical unconstrained estimates of drive parameters that are base parameters."""
     found = []
     for row, value in zip(combination, base, strict=True):
         terms = np.flatnonzero(row)

@@ -1,4 +1,4 @@
-"""A realization's prediction of effort, on recordings that an identification held out."""
+"""Test a realization's prediction of effort on the held-out recordings of an identification."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _OF_RECORD = frozenset({
     "effort_bias", "effort_scale", "coupled_armature", "coupled_viscous_friction",
     "coupled_coulomb_friction",
 })  # fmt: skip
-"""What no model of rigid bodies holds: these come from the record."""
+"""Parameters that a rigid-body model cannot contain; they are taken from the record."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rechecked:
-    """One joint.
+    """Effort error of one joint.
 
     Attributes:
         relative: |measured - predicted| / |measured|.
-        rms: N*m or N.
-        slide: whether it is a slide.
+        rms: root mean square error, N*m or N.
+        slide: whether the joint is prismatic.
     """
 
     relative: float
@@ -47,15 +47,16 @@ class Rechecked:
 def recheck(
     realization: Realization, record: IdentificationRecord, recordings: Sequence[Path]
 ) -> dict[str, Rechecked]:
-    """Joint -> error of the realization's inverse dynamics along the measured motion.
+    """Return joint -> error of the realization's inverse dynamics along the measured motion.
 
-    Inertia, armature, friction and encoders are the twin's of today; constant efforts, scales of
-    currents, shared motors, and delay and scale of the efforts are the record's, which no model
-    holds. Known payloads count. Motion is filtered as it was then.
+    Inertia, armature, friction and encoders are those of the current twin. Constant efforts, scales
+    of currents, shared motors, and delay and scale of the efforts are those of the record, because
+    a model cannot contain them. Known payloads are included. The motion is filtered as in the
+    identification.
 
     Raises:
-        RecordingError: no effort, or an identification without measured effort.
-        TwinError: a recording that cannot be read.
+        RecordingError: there is no effort, or the identification had none.
+        TwinError: a recording cannot be read.
     """
     if record.filter is None:
         raise RecordingError(
@@ -82,7 +83,7 @@ def recheck(
     regressor = Regressor(realization, joints, shared, unscaled)
     values = regressor.prior.copy()
     for at, column in enumerate(regressor.columns):
-        # The drive's parameters of a current are in A.
+        # For a current, the drive parameters are in A.
         of_drive = column.joint in unscaled and not column.inertial
         if of_drive or column.kind in _OF_RECORD:
             values[at] = record.values.get(column.name, 0.0)
@@ -104,7 +105,7 @@ def recheck(
 def _as_identified(
     measured: Sequence[Measured], record: IdentificationRecord, unscaled: Sequence[str]
 ) -> tuple[Measured, ...]:
-    """The recordings without the delay and the scale of the efforts that the record found."""
+    """Remove the record's delay and scale of efforts from the recordings."""
     moved = tuple(measured)
     for name in (DELAY, LAG):
         if name in record.values:

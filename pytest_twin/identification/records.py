@@ -1,4 +1,4 @@
-"""``identification.json``: what was found, how surely, and what was not."""
+"""Content of ``identification.json``: parameters, uncertainty, and undetermined parameters."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from pytest_twin.metrics.joint_covariance import with_deviations
 Verdict = Literal["accepted", "improved", "rejected"]
 
 _CORRELATED = 0.9
-"""Pairs of parameters beyond this correlation are named."""
+"""Correlation above which a pair of parameters is reported."""
 
 
 def verdict_of(stages: Sequence[Stage], better: bool, held_out: bool, consistent: bool) -> Verdict:
-    """One word for an identification.
+    """Return the verdict on an identification.
 
     Args:
-        stages: what became of each.
-        better: whether the error of what was tested is below the nominal model's.
-        held_out: whether it was tested on what nothing was fitted on.
-        consistent: whether the parameters are those of real bodies.
+        stages: the stages.
+        better: whether the test error is below the nominal model's.
+        held_out: whether it was tested on held-out recordings.
+        consistent: whether the parameters are physically consistent.
     """
     states = {stage.state for stage in stages}
     if not better or not consistent or not states & {"accepted", "reopened"}:
@@ -39,11 +39,11 @@ def verdict_of(stages: Sequence[Stage], better: bool, held_out: bool, consistent
 
 
 def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, Any]:
-    """The content of ``identification.json`` of an identification from measured effort.
+    """Return the content of ``identification.json`` for an identification from measured effort.
 
     Args:
-        result: what was found.
-        stages: those of the result, and any other.
+        result: identification.
+        stages: stages of the result and further ones.
     """
     base, fitted, estimate = result.base, result.fitted, result.estimate
     kept = fitted.kept
@@ -69,7 +69,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         if estimate.estimator != SQUARES:
             parameters[names[k]]["least_squares"] = float(estimate.squares.values[k])
     widths = half / Z95
-    # The bias of parameters that are held at zero varies on its own.
+    # The bias from parameters that are fixed at zero is independent of the noise.
     covariance = with_deviations(fitted.solution.covariance, widths)
     tested = bool(result.held_out)
     of_robot = any(not name.endswith(".effort_bias") for name in names)
@@ -204,7 +204,7 @@ def _mean(errors: dict[str, Any]) -> float:
 
 
 def correlated(names: Sequence[str], covariance: np.ndarray) -> list[dict[str, Any]]:
-    """Pairs of parameters that are known together better than alone."""
+    """Return pairs of strongly correlated parameters."""
     std = np.sqrt(np.diag(covariance).clip(1e-300))
     correlation = covariance / np.outer(std, std)
     found = []
@@ -218,7 +218,7 @@ def correlated(names: Sequence[str], covariance: np.ndarray) -> list[dict[str, A
 
 
 def _unobservable(result: EffortResult) -> list[dict[str, str]]:
-    """What the motion leaves open, and the motion that would tell it."""
+    """Return undetermined parameters, with the motion that would determine them."""
     found = []
     for i in np.flatnonzero(result.unobservable | result.unsure):
         column = result.base.columns[result.base.independent[i]]

@@ -1,4 +1,4 @@
-"""Which recordings are fitted and which are held out."""
+"""Split recordings into fitted and held-out ones."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ def read_by_role(
     options: RecordingOptions,
     signals: Signals,
 ) -> MeasuredSet:
-    """Read every recording and decide its role.
+    """Read every recording and assign its role.
 
-    ``held_out`` decides where it is given, else the recordings' own metadata ``role``, else the
-    last of every four whole recordings is set aside.
+    The roles follow from ``held_out``, else from the metadata ``role`` of the recordings, else the
+    last of every four recordings is held out.
 
     Args:
         recordings, held_out: files and folders; the latter need not be among the former.
         realization: the model.
-        topics: role -> topic.
-        options: how recordings are read.
-        signals: what they record.
+        topics: role of a topic (``state``, ``command``) -> topic.
+        options: settings for reading recordings.
+        signals: meaning of the recorded signals.
 
     Raises:
-        TwinError: a recording that cannot be read, or none to fit.
+        TwinError: a recording cannot be read, or there is none to fit.
     """
     notes: list[str] = []
     known: dict[Path, list[Measured]] = {}
@@ -78,7 +78,7 @@ def read_by_role(
 
 
 def _common(fit: list[Measured], held_out: list[Measured], notes: list[str]) -> MeasuredSet:
-    """The same joints, in the same order, in every recording."""
+    """Reduce every recording to the same joints in the same order."""
     everything = [*fit, *held_out]
     shared = [j for j in fit[0].joints if all(j in one.joints for one in everything)]
     lost = dict.fromkeys(j for one in everything for j in one.joints if j not in shared)

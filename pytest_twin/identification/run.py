@@ -1,4 +1,4 @@
-"""One identification from its files to the folder that it leaves."""
+"""Run one identification, from its files to the output folder."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ REALIZATION = "realization"
 
 @dataclass(frozen=True, slots=True)
 class IdentificationRequest:
-    """What an identification is asked for, as one process tells another.
+    """Request of an identification, as passed between processes.
 
     Attributes:
-        model: MJCF, URDF or ``twin.yaml``.
+        model: path of an MJCF, URDF or ``twin.yaml``.
         recordings, held_out: files and folders.
-        out: empty folder; gets ``realization/``.
+        out: empty folder, in which ``realization/`` is written.
         name: id of the record.
-        topics: role -> topic, before those of the twin.
-        options: how recordings are read, before what the twin says.
-        packages, roots: where the model's files lie.
+        topics: role of a topic -> topic; these take precedence over those of the twin.
+        options: settings for reading recordings; they take precedence over the twin's.
+        packages, roots: folders of the model's files.
         tosses: fields of ``TossOptions``, for recordings of a free object.
-        sensors: fields of ``Mounted``; where there are any, they alone are estimated.
+        sensors: fields of ``Mounted``; if there are any, only sensors are estimated.
     """
 
     model: str
@@ -66,17 +66,17 @@ def identify_files(
     request: Mapping[str, Any],
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
-    """Load, identify, write the fitted model; runs in the child process.
+    """Load the model, identify and write the fitted model, in the child process.
 
     Args:
         request: fields of :class:`IdentificationRequest`.
-        progress: told the fraction done.
+        progress: called with the fraction done.
 
     Returns:
         The content of ``identification.json``.
 
     Raises:
-        TwinError: input that cannot be used.
+        TwinError: the input cannot be used.
     """
     asked = IdentificationRequest(**request)
     model, out, name, topics = asked.model, asked.out, asked.name, asked.topics
@@ -159,7 +159,7 @@ def identify_files(
 
 
 def _without_effort(error: RecordingError, recordings: Sequence[Measured]) -> RecordingError:
-    """The error of recordings whose commands cannot be used, with why their efforts cannot."""
+    """Extend the error on unusable commands by the reason why efforts are unusable."""
     why = "; ".join(dict.fromkeys(note for one in recordings for note in one.notes))
     return RecordingError(
         f"{error.problem}, and no effort that can be used: {why or 'none is recorded'}",
@@ -182,7 +182,7 @@ def _finished(
     realization: Realization,
     files: Sequence[Path],
 ) -> dict[str, Any]:
-    """The document with its id and the digests of what it was made from."""
+    """Return the document with its id and the digests of its inputs."""
     document["notes"] = [*notes, *document["notes"]]
     document["identification"] = name
     document["inputs"] = {
@@ -207,7 +207,7 @@ def _from_commands(
     folder: Path,
     progress: Callable[[float], None],
 ) -> dict[str, Any]:
-    """No joint has an effort: the closed loop is simulated under the recorded commands."""
+    """Identify without efforts, by closed-loop simulation of the recorded commands."""
     from pytest_twin.diagnosis.patched.model import patched_of
     from pytest_twin.diagnosis.patched.write import Recorded, write_realization
     from pytest_twin.diagnosis.trials import read_trials
@@ -242,7 +242,7 @@ def _from_commands(
 
 
 def _load(path: Path, search: SearchFolders) -> tuple[Realization, list[str]]:
-    """The model with its twin; without shapes where meshes of a URDF are missing."""
+    """Load the model with its twin, without shapes if meshes of a URDF are missing."""
     twin: Twin | None = None
     name = "mujoco"
     if path.suffix.lower() in (".yaml", ".yml"):

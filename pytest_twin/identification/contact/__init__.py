@@ -1,1 +1,1 @@
-"""Contact parameters of a free object from its measured tosses."""
+"""Identification of the contact parameters of a free object from measured tosses."""

@@ -1,4 +1,4 @@
-"""``identification.json`` of a contact identification."""
+"""Content of ``identification.json`` for a contact identification."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _ANY_MOTION = "toss the object so that it lands on corners, edges and faces at s
 
 
 def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization) -> dict[str, Any]:
-    """The content of ``identification.json``, without inputs and notes of the run."""
+    """Return the content of ``identification.json``, without inputs and notes of the run."""
     body, size = fit.contact.body.name, fit.contact.size
     values = fit.values
     deviation = np.sqrt(np.diag(fit.covariance).clip(0.0))
@@ -120,7 +120,7 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
 
 
 def _interval(fit: ContactFit, name: str, deviation: float) -> list[float]:
-    """95 % interval of a parameter; of one that is searched by its logarithm, around that."""
+    """95 % interval of a parameter; symmetric in the logarithm if that was estimated."""
     value = fit.values[name]
     (parameter,) = (one for one in fit.contact.parameters if one.name == name)
     if not parameter.is_logarithmic:
@@ -130,7 +130,7 @@ def _interval(fit: ContactFit, name: str, deviation: float) -> list[float]:
 
 
 def solver_of(model: mujoco.MjModel) -> dict[str, Any]:
-    """Options of the simulation that a contact fit holds for."""
+    """Return the simulation options for which a contact fit is valid."""
     option = model.opt
     return {
         "engine": f"mujoco {mujoco.__version__}",
@@ -186,7 +186,7 @@ def _without_effect(fit: ContactFit, body: str) -> list[dict[str, str]]:
 
 
 def _laid(fit: ContactFit, realization: Realization) -> dict[str, Any]:
-    """What the record lays over the model: geoms that have a name."""
+    """Return the changes of the record to the model: attributes of geoms that have a name."""
     geoms = {}
     for geom in fit.contact.body.geoms:
         name = _name(realization.model, geom)
@@ -199,7 +199,7 @@ def _laid(fit: ContactFit, realization: Realization) -> dict[str, Any]:
 
 
 def priority_of(fit: ContactFit) -> int:
-    """The priority by which the object's parameters decide the pair's."""
+    """Return the geom priority with which the object's parameters apply to the contact pair."""
     model = fit.contact.model
     return 1 + max((int(model.geom_priority[g]) for g in fit.contact.body.others), default=0)
 

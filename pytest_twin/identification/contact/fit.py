@@ -1,4 +1,4 @@
-"""Contact parameters of a free object, fitted to whole tosses and tested on others."""
+"""Fit contact parameters of a free object to whole tosses and test them on held-out tosses."""
 
 from __future__ import annotations
 
@@ -39,32 +39,35 @@ from pytest_twin.identification.contact.uncertainty import (
 )
 
 SAMPLES = 12
-"""Samples of a stretch around a contact: at 148 Hz 75 ms, one impact and what follows of it."""
+"""Number of samples of a segment around a contact. At 148 Hz it lasts 75 ms: one impact and the
+motion that follows."""
 _STRETCHES = 240
-"""Stretches that the search uses; more take longer and narrow no interval by much."""
+"""Largest number of segments for the search. More take longer and hardly reduce the intervals."""
 _MOST_SPARE = 3.0
-"""Few stretches cost less: the best minimum is searched on for up to so many times as long."""
+"""Largest factor by which the search is extended if there are few segments, which cost less."""
 _WHOLE = 60
-"""Whole tosses that the second search uses."""
+"""Number of whole tosses in the second search."""
 _GENERATIONS = {"stretches": 15, "whole": 8, "variant": 6}
 _SPINNING = (0.0003, 0.002, 0.01)
-"""Torsional and rolling friction that are tried, as shares of the object's half size times 10."""
+"""Tested coefficients of torsional and rolling friction, relative to 10 times the object's half
+size."""
 _FAR = 2.0 * UNTOLD
-"""Distance on the scale of a parameter, all others held, at which another value has to be worse."""
+"""Distance on a parameter's scale, with the others fixed, at which the error must be larger for the
+parameter to have an influence."""
 _AS_WELL = 0.01
-"""Share of the error that a worse value adds at least. The simulation is deterministic; measured
-first velocities have noise, against which friction acts."""
+"""Smallest relative increase of the error that counts as larger. The simulation is deterministic,
+but friction can compensate noise of the measured initial velocities."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """The fit under other options of the simulation.
+    """Result of the fit with other simulation options.
 
     Attributes:
-        name: what differs.
-        values: parameter -> value that fits best under it.
-        held: error on held-out tosses with its own values.
-        kept: the same with the values of the main fit.
+        name: changed option.
+        values: parameter -> value that fits best with this option.
+        held: error on held-out tosses with these values.
+        kept: error on held-out tosses with the values of the main fit.
     """
 
     name: str
@@ -75,12 +78,12 @@ class Variant:
 
 @dataclass(frozen=True)
 class Untold:
-    """A combination of parameters that the tosses do not tell.
+    """A combination of parameters that the tosses do not determine.
 
     Attributes:
-        loadings: parameter -> share, of unit length on the scales of the search.
-        fixed: the parameter that was fixed for it.
-        value: at which.
+        loadings: parameter -> component of the unit vector, on the scales of the search.
+        fixed: parameter that was fixed to remove the combination.
+        value: value at which it was fixed.
     """
 
     loadings: Mapping[str, float]
@@ -90,19 +93,19 @@ class Untold:
 
 @dataclass(frozen=True)
 class ContactFit:
-    """Fitted contact parameters and how they predict.
+    """Fitted contact parameters with their prediction errors.
 
     Attributes:
-        contact: with what is free.
-        values: parameter -> value, of the free and of the fixed ones.
-        names: free parameters, as the covariance has them.
-        covariance: (p, p) in their units.
-        untold: what was not told, and fixed.
-        without_effect: friction coefficients that change no prediction beyond chance.
+        contact: contact model with its free parameters.
+        values: parameter -> value, of free and fixed parameters.
+        names: free parameters, in the order of the covariance.
+        covariance: (p, p) covariance of the free parameters, in their units.
+        untold: undetermined combinations.
+        without_effect: friction coefficients without significant effect on the predictions.
         nominal, fitted: errors on the fit tosses.
         nominal_held, fitted_held: errors on the held-out tosses.
-        variants: other options of the simulation.
-        is_refined: whether whole tosses moved the estimate.
+        variants: results with other simulation options.
+        is_refined: whether the search on whole tosses changed the estimate.
     """
 
     contact: ContactModel
@@ -126,15 +129,15 @@ def fit_contact(
     held_out: Sequence[Toss],
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> ContactFit:
-    """Fit contact parameters, judge them on held-out tosses, and vary the simulation.
+    """Fit contact parameters, test them on held-out tosses, and repeat with other options.
 
     Args:
-        contact: nominal model and what is free.
+        contact: nominal model with its free parameters.
         fit, held_out: whole tosses; the latter may be empty.
-        progress: told the fraction done.
+        progress: called with the fraction done.
 
     Raises:
-        RecordingError: no toss touches anything.
+        RecordingError: no toss contains a contact.
     """
     gravity = np.array(contact.model.opt.gravity)
     stretches, groups = _drawn(around_contacts(fit, gravity, SAMPLES, contact.size), fit)
@@ -189,7 +192,7 @@ def fit_contact(
 def _drawn(
     each: Sequence[Sequence[Stretch]], fit: Sequence[Toss]
 ) -> tuple[list[Stretch], list[int]]:
-    """Stretches of all tosses and the toss of each, no more than the search uses."""
+    """Draw segments from all tosses; return them with the index of their toss."""
     pairs = [(at, one) for at, rows in enumerate(each) for one in rows]
     if len({at for at, _ in pairs}) < 2:
         raise RecordingError(
@@ -208,7 +211,7 @@ def _minima(
     groups: Sequence[int],
     progress: Callable[[float], None],
 ) -> tuple[FloatArray, list[FloatArray]]:
-    """The best minimum over all starts, and others that predict as well."""
+    """Return the best minimum over all starts, and other minima that predict equally well."""
     begun = starts(contact)
     minima = [
         minimized(loss, start, 0.25, _GENERATIONS["stretches"], 1 + at,
@@ -233,7 +236,7 @@ def _mean(loss: Loss, place: FloatArray, groups: Sequence[int]) -> FloatArray:
 def _with_spinning(
     contact: ContactModel, places: FloatArray, stretches: Sequence[Stretch], groups: Sequence[int]
 ) -> tuple[ContactModel, tuple[str, ...]]:
-    """The model with torsional and rolling friction free where they lower the error."""
+    """Return the model with torsional and rolling friction free if they reduce the error."""
     from dataclasses import replace
 
     from pytest_twin.identification.contact.parameters import Parameter
@@ -246,7 +249,7 @@ def _with_spinning(
     chosen: dict[str, float] = {}
     for row, (name, value) in enumerate(tried, 1):
         gain = means[0] - means[row]
-        # Six are tried: three standard errors are 98 % for all together.
+        # Six values are tested: a bound of three standard errors is a joint level of 98 %.
         beyond = 3.0 * few(len(gain), 3.0) * np.std(gain, ddof=0) / np.sqrt(len(gain))
         if np.mean(gain) > beyond:
             chosen.setdefault(name, value)
@@ -255,9 +258,10 @@ def _with_spinning(
 
 
 def _without_influence(loss: Loss, found: FloatArray, groups: Sequence[int]) -> list[int]:
-    """Parameters that predict as well far away, such as the friction of a press.
+    """Return parameters without influence on the error, such as friction while pressing.
 
-    In the quadratic such a direction has the noise of the others, and would take them with it.
+    In the quadratic approximation such a direction contains noise of the other parameters and would
+    make them seem undetermined.
     """
     here = float(_mean(loss, found, groups).mean())
     inert = []
@@ -274,10 +278,10 @@ def _without_influence(loss: Loss, found: FloatArray, groups: Sequence[int]) -> 
 def _fixed(
     contact: ContactModel, centre: FloatArray, free: Sequence[int], known: Told
 ) -> tuple[int, Untold]:
-    """The parameter that represents an undetermined combination, fixed at its value."""
+    """Choose and fix the parameter that represents an undetermined combination."""
     direction = known.untold[-1]
-    # Of parameters that share it friction is not the one: it is what most contacts tell best. A
-    # press tells nothing of it, and then it alone is the direction.
+    # Friction is not chosen if other parameters take part, because most contacts determine it best.
+    # Pressing does not determine it; the direction then consists of friction alone.
     order = np.argsort(-np.abs(direction))
     shared = [k for k in order if abs(direction[k]) > 0.5 * abs(direction[order[0]])]
     at = next((k for k in shared if contact.names[free[k]] != FRICTION), order[0])
@@ -290,7 +294,7 @@ def _fixed(
 def _refined(
     contact: ContactModel, places: FloatArray, covariance: FloatArray, rows: Sequence[Stretch]
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """The estimate after whole tosses, where they are predicted better by it beyond chance."""
+    """Refine the estimate on whole tosses; keep the result if it predicts significantly better."""
     some = np.random.default_rng(4).permutation(len(rows))[:_WHOLE]
     search = Loss(contact, [rows[at] for at in some])
     moved = minimized(search, places, 0.05, _GENERATIONS["whole"], 3)
@@ -305,7 +309,7 @@ def _refined(
 
 
 def variants_of(model: mujoco.MjModel) -> dict[str, dict[str, Any]]:
-    """Other options of the simulation under which the fit is repeated, one change each."""
+    """Return the simulation options with which the fit is repeated, one change each."""
     step = float(model.opt.timestep)
     elliptic = int(model.opt.cone) == int(mujoco.mjtCone.mjCONE_ELLIPTIC)
     euler = int(model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_EULER)

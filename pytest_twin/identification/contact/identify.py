@@ -1,4 +1,4 @@
-"""One contact identification from its files to the folder that it leaves."""
+"""Run one contact identification, from its files to the fitted model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pytest_twin.realization.free_body import free_body
 
 
 def are_tosses(recordings: Sequence[Path], options: TossOptions) -> bool:
-    """Whether recordings hold poses of an object: archives, or bags whose pose topic is named."""
+    """Whether recordings contain poses of an object: archives, or bags with a named pose topic."""
     return options.topic is not None or all(holds_tosses(path) for path in recordings)
 
 
@@ -36,15 +36,15 @@ def identify_contact(
     Args:
         realization: the nominal model.
         recordings, held_out: archives of tosses and bags.
-        options: how they are read.
-        folder: empty; gets the fitted model.
-        progress: told the fraction done.
+        options: settings for reading the tosses.
+        folder: empty folder for the fitted model.
+        progress: called with the fraction done.
 
     Returns:
-        the content of ``identification.json`` but for its inputs.
+        The content of ``identification.json`` without its inputs.
 
     Raises:
-        TwinError: input that cannot be used.
+        TwinError: the input cannot be used.
     """
     body = free_body(realization, options.body)
     gravity = np.array(realization.model.opt.gravity)
@@ -77,7 +77,7 @@ def identify_contact(
 
 
 def _with_contact(realization: Realization, fit: ContactFit) -> Realization:
-    """The realization whose spec has the fit, geoms without names included."""
+    """Return the realization with the fitted values, also of geoms without names."""
     spec = realization.spec.copy()
     model = realization.model
     geoms = {int(one.id): one for one in spec.geoms}

@@ -1,4 +1,4 @@
-"""How far simulated tosses are from measured ones."""
+"""Errors of simulated tosses against measured ones."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pytest_twin.metrics.pose_track import position_errors, rotation_errors
 from pytest_twin.realization.free_body import FreeBody, poses_of
 
 _LOST = 10.0
-"""Position error of a sample that a diverged simulation does not predict, m."""
+"""Position error assigned to samples of a diverged simulation, m."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A piece of a toss that is predicted from its first sample.
+    """Segment of a toss that is simulated from its first sample.
 
     Attributes:
-        state: (13,) pose and velocity to start from.
-        time: (n,) s, from 0 on.
-        poses: (n, 7) measured.
-        push: what pushes the object, its times from the first sample on.
+        state: (13,) initial pose and velocity.
+        time: (n,) s, from 0.
+        poses: (n, 7) measured poses: x y z (m), quaternion w x y z.
+        push: external wrench on the object; its times count from the first sample.
     """
 
     state: FloatArray
@@ -49,22 +49,23 @@ class TossErrors:
 
 
 def whole(toss: Toss) -> Stretch:
-    """A toss from its first sample to its last."""
+    """Return the segment of a whole toss."""
     return Stretch(toss.state(0), toss.time, toss.poses, toss.push)
 
 
 def around_contacts(
     tosses: Sequence[Toss], gravity: FloatArray, samples: int, size: float
 ) -> list[list[Stretch]]:
-    """For each toss, short stretches that hold a contact and begin while the object moves.
+    """Return short segments of each toss with a contact, beginning while the object moves.
 
-    A contact is where the acceleration differs from gravity by half of it. Where something pushes
-    the object, it need not move: that it stays where it is bounds the friction from below.
+    A contact is detected where the acceleration differs from gravity by half of it. Under an
+    external push the object need not move: if it stays in place, that bounds the friction from
+    below.
 
     Args:
         gravity: (3,) m/s^2.
-        samples: of one stretch, the first among them.
-        size: of the object, m: slower than a tenth of it in a stretch is at rest.
+        samples: number of samples of a segment, including the first.
+        size: size of the object, m. A motion below a tenth of it in a segment counts as rest.
     """
     found = []
     for toss in tosses:
@@ -89,7 +90,7 @@ def around_contacts(
 def errors_of(
     models: Sequence[mujoco.MjModel], body: FreeBody, stretches: Sequence[Stretch]
 ) -> list[TossErrors]:
-    """Errors of every stretch under every model; a diverged one counts as lost."""
+    """Simulate every segment with every model and return the errors."""
     states = np.array([one.state for one in stretches])
     most = max(len(one.time) for one in stretches)
     times = np.full((len(stretches), most), np.nan)
@@ -110,10 +111,9 @@ def errors_of(
 
 
 def losses(errors: TossErrors, size: float) -> FloatArray:
-    """(t,) one number for each toss: position error over the half width, plus rotation error.
+    """(t,) scalar error of each toss: position error over half width, plus rotation error.
 
-    Both then are about the displacement of the object's surface in half widths. Means of absolute
-    values: a toss that tips over to another face than the measured one counts no more than its
-    distance, and not by its square.
+    Both terms are about the displacement of the object's surface in half widths. Absolute and not
+    squared errors are used, so that a simulated toss that ends on another face has limited weight.
     """
     return np.asarray(errors.position / size + errors.rotation)

@@ -1,4 +1,4 @@
-"""What of a contact is free, within which bounds, and how a model takes it."""
+"""Free contact parameters, their bounds, and their use in a model."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _SIZES = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): 1,
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): 2,
 }
-"""Shapes whose surface is moved outwards by adding to so many sizes."""
+"""Shape -> number of leading sizes to increase for an outward offset of the surface."""
 _OFFSET_SHARE = 0.2
-"""Range of the offset, in shares of the smallest half size."""
+"""Range of the offset, as a fraction of the smallest half size."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class Parameter:
     """One free parameter, searched on a scale from 0 to 1.
 
     Attributes:
-        name: as ``UNITS`` has it.
+        name: a key of ``UNITS``.
         low, high: bounds in its unit.
-        start: the model's value.
-        is_logarithmic: whether the scale is.
+        start: nominal value.
+        is_logarithmic: whether the scale is logarithmic.
     """
 
     name: str
@@ -49,13 +49,13 @@ class Parameter:
     is_logarithmic: bool = True
 
     def value(self, place: float) -> float:
-        """The value at a place on the scale."""
+        """Return the value at a position on the scale."""
         if self.is_logarithmic:
             return float(self.low * (self.high / self.low) ** place)
         return float(self.low + (self.high - self.low) * place)
 
     def place(self, value: float) -> float:
-        """The place of a value on the scale, within it."""
+        """Return the position of a value on the scale, clipped to 0 to 1."""
         if self.is_logarithmic:
             share = np.log(max(value, 1e-300) / self.low) / np.log(self.high / self.low)
         else:
@@ -63,7 +63,7 @@ class Parameter:
         return float(np.clip(share, 0.0, 1.0))
 
     def slope(self, place: float) -> float:
-        """Change of the value by a unit of the scale."""
+        """Return the derivative of the value by the position on the scale."""
         if self.is_logarithmic:
             return float(self.value(place) * np.log(self.high / self.low))
         return float(self.high - self.low)
@@ -73,14 +73,14 @@ class Parameter:
 class ContactModel:
     """A model whose free body has contact parameters of its own.
 
-    All geoms of the body that can collide get the same friction, stiffness and damping, and go
-    before what they touch (``priority``), so that the pair has them whatever the surroundings say.
+    All geoms of the body that can collide get the same friction, stiffness and damping. Their
+    ``priority`` is higher than that of other geoms, so the contact pair uses their parameters.
 
     Attributes:
-        model: nominal.
-        body: what was tossed.
-        parameters: what is free.
-        fixed: parameters that are given and not free.
+        model: nominal model.
+        body: the tossed body.
+        parameters: free parameters.
+        fixed: fixed parameters -> value.
     """
 
     model: mujoco.MjModel
@@ -99,26 +99,26 @@ class ContactModel:
         return float(np.mean([_half_size(self.model, geom) for geom in self.body.geoms]))
 
     def start(self) -> FloatArray:
-        """Places of the model's own values."""
+        """Positions of the nominal values on the scales."""
         return np.array([one.place(one.start) for one in self.parameters])
 
     def values(self, places: FloatArray) -> dict[str, float]:
-        """Free parameters at places on their scales."""
+        """Return the free parameters at positions on their scales."""
         pairs = zip(self.parameters, places, strict=True)
         return {one.name: one.value(float(place)) for one, place in pairs}
 
     def without(self, names: Sequence[str], values: Mapping[str, float]) -> ContactModel:
-        """With some parameters fixed at values."""
+        """Return the contact model with some parameters fixed."""
         kept = tuple(one for one in self.parameters if one.name not in names)
         given = {**self.fixed, **{name: values[name] for name in names}}
         return replace(self, parameters=kept, fixed=given)
 
     def at(self, values: Mapping[str, float]) -> mujoco.MjModel:
-        """The model with contact parameters; those left out are the fixed or nominal ones."""
+        """Return the model with contact parameters; missing ones are fixed or nominal values."""
         return written(self.model, self.body, {**self.fixed, **values})
 
     def with_options(self, change: Mapping[str, Any]) -> ContactModel:
-        """The same under other options of the simulation (``timestep``, ``cone``, ...)."""
+        """Return the contact model with other simulation options (``timestep``, ``cone``, ...)."""
         model = varied(self.model)
         for name, value in change.items():
             setattr(model.opt, name, value)
@@ -126,7 +126,7 @@ class ContactModel:
 
 
 def contact_model(realization: Realization, body: FreeBody) -> ContactModel:
-    """The free contact parameters of a body, from the nominal values of its model."""
+    """Return the contact model of a body, with nominal values from its model."""
     model = realization.model
     geom = body.geoms[0]
     mine = int(max(model.geom_priority[g] for g in body.geoms))
@@ -138,7 +138,7 @@ def contact_model(realization: Realization, body: FreeBody) -> ContactModel:
     step = float(model.opt.timestep)
     parameters = [
         Parameter(FRICTION, 0.01, 3.0, friction),
-        # A spring that is faster than the step, or slower than a bounce, is no contact.
+        # The bounds exclude springs faster than the time step and springs slower than a bounce.
         Parameter(STIFFNESS, 100.0, 1.0 / step**2, stiffness),
         Parameter(DAMPING, 0.5, 2.0 / step, damping),
     ]
@@ -152,7 +152,7 @@ def direct(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
     """Stiffness (1/s^2) and damping (1/s) of a geom's ``solref``, in MuJoCo's direct form.
 
     ``k = 1 / (dmax timeconst dampratio)^2``, ``b = 2 / (dmax timeconst)`` (MuJoCo's documentation,
-    Solver parameters); the time constant is at least two steps, as the engine has it.
+    Solver parameters). The engine limits the time constant to at least two steps.
     """
     first, second = (float(v) for v in model.geom_solref[geom])
     most = float(model.geom_solimp[geom, 1])
@@ -163,7 +163,7 @@ def direct(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
 
 
 def written(model: mujoco.MjModel, body: FreeBody, values: Mapping[str, float]) -> mujoco.MjModel:
-    """A copy of a model with contact parameters of its free body."""
+    """Return a copy of a model with contact parameters on its free body."""
     found = varied(model)
     first = 1 + max((int(model.geom_priority[g]) for g in body.others), default=0)
     for geom in body.geoms:
@@ -182,7 +182,7 @@ def written(model: mujoco.MjModel, body: FreeBody, values: Mapping[str, float]) 
 
 
 def geom_patch(model: mujoco.MjModel, geom: int, values: Mapping[str, float]) -> dict[str, Any]:
-    """Attributes of a geom under contact parameters, as ``fit:`` of a twin takes them."""
+    """Return the attributes of a geom for contact parameters, in the form of ``fit:`` of a twin."""
     friction = np.array(model.geom_friction[geom], dtype=float)
     friction[0] = values.get(FRICTION, friction[0])
     friction[1] = values.get(TORSIONAL, friction[1])

@@ -1,4 +1,4 @@
-"""What pushed an object while its pose was measured: presses, pushes and slides."""
+"""External wrenches on an object while its pose was measured."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pytest_twin.realization.free_body import FreeBody
 
 _WORLD = ("", "world")
 _ACTS = 0.02
-"""Force above this share of the largest one of the recording pushes the object."""
+"""Fraction of the largest force of a recording above which a force counts as acting."""
 
 
 @dataclass(frozen=True)
@@ -23,19 +23,19 @@ class Push:
     """A wrench on an object, in the axes of the world and about its centre of mass.
 
     Attributes:
-        time: (k,) s from the first pose on, ascending.
-        values: (k, 6) N and N*m.
+        time: (k,) s from the first pose, ascending.
+        values: (k, 6) force (N) and torque (N*m).
     """
 
     time: FloatArray
     values: FloatArray
 
     def after(self, seconds: float) -> Push:
-        """The same, with its times counted from a later pose on."""
+        """Return the wrench with times counted from a later pose."""
         return Push(self.time - seconds, self.values)
 
     def acts(self, start: float, end: float) -> bool:
-        """Whether it pushes within an interval of time, s."""
+        """Whether the wrench acts within a time interval, s."""
         sizes = np.linalg.norm(self.values[:, :3], axis=1)
         inside = (self.time >= start) & (self.time <= end)
         return bool((sizes[inside] > _ACTS * sizes.max()).any())
@@ -49,19 +49,19 @@ def push_of(
     poses: FloatArray,
     path: Path,
 ) -> Push:
-    """A measured wrench on the object, by the measured orientation of the object.
+    """Transform a measured wrench to the world's axes and the object's centre of mass.
 
     Args:
-        wrench: in the axes of the object (its frame is named like the body) or of the world, about
-            the object's origin.
+        wrench: about the object's origin, in the axes of the object (its frame is named like the
+            body) or of the world.
         body: the object.
         centre: (3,) its centre of mass in its own axes, m.
-        time: (n,) of its poses, s.
+        time: (n,) stamps of its poses, s.
         poses: (n, 7) m, quaternion w x y z.
         path: the recording.
 
     Raises:
-        RecordingError: it is in another frame.
+        RecordingError: the wrench is in another frame.
     """
     frame = wrench.frame.lstrip("/")
     if frame not in (*_WORLD, body.name):

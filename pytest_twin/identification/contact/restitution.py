@@ -1,4 +1,4 @@
-"""Restitution of a contact that is a spring beside a damper."""
+"""Coefficient of restitution of a spring-damper contact."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _DRAWS = 2000
 
 
 def restitution(stiffness: float, damping: float) -> float:
-    """Speed after an impact over speed before it, of a point, without gravity.
+    """Return the coefficient of restitution of a point mass without gravity.
 
-    The contact pushes and never pulls: it ends where its force is zero, and the spring is still
-    pressed in (Schwager, Pöschel, Granular Matter 9, 2007, eqs. 18 to 21).
+    The contact force is never attractive. The contact ends when the force reaches zero, while the
+    spring is still compressed (Schwager, Pöschel, Granular Matter 9, 2007, eqs. 18 to 21).
 
     Args:
         stiffness: 1/s^2.
@@ -33,12 +33,12 @@ def restitution(stiffness: float, damping: float) -> float:
 
 
 def restitution_of(fit: ContactFit) -> Mapping[str, Any] | None:
-    """Restitution with its 95 % interval; None where stiffness or damping is not told."""
+    """Return restitution with its 95 % interval; None if stiffness or damping is undetermined."""
     if not {STIFFNESS, DAMPING} <= set(fit.names):
         return None
     at = [fit.names.index(name) for name in (STIFFNESS, DAMPING)]
     values = np.array([fit.values[STIFFNESS], fit.values[DAMPING]])
-    # Both are searched by their logarithms.
+    # Both are estimated as logarithms.
     spread = fit.covariance[np.ix_(at, at)] / np.outer(values, values)
     steps = np.random.default_rng(8).multivariate_normal(np.zeros(2), spread, _DRAWS)
     drawn = values * np.exp(steps)

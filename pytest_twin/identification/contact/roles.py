@@ -1,4 +1,4 @@
-"""Which tosses are fitted and which are held out: whole tosses, never samples."""
+"""Split tosses into fitted and held-out ones: whole tosses, never samples."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _ONE_HELD_OUT_OF = 4
 
 @dataclass(frozen=True)
 class TossOptions:
-    """How tosses are read.
+    """Settings for reading tosses.
 
     Attributes:
-        length: m for one unit of length; None to find it out.
-        rate: samples per s; None to find it out.
-        body: that was tossed, where the model has several free bodies.
-        topic: of the poses in a bag.
-        wrench: topic of what pushed the object, in a bag.
+        length: unit of length in m; None to detect it.
+        rate: samples per second; None to detect it.
+        body: name of the tossed body, if the model has several free bodies.
+        topic: topic of the poses in a bag.
+        wrench: topic of the external wrench in a bag.
     """
 
     length: float | None = None
@@ -43,8 +43,8 @@ class TossSet:
 
     Attributes:
         fit, held_out: whole tosses.
-        units: of the recordings, where they are not stated.
-        notes: what was decided on its own.
+        units: stated or detected units of the recordings.
+        notes: messages on automatic decisions.
     """
 
     fit: tuple[Toss, ...]
@@ -61,20 +61,21 @@ def read_by_role(
     centre: FloatArray,
     options: TossOptions,
 ) -> TossSet:
-    """Read tosses and decide the role of each.
+    """Read tosses and assign the role of each.
 
-    ``held_out`` decides where it is given, else the recordings' own metadata ``role``, else every
-    fourth toss is set aside. Units that are not stated are found from the tosses to fit alone.
+    The roles follow from ``held_out``, else from the metadata ``role`` of the recordings, else
+    every fourth toss is held out. Units that are not stated are detected from the fitted tosses
+    only.
 
     Args:
         recordings, held_out: ``.npz`` archives and bags.
-        gravity: (3,) of the model, m/s^2.
+        gravity: (3,) gravity of the model, m/s^2.
         body: the object.
-        centre: (3,) its centre of mass in its own axes, m.
-        options: how they are read.
+        centre: (3,) centre of mass of the object in its own axes, m.
+        options: settings for reading.
 
     Raises:
-        TwinError: a recording that cannot be read, or no toss to fit.
+        TwinError: a recording cannot be read, or there is no toss to fit.
     """
     aside = {path.resolve() for path in held_out}
     paths = [path for path in dict.fromkeys(recordings) if path.resolve() not in aside]
@@ -128,7 +129,7 @@ def read_by_role(
 def _pushed(
     tosses: Sequence[Toss], tracks: Sequence[PoseTrack], body: FreeBody, centre: FloatArray
 ) -> list[Toss]:
-    """Tosses with what pushed the object."""
+    """Return the tosses with their external wrenches."""
     return [
         toss
         if track.wrench is None

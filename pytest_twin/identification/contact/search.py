@@ -1,9 +1,10 @@
-"""Search of contact parameters: short stretches around contacts first, then whole tosses.
+"""Search for contact parameters: first on short segments around contacts, then on whole tosses.
 
-The error over a whole toss is not smooth in the parameters: an impact a hair earlier tips the
-object to another face. Over a few samples around one contact it is nearly smooth, and its minimum
-leads to the right valley (multiple shooting; Bock, Plitt, 1984). CMA-ES (Hansen, 2016) then follows
-the error of whole tosses without derivatives. Each generation is one call of many rollouts.
+The error over a whole toss is not smooth in the parameters, because a slightly earlier impact can
+tip the object to another face. Over a few samples around one contact the error is nearly smooth,
+and its minimum lies in the basin of the right solution (multiple shooting; Bock, Plitt, 1984).
+CMA-ES (Hansen, 2016) then minimizes the error of whole tosses without derivatives. Each generation
+is one batch of rollouts.
 """
 
 from __future__ import annotations
@@ -20,16 +21,17 @@ from pytest_twin.identification.contact.loss import Stretch, errors_of, losses
 from pytest_twin.identification.contact.parameters import ContactModel
 
 STARTS = 3
-"""Starts of the search over stretches: the nominal values, and points of a Sobol sequence."""
+"""Number of starts of the search over segments: the nominal values and points of a Sobol
+sequence."""
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """Parameters that were tried, and what each toss's error was.
+    """Evaluated parameters with the error of each segment.
 
     Attributes:
-        places: (e, p) on the scales of the parameters.
-        losses: (e, t).
+        places: (e, p) positions on the scales of the parameters.
+        losses: (e, t) errors.
     """
 
     places: FloatArray
@@ -37,12 +39,12 @@ class Evaluated:
 
     @property
     def best(self) -> FloatArray:
-        """(p,) the place of the least mean error."""
+        """(p,) position with the smallest mean error."""
         return np.asarray(self.places[int(np.argmin(self.losses.mean(axis=1)))])
 
 
 class Loss:
-    """Errors of stretches under places of parameters; remembers all that was tried."""
+    """Errors of segments as a function of the parameters; records all evaluations."""
 
     def __init__(self, contact: ContactModel, stretches: Sequence[Stretch]) -> None:
         self.contact, self.stretches = contact, list(stretches)
@@ -51,7 +53,7 @@ class Loss:
         self.rows: list[FloatArray] = []
 
     def __call__(self, places: Sequence[FloatArray]) -> FloatArray:
-        """(e, t) errors of each stretch at each place."""
+        """(e, t) errors of each segment at each position."""
         models = [self.contact.at(self.contact.values(place)) for place in places]
         found = errors_of(models, self.contact.body, self.stretches)
         rows = [losses(one, self.size) for one in found]
@@ -60,7 +62,7 @@ class Loss:
         return np.array(rows)
 
     def evaluated(self) -> Evaluated:
-        """Everything that was tried."""
+        """Return all evaluations."""
         return Evaluated(np.array(self.places), np.array(self.rows))
 
 
@@ -72,14 +74,14 @@ def minimized(
     seed: int,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> FloatArray:
-    """The place of the least mean error that CMA-ES finds.
+    """Return the position with the smallest mean error that CMA-ES finds.
 
     Args:
-        start: where it begins, on the scales.
-        spread: first standard deviation on the scales.
-        generations: how many, each of about ten places.
-        seed: of the draws, at least 1.
-        progress: told the fraction done.
+        start: initial mean, on the scales.
+        spread: initial standard deviation on the scales.
+        generations: number of generations, each of about ten positions.
+        seed: seed of the random draws, at least 1.
+        progress: called with the fraction done.
     """
     count = len(start)
     if count == 1:
@@ -102,7 +104,7 @@ def minimized(
 
 
 def starts(contact: ContactModel) -> list[FloatArray]:
-    """Where the search over stretches begins."""
+    """Return the initial positions of the search over segments."""
     from scipy.stats import qmc
 
     drawn = qmc.Sobol(len(contact.parameters), seed=1).random(4)

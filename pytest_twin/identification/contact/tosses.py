@@ -1,4 +1,4 @@
-"""Tosses in SI units, with the first state that each prediction starts from."""
+"""Tosses in SI units, with the initial state of each prediction."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from pytest_twin.formats.pose_track import PoseTrack
 from pytest_twin.identification.contact.pushes import Push
 
 _LEADING = 10
-"""Samples at the start of a toss over which its fall is taken."""
+"""Number of samples at the start of a toss for measuring its free-fall acceleration."""
 _SAME_UNIT = 0.05
-"""Relative difference of free fall from the model's gravity up to which the unit is the model's."""
+"""Largest relative difference of the free-fall acceleration from the model's gravity if both use
+the same unit of length."""
 _AGREE = 0.1
-"""Relative difference of a toss's fall from the median up to which both agree."""
+"""Largest relative difference of a toss's free-fall acceleration from the median."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +28,14 @@ class Toss:
     """One toss, in the model's units.
 
     Attributes:
-        name: with its file.
-        path: the file.
-        time: (n,) s, from 0 on.
+        name: name, including the file's.
+        path: path of the file.
+        time: (n,) s, from 0.
         poses: (n, 7) x y z (m) and quaternion w x y z.
-        twist: (n, 6) velocity in the world (m/s) and in the object's axes (rad/s), at each sample.
-        role: ``fit`` or ``held_out`` where the recording says it.
-        push: what pushed the object, beside gravity and contact.
+        twist: (n, 6) linear velocity in the world's axes (m/s) and angular velocity in the object's
+            axes (rad/s).
+        role: ``fit`` or ``held_out`` if the recording states it.
+        push: external wrench on the object, without gravity and contact.
     """
 
     name: str
@@ -45,19 +47,19 @@ class Toss:
     push: Push | None = None
 
     def state(self, row: int) -> FloatArray:
-        """(13,) pose and velocity at a sample."""
+        """(13,) pose and velocity at sample ``row``."""
         return np.concatenate([self.poses[row], self.twist[row]])
 
 
 @dataclass(frozen=True)
 class Units:
-    """What a file without units was found, or said, to be in.
+    """Stated or detected units of a file that has none.
 
     Attributes:
-        length: m for one unit of length.
-        period: s between two samples; None where the file has times.
-        lag: s by which recorded velocities are older than the poses beside them.
-        notes: what was found from the data, in words.
+        length: unit of length, m.
+        period: time between two samples, s; None if the file has stamps.
+        lag: delay of recorded velocities against the poses of the same sample, s.
+        notes: messages on detected units.
     """
 
     length: float
@@ -73,26 +75,26 @@ def in_model_units(
     rate: float | None = None,
     lag: float | None = None,
 ) -> tuple[list[Toss], Units]:
-    """Tosses in m and s.
+    """Convert tosses to m and s.
 
-    A file without times is timed by its own velocities: displacement over velocity is the time
-    between two samples. Its unit of length follows from the fall at the start of the tosses.
-    Recorded velocities may be mean values over the last interval, and then are half a sample old:
-    the difference to the derivative of the poses in free fall tells it.
+    For a file without stamps, displacement over velocity gives the time between two samples. The
+    unit of length follows from the free fall at the start of the tosses. Recorded velocities may be
+    means over the last interval, which delays them by half a sample. The comparison with the
+    derivative of the poses in free fall detects this.
 
     Args:
-        tracks: of one file, or of files made alike.
-        gravity: (3,) of the model, m/s^2.
-        length: m for one unit of length, where it is known.
-        rate: Hz, where it is known.
-        lag: s by which recorded velocities are old, where it is known.
+        tracks: tracks of one file, or of files with the same units.
+        gravity: (3,) gravity of the model, m/s^2.
+        length: unit of length, m, if known.
+        rate: sampling rate, Hz, if known.
+        lag: delay of recorded velocities, s, if known.
 
     Raises:
-        RecordingError: the unit cannot be found, and was not given.
+        RecordingError: the unit is not given and cannot be detected.
     """
     notes: list[str] = []
     period: float | None = None
-    # Poses of ROS, which are timed, are in m.
+    # Poses from ROS have stamps and are in m.
     unitless = length is None and not all(track.has_times for track in tracks)
     if not all(track.has_times for track in tracks):
         period = 1.0 / rate if rate is not None else _period(tracks)
@@ -175,7 +177,7 @@ def _fall(tracks: Sequence[PoseTrack], gravity: FloatArray) -> float:
 
 
 def _lag(tracks: Sequence[PoseTrack], gravity: FloatArray, unit: float) -> float:
-    """How old recorded velocities are, s; 0 within 0.1 samples."""
+    """Return the delay of recorded velocities, s; 0 if it is below 0.1 samples."""
     if not np.linalg.norm(gravity) > 0.0:
         return 0.0
     down = gravity / np.linalg.norm(gravity)
@@ -213,7 +215,7 @@ def _toss(track: PoseTrack, unit: float, forward: FloatArray) -> Toss:
 
 
 def _derived(time: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
-    """(n, 6) velocities from poses: parabolas through the next samples, mean turn between them."""
+    """(n, 6) velocities from poses, by parabolas through neighbours and mean rotations."""
     width, count = 5, len(time)
     found = np.empty((count, 6))
     turn = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])

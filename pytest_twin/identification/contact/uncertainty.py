@@ -1,10 +1,10 @@
-"""How surely tosses tell contact parameters, and which combinations they do not tell.
+"""Uncertainty of contact parameters, and the combinations that tosses do not determine.
 
-The mean error around its minimum is taken as a quadratic of the parameters, fitted to errors at
-points spread around it, so that the engine's small jumps average out (response surface; Box,
-Wilson, 1951). Whole tosses are then drawn anew with replacement; each drawing has a quadratic and a
-minimum of its own (bootstrap by clusters; Efron, Tibshirani, 1993). All samples of a toss share
-its first state and its surface, so single samples are never drawn.
+A quadratic function of the parameters is fitted to the mean error at points around the minimum, so
+that small discontinuities of the engine average out (response surface; Box, Wilson, 1951). Whole
+tosses are then resampled with replacement. Each resample has its own quadratic and minimum (cluster
+bootstrap; Efron, Tibshirani, 1993). All samples of a toss share its initial state and its surface,
+so single samples are never resampled.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.contact.search import Loss
 
 REACH = 0.1
-"""Half width of the region of the quadratic, on the parameters' scales. Within 0.05 the jumps of
-the error outweigh its curvature, beyond 0.2 it is no quadratic."""
+"""Half width of the region of the quadratic, on the parameters' scales. Below 0.05 discontinuities
+of the error exceed its curvature; above 0.2 the error is not quadratic."""
 _NARROW = (0.5 * REACH, 0.25 * REACH)
-"""Regions that are tried where the error is too sharp for a quadratic over the wider one."""
+"""Smaller regions for errors that are not quadratic over the larger one."""
 _SHARP = 1.02
 _ENDLESS = 0.1
-"""Share of drawings without a minimum from which on a direction is not told."""
+"""Fraction of resamples without a minimum above which a direction is undetermined."""
 DRAWS = 400
-"""Drawings of tosses: 5 % precision of a standard deviation."""
+"""Number of resamples. It gives a standard deviation with 5 % precision."""
 UNTOLD = 0.15
-"""Standard deviation on the scale from which on nothing was learnt: a value that could be anywhere
-within its bounds has 0.29."""
+"""Standard deviation on the scale above which a parameter is undetermined. A uniform distribution
+over the bounds has 0.29."""
 _SPARE = 4
-"""Points for each coefficient of the quadratic."""
+"""Number of points per coefficient of the quadratic."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Quadratics of the error of each toss around one place.
+    """Quadratic approximation of the error of each toss.
 
     Attributes:
-        centre: (p,) where steps count from.
+        centre: (p,) position from which steps count.
         coefficients: (c, t) of each toss: constant, p linear, p (p + 1) / 2 quadratic.
         reach: half width of the region, on the scales.
     """
@@ -60,7 +60,7 @@ class Surface:
         return mean[1 : 1 + count], hessian + hessian.T
 
     def step(self, weights: FloatArray) -> FloatArray:
-        """(p,) the step to the minimum; along a direction without one, to the region's end."""
+        """(p,) step to the minimum; along directions without one, to the end of the region."""
         gradient, hessian = self.parts(weights)
         values, vectors = np.linalg.eigh(hessian)
         along = vectors.T @ gradient
@@ -71,12 +71,12 @@ class Surface:
 
 
 def surface(loss: Loss, centre: FloatArray, groups: Sequence[int]) -> Surface:
-    """Fit the quadratics around a place, over a region in which they lead to no larger error.
+    """Fit the quadratics over a region in which their minimum does not increase the error.
 
     Args:
-        loss: of stretches.
-        centre: (p,) on the scales.
-        groups: (s,) toss of each stretch.
+        loss: errors of segments.
+        centre: (p,) position on the scales.
+        groups: (s,) index of the toss of each segment.
     """
     found = _surface(loss, centre, groups, REACH)
     for reach in _NARROW:
@@ -109,12 +109,12 @@ def _features(steps: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Told:
-    """What the tosses tell.
+    """Minimum, covariance and undetermined combinations.
 
     Attributes:
-        centre: (p,) the minimum, on the scales.
-        covariance: (p, p) there.
-        untold: unit vectors (p,) of combinations that the tosses do not tell.
+        centre: (p,) minimum, on the scales.
+        covariance: (p, p) covariance of the minimum.
+        untold: (p,) unit vectors of undetermined combinations.
     """
 
     centre: FloatArray
@@ -125,13 +125,14 @@ class Told:
 def told(
     found: Surface, free: Sequence[int], rivals: Sequence[FloatArray] = (), seed: int = 3
 ) -> Told:
-    """Minimum and covariance over drawings of whole tosses.
+    """Compute minimum and covariance by a bootstrap over whole tosses.
 
     Args:
-        found: of all parameters.
-        free: which of them are estimated; the others stay at the centre.
-        rivals: other places (p,) that predict the tosses as well: the covariance covers them.
-        seed: of the drawings.
+        found: quadratic of all parameters.
+        free: indices of the estimated parameters; the others stay at the centre.
+        rivals: other positions (p,) that predict the tosses equally well; the covariance includes
+            them.
+        seed: seed of the resampling.
     """
     kept = np.array(free, dtype=int)
     part = Surface(found.centre[kept], _only(found, kept), found.reach)
@@ -145,20 +146,21 @@ def told(
         apart = rival[kept] - centre
         covariance = covariance + np.outer(apart, apart) / len(rivals)
     values, vectors = np.linalg.eigh(covariance)
-    # A step that ends at the region's end found no minimum.
+    # A step to the end of the region means that there is no minimum.
     endless = np.mean(np.abs(steps @ vectors) > 1.9 * found.reach, axis=0) > _ENDLESS
     untold = [vectors[:, at] for at in range(len(values)) if values[at] > UNTOLD**2 or endless[at]]
     return Told(centre, covariance, tuple(untold))
 
 
 def few(tosses: int, deviations: float = Z95) -> float:
-    """Factor by which so few tosses widen an interval.
+    """Return the factor by which an interval is widened for a small number of tosses.
 
-    Drawings of n tosses vary by a share of ``(n - 1) / n`` of what tosses do, and the spread of
-    few is itself uncertain: Student's quantile over the normal one of the same probability.
+    The variance of resamples of n tosses is too small by ``(n - 1) / n``, and the variance from few
+    tosses is itself uncertain. The factor includes both, with Student's quantile over the normal
+    one of the same probability.
 
     Args:
-        tosses: how many, at least two.
+        tosses: number of tosses, at least two.
         deviations: half width of the interval for many tosses, in standard deviations.
     """
     wide = float(student.ppf(norm.cdf(deviations), tosses - 1)) / deviations
@@ -166,7 +168,7 @@ def few(tosses: int, deviations: float = Z95) -> float:
 
 
 def as_good(one: FloatArray, other: FloatArray) -> bool:
-    """Whether the second of two predictions of the same tosses is not worse beyond chance.
+    """Whether the second of two predictions of the same tosses is not significantly worse.
 
     Args:
         one, other: (t,) mean errors of each toss.
@@ -176,7 +178,7 @@ def as_good(one: FloatArray, other: FloatArray) -> bool:
 
 
 def by_toss(found: FloatArray, groups: Sequence[int]) -> FloatArray:
-    """(e, t) means over the stretches of each toss, of (e, s) errors."""
+    """(e, t) means of (e, s) errors over the segments of each toss."""
     members = np.array([[one == toss for one in groups] for toss in sorted(set(groups))], float)
     return np.asarray(found @ (members / members.sum(axis=1, keepdims=True)).T)
 

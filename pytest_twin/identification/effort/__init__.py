@@ -1,1 +1,1 @@
-"""Identification from measured effort: inverse dynamics, linear in the parameters."""
+"""Identification from measured effort by inverse dynamics, which are linear in the parameters."""

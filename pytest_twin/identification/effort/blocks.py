@@ -1,4 +1,4 @@
-"""Block bootstrap of a linear fit: a check of its covariance that assumes no noise model."""
+"""Block bootstrap of a linear fit: check its covariance without a noise model."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.least_squares import Linear, Solution, weighed
 
 _ENOUGH = 10
-"""Recordings from which each is a block of its own."""
+"""Smallest number of recordings for which each recording is one block."""
 _BLOCKS = 20
-"""Blocks that fewer recordings are cut into."""
+"""Number of blocks for fewer recordings."""
 _RESAMPLES = 500
 _WIDER = 1.5
-"""Times that the bootstrap's deviation exceeds the stated one before the report names it."""
+"""Ratio of bootstrap to stated standard deviation above which the report mentions it."""
 
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """What the fit would be on other recordings of the same kind.
+    """Result of the block bootstrap.
 
     Attributes:
-        blocks: that were drawn.
-        recordings: whether a block is a whole recording, else a part of one.
+        blocks: number of blocks.
+        recordings: True if blocks are whole recordings, False for parts of recordings.
         interval: (b, 2) 95 % interval about the estimate.
-        wider: (b,) whether the deviation is 1.5 times the stated one or more.
+        wider: (b,) True where the standard deviation is at least 1.5 times the stated one.
     """
 
     blocks: int
@@ -39,15 +39,15 @@ class Bootstrap:
 
 
 def bootstrap(problem: Linear, fitted: Solution, left: FloatArray | None = None) -> Bootstrap:
-    """The fit again and again, each block with another weight, under the rows' final weights.
+    """Repeat the fit with random weights of the blocks and the final weights of the rows.
 
     Residuals may be correlated within a block in any way (Künsch, Annals of Statistics 17, 1989).
     Blocks get exponential weights (Rubin, Annals of Statistics 9, 1981), so that a parameter that
-    one block alone shows stays determined.
+    only one block excites stays determined.
 
     Args:
-        problem, fitted: the fit.
-        left: (n, joints, b) instrument of an estimate by instrumental variables.
+        problem, fitted: problem and result of the fit.
+        left: (n, joints, b) instrument of an instrumental-variable estimate.
     """
     deviation = bootstrap_deviations(*normal_equations(problem, fitted.weight, left))
     half = Z95 * deviation[:, None] * np.array([-1.0, 1.0])
@@ -63,11 +63,11 @@ def bootstrap(problem: Linear, fitted: Solution, left: FloatArray | None = None)
 def normal_equations(
     problem: Linear, weight: FloatArray, left: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """(blocks, b, b) and (blocks, b): the sums of Z^T W and of Z^T y over each block.
+    """(blocks, b, b) sums of Z^T W and (blocks, b) sums of Z^T y over each block.
 
     Args:
         problem: rows and columns.
-        weight: (n, joints) reciprocal deviations of the rows.
+        weight: (n, joints) reciprocal standard deviations of the rows.
         left: Z, (n, joints, b); W itself by default.
     """
     owner = block_of(problem.lengths)
@@ -86,7 +86,7 @@ def bootstrap_deviations(matrices: FloatArray, rights: FloatArray) -> FloatArray
     blocks, count = rights.shape
     if blocks < 2 or not count:
         return np.zeros(count)
-    # Unit columns, and one draw for all: the same recordings give the same result.
+    # Columns have unit length, and the seed is fixed: the same recordings give the same result.
     sizes = np.sqrt(np.maximum(np.abs(np.einsum("kbb->b", matrices)), 1e-300))
     weights = np.random.default_rng(0).exponential(size=(_RESAMPLES, blocks))
     sums = np.einsum("rk,kbc->rbc", weights, matrices / np.outer(sizes, sizes))
@@ -96,7 +96,7 @@ def bootstrap_deviations(matrices: FloatArray, rights: FloatArray) -> FloatArray
 
 
 def block_of(lengths: Sequence[int]) -> NDArray[np.intp]:
-    """(n,) block of each row: its recording, or equal parts of few recordings."""
+    """(n,) block of each row: its recording, or equal parts if there are few recordings."""
     parts = 1 if len(lengths) >= _ENOUGH else -(-_BLOCKS // len(lengths))
     owners, first = [], 0
     for n in lengths:

@@ -1,4 +1,4 @@
-"""How much later the efforts are than the motion: a late stamp, or a low-pass filter."""
+"""Estimate the delay of efforts against the motion: a late stamp, or a low-pass filter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pytest_twin.identification.effort.least_squares import Linear, solve
 from pytest_twin.identification.measured import Measured
 
 DELAY, LAG = "robot.effort_delay", "robot.effort_lag"
-"""Their names among the parameters of a record."""
+"""Names of delay and time constant among the parameters of a record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +22,9 @@ class Delay:
     """A delay of all efforts.
 
     Attributes:
-        value: s; negative where the motion is stamped later.
-        half_width: s, of the 95 % interval.
-        name: ``DELAY``; or ``LAG``, the time constant of a first-order low-pass.
+        value: delay, s; negative if the motion is stamped later.
+        half_width: half width of the 95 % interval, s.
+        name: ``DELAY``, or ``LAG`` for the time constant of a first-order low-pass.
     """
 
     value: float
@@ -33,20 +33,20 @@ class Delay:
 
     @property
     def is_significant(self) -> bool:
-        """Whether it differs from zero."""
+        """Whether the value differs from zero at the 95 % level."""
         return abs(self.value) * Z95 >= SIGNIFICANT * self.half_width
 
 
 def delay_of(problem: Linear, recorded: FloatArray, rate: float) -> Delay:
-    """The delay to first order: effort(t) = needed(t - delay) = needed - delay * d(effort)/dt.
+    """Estimate the delay to first order: effort(t) = model(t - delay) = model - delay d(effort)/dt.
 
-    All parameters of the problem are free beside it, so that friction and inertia cannot pass for
-    it. The derivative is that of the measured effort.
+    All parameters of the problem are estimated together with the delay, so that friction and
+    inertia do not bias it. The derivative is that of the measured effort.
 
     Args:
         problem: rows of all recordings at equal intervals.
-        recorded: (n, joints) efforts with those of known payloads, which are as late.
-        rate: of its rows, Hz.
+        recorded: (n, joints) efforts including those of known payloads, which have the same delay.
+        rate: sampling rate of the rows, Hz.
     """
     slope = _slopes(problem, recorded, rate)
     columns = np.concatenate([problem.matrix, -slope[..., None]], axis=2)
@@ -58,13 +58,13 @@ def delay_of(problem: Linear, recorded: FloatArray, rate: float) -> Delay:
 def without_delay(
     recordings: Sequence[Measured], value: float, name: str = DELAY
 ) -> tuple[Measured, ...]:
-    """The recordings with the efforts as they acted.
+    """Return the recordings with the delay or lag of the efforts removed.
 
     Args:
         recordings: as they were read.
-        value: s, of the delay.
-        name: ``DELAY``: efforts are moved in time. ``LAG``: effort + value d(effort)/dt is what
-            went into the low-pass.
+        value: delay or time constant, s.
+        name: ``DELAY``: efforts are shifted in time. ``LAG``: effort + value
+            d(effort)/dt is the input of the low-pass.
     """
 
     def acted(time: FloatArray, column: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Zero and scale of each encoder, from the effort: gravity and coupling act at the true angle."""
+"""Estimate zero and scale of encoders from efforts, which depend on the true angles."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pytest_twin.realization import Realization
 
 BIAS, SCALE = "encoder_bias", "encoder_scale"
 _STEP = 1e-4
-"""rad, m, or share: of the central difference. Its error is 1e-9 of the slope, below which nothing
-counts as determined; that of a difference to one side would pass for a motion."""
+"""Step of the central difference, rad, m or fraction. Its error is 1e-9 of the derivative, below
+the threshold for determined parameters. The error of a one-sided difference would be above it."""
 _WIDEST = 0.05
-"""Half width (rad, m, or share) beyond which the motion does not determine an encoder: 3 degrees,
-which a person sees at the robot's marks."""
+"""Half width (rad, m or fraction) above which the motion does not determine an encoder error. It is
+3 degrees, an error that is visible at the robot's alignment marks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,10 @@ class Reading:
     """One error of an encoder: measured = (1 + scale) q + bias.
 
     Attributes:
-        joint: whose encoder.
+        joint: joint of the encoder.
         kind: ``encoder_bias`` or ``encoder_scale``.
-        value: rad or m; of a scale a share.
-        half_width: of the 95 % interval.
+        value: bias in rad or m, or relative scale error.
+        half_width: half width of the 95 % interval.
     """
 
     joint: str
@@ -51,12 +51,12 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Encoders:
-    """What the efforts say of the encoders.
+    """Encoder errors estimated from efforts.
 
     Attributes:
-        readings: those that the motion determines, whether they differ from zero or not.
+        readings: errors that the motion determines, significant or not.
         undetermined: (joint, kind) of the others.
-        corrected: those of the readings that were taken out of the recordings.
+        corrected: errors that were removed from the recordings.
     """
 
     readings: tuple[Reading, ...] = ()
@@ -65,11 +65,11 @@ class Encoders:
 
     @property
     def wrong(self) -> tuple[Reading, ...]:
-        """Those that differ from zero."""
+        """Errors that differ significantly from zero."""
         return tuple(one for one in self.readings if one.is_significant)
 
     def value_of(self, joint: str, kind: str) -> float:
-        """Of one reading; 0 where the motion does not determine it."""
+        """Return the value of one error; 0 if the motion does not determine it."""
         same = [one.value for one in self.readings if (one.joint, one.kind) == (joint, kind)]
         return same[0] if same else 0.0
 
@@ -83,18 +83,19 @@ def encoders_of(
     values: FloatArray,
     chosen: Filter,
 ) -> Encoders:
-    """Errors of all encoders to first order, with all parameters of the problem free beside them.
+    """Estimate the errors of all encoders to first order, together with all other parameters.
 
-    A zero of the last joint is a turn of its link's centre of mass and stays undetermined without a
-    known payload. Errors that the motion does not determine are left out, the least known first.
+    A zero of the last joint is equivalent to a rotation of its link's centre of mass and is
+    undetermined without a known payload. Errors that the motion does not determine are left out,
+    the least accurate first.
 
     Args:
-        realization: the nominal model, with the twin that states payloads.
-        recordings: those that are fitted.
-        regressor, base: of the robot.
-        problem: all columns that the motion shows.
-        values: (b,) fitted base parameters, about which efforts are differentiated.
-        chosen: how motion is filtered.
+        realization: nominal model, with the twin that states payloads.
+        recordings: fitted recordings.
+        regressor, base: regressor and base parameters of the robot.
+        problem: problem with all columns that the motion excites.
+        values: (b,) fitted base parameters at which efforts are differentiated.
+        chosen: filter of the motion.
     """
     whole = np.zeros(len(regressor.columns))
     whole[base.independent] = values
@@ -115,7 +116,7 @@ def encoders_of(
         columns = np.concatenate([problem.matrix, own[..., kept]], axis=2)
         dry = np.zeros((len(problem.dry), len(kept)), dtype=bool)
         both = replace(problem, matrix=columns, dry=np.hstack([problem.dry, dry]), instrument=None)
-        # What the motion hardly shows goes before anything is solved.
+        # Columns that the motion hardly excites are removed before the solution.
         shown = moved_by(columns, both)[free:]
         if not shown.all():
             kept = [k for k, seen in zip(kept, shown, strict=True) if seen]
@@ -135,12 +136,12 @@ def encoders_of(
 def without_errors(
     recordings: Sequence[Measured], readings: Sequence[Reading]
 ) -> tuple[Measured, ...]:
-    """The recordings at the true positions, as far as they are known."""
+    """Return the recordings with positions corrected for known encoder errors."""
     return tuple(replace(one, position=_true(one, readings)) for one in recordings)
 
 
 def said(readings: Sequence[Reading], slides: Mapping[str, bool]) -> str:
-    """Errors in words."""
+    """Describe encoder errors as text."""
     words = []
     for one in readings:
         if one.kind == SCALE:
@@ -168,7 +169,7 @@ def _true(recording: Measured, readings: Sequence[Reading]) -> FloatArray:
 
 
 def undetermined_words(undetermined: Sequence[tuple[str, str]]) -> list[dict[str, str]]:
-    """As ``unobservable`` of ``identification.json`` has them, with the motion that would tell."""
+    """Return entries of ``unobservable`` in ``identification.json``, with the required motion."""
     motion = {
         BIAS: "hold a known payload (payloads: in twin.yaml) in poses all over the range of {}",
         SCALE: "hold poses over the whole range of {}, with and without a known payload",

@@ -1,4 +1,4 @@
-"""Essential parameters: those of the base parameters that the data tell from zero."""
+"""Essential parameters: base parameters that differ significantly from zero."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.least_squares import Linear, Solution, information, solve
 
 SIGNIFICANT = 4.0
-"""A parameter that is less than this many standard deviations from zero is not essential. On the
-TX40, 3 keeps 28 of 61 parameters, 4 keeps 26 and 5 keeps 24; 4 has the least held-out error."""
+"""Distance from zero, in standard deviations, below which a parameter is not essential. On the
+TX40, 3 keeps 28 of 61 parameters, 4 keeps 26 and 5 keeps 24; 4 has the smallest held-out error."""
 
 
 @dataclass(frozen=True)
 class Essential:
-    """A fit of the parameters that the data need.
+    """Fit of the essential parameters.
 
     Attributes:
         kept: (k,) indices of the fitted columns.
-        held: (b - k,) indices of the others, which are held at zero.
-        solution: of the kept ones.
+        held: (b - k,) indices of the others, which are fixed at zero.
+        solution: fit of the kept columns.
     """
 
     kept: NDArray[np.intp]
@@ -42,7 +42,7 @@ def essential(problem: Linear) -> Essential:
     """Backward elimination of parameters that do not differ from zero (Khalil, Dombre 2002, 12.5).
 
     Args:
-        problem: with independent columns.
+        problem: problem with independent columns.
     """
     kept = np.arange(problem.matrix.shape[2])
     while True:
@@ -57,7 +57,7 @@ def essential(problem: Linear) -> Essential:
 
 
 def _eliminated(problem: Linear, found: Solution) -> list[int]:
-    """Columns that go, one after another, under the weights of a solution."""
+    """Return the columns to remove, in order, with the weights of a solution."""
     said = information(problem, found.residual, found.weight)
     values = found.values.copy()
     kept = np.arange(len(values))
@@ -71,7 +71,7 @@ def _eliminated(problem: Linear, found: Solution) -> list[int]:
         one = int(kept[least])
         removed.append(one)
         kept = np.delete(kept, least)
-        # The others follow the one that is held, at the least squares.
+        # The other parameters follow the removed one to the new least-squares solution.
         block = said.matrix[np.ix_(kept, kept)]
         values[kept] += np.linalg.lstsq(block, said.matrix[kept, one] * values[one], rcond=None)[0]
     return removed
@@ -80,17 +80,17 @@ def _eliminated(problem: Linear, found: Solution) -> list[int]:
 def omission(
     problem: Linear, kept: NDArray[np.intp], held: NDArray[np.intp], found: Solution
 ) -> FloatArray:
-    """(k,) root mean square error of the kept parameters because others are held at zero.
+    """(k,) RMS bias of the kept parameters that the omission of the others causes.
 
-    Their bias is A beta, with A = (W_k^T W_k)^-1 W_k^T W_h (omitted variables). What beta is comes
-    from the fit of all parameters together, shrunk by how much larger than their own errors those
-    held are: under a prior of that width (Zellner's, with George and Foster's empirical estimate of
-    it, Biometrika 87, 2000) beta has mean s b and covariance s C. Where they are all noise, s is 0.
+    The omitted-variable bias is A beta, with A = (W_k^T W_k)^-1 W_k^T W_h. The omitted parameters
+    beta are those of the fit of all parameters, b with covariance C, shrunk by a factor s. Under
+    Zellner's prior with the empirical width of George and Foster (Biometrika 87, 2000), beta has
+    mean s b and covariance s C. If the omitted parameters are noise only, s is 0.
 
     Args:
-        problem: with all columns.
+        problem: problem with all columns.
         kept, held: indices of its columns.
-        found: the fit of those that are kept.
+        found: fit of the kept columns.
     """
     if not len(held) or not len(kept):
         return np.zeros(len(kept))

@@ -1,4 +1,4 @@
-"""The estimator of each figure: least squares, or instrumental variables where it is biased."""
+"""Choose the estimator: least squares, or instrumental variables if least squares is biased."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ INSTRUMENTS: Estimator = "instrumental variables"
 
 @dataclass(frozen=True)
 class Estimate:
-    """The essential parameters, by which estimator and why.
+    """Essential parameters with the chosen estimator and the reason.
 
     Attributes:
         fitted: the essential parameters.
-        estimator: that gave them.
-        why: in one sentence.
+        estimator: chosen estimator.
+        why: reason for the choice, in one sentence.
         squares: weighted least squares of the same parameters.
-        test: for noise in the regressor; None where there is no instrument.
-        bootstrap: the check of the intervals.
+        test: test for noise in the regressor; None without an instrument.
+        bootstrap: check of the intervals.
     """
 
     fitted: Essential
@@ -44,7 +44,7 @@ class Estimate:
     bootstrap: Bootstrap
 
     def to_json(self) -> dict[str, Any]:
-        """As ``estimator`` stands in ``identification.json``."""
+        """Return the entry ``estimator`` of ``identification.json``."""
         found: dict[str, Any] = {"name": self.estimator, "why": self.why}
         if self.test is not None:
             found["endogeneity"] = self.test.to_json()
@@ -55,9 +55,9 @@ def estimate(problem: Linear, tested: Linear, found: Essential) -> Estimate:
     """Choose the estimator by the test of Durbin, Wu and Hausman, and check its intervals.
 
     Args:
-        problem: all columns that the motion shows; of the recordings that were fitted.
-        tested: the same columns of those that were not.
-        found: least squares of the essential ones.
+        problem: columns that the motion excites, on the fitted recordings.
+        tested: the same columns on the held-out recordings.
+        found: least-squares fit of the essential parameters.
     """
     own, test = problem.only(found.kept), None
     squares, kept = found.solution, found.kept
@@ -72,7 +72,8 @@ def estimate(problem: Linear, tested: Linear, found: Essential) -> Estimate:
         why = test.words
         if test.biased:
             estimator = INSTRUMENTS
-            # Along the commanded motion, because least squares takes noise for parameters.
+            # The commanded motion is used, because noise in the measured motion would bias least
+            # squares.
             found = essential(along_commands(problem))
             kept, own = found.kept, problem.only(found.kept)
             squares = solve(own)

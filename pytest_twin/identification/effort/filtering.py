@@ -1,6 +1,6 @@
-"""Positions to velocities and accelerations without a phase lag, and fewer samples of all.
+"""Zero-phase filtering, differentiation and decimation of recorded motion.
 
-The usual way of off-line identification (Gautier, Khalil, Restrepo, IEEE CDC 1995; Janot,
+The standard procedure of off-line identification (Gautier, Khalil, Restrepo, IEEE CDC 1995; Janot,
 Vandanjon, Gautier, IEEE Trans. Control Syst. Technol. 22, 2014): low-pass forward and backward,
 differentiate by central differences, filter regressor and effort alike, decimate.
 """
@@ -19,29 +19,32 @@ from pytest_twin.identification.measured import Measured
 
 _ORDER = 4
 _MOTION_SHARE = 0.99
-"""Share of a velocity's power that counts as motion; the rest is noise of the encoder."""
+"""Fraction of a velocity's power that is counted as motion. The rest is encoder noise."""
 _ABOVE_NOISE = 10.0
-"""Times the mean power of the encoder's noise, which noise itself reaches once in 22,000 lines."""
+"""Threshold of the spectrum, relative to the mean power of encoder noise. Noise itself exceeds it
+in one of 22,000 spectral lines."""
 _ACCELERATION = 3.0
-"""Accelerations of the same motion reach this many times higher in frequency."""
+"""Ratio of the bandwidth of accelerations to that of velocities."""
 _POSITION_CUTOFF = 10.0
-"""Of the accelerations' bandwidth: the filter then changes the motion by less than 0.01 %."""
+"""Cutoff of the position filter, relative to the accelerations' bandwidth. The filter then changes
+the motion by less than 0.01 %."""
 _PARALLEL_CUTOFF, _RATE = 2.0, 5.0
-"""Of the accelerations' bandwidth: what is fitted, and how many samples a second."""
+"""Cutoff of the filter on regressor and effort, and sampling rate of the fit, relative to the
+accelerations' bandwidth."""
 _HIGHEST = 0.4
-"""Of the sampling rate: no filter is placed above."""
+"""Largest cutoff of any filter, relative to the sampling rate."""
 _OVERSAMPLED = 10.0
-"""Regressors are computed at this many times the rate that is fitted, before their own filter."""
+"""Ratio of the rate at which regressors are computed to the rate of the fit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """How motion is filtered, Hz.
+    """Cutoff frequencies and rate of the fit, Hz.
 
     Attributes:
-        cutoff: of the zero-phase Butterworth low-pass of order 4 on positions.
-        parallel: cutoff of the one on regressor and effort alike.
-        rate: samples a second that are fitted.
+        cutoff: cutoff of the zero-phase Butterworth low-pass of order 4 on positions.
+        parallel: cutoff of the same low-pass on regressor and effort (parallel filter).
+        rate: sampling rate of the fit.
     """
 
     cutoff: float
@@ -50,7 +53,7 @@ class Filter:
 
     @property
     def words(self) -> str:
-        """What is done, as one sentence."""
+        """Describe the filtering in one sentence."""
         return (
             f"positions are low-passed at {self.cutoff:.3g} Hz (Butterworth of order {_ORDER}, "
             "forward and backward) and differentiated by central differences; regressor and "
@@ -64,9 +67,9 @@ class Motion:
 
     Attributes:
         time: (n,) s.
-        position, velocity, acceleration: (n, joints).
-        effort: (n, joints), NaN where it is unknown.
-        rate: Hz.
+        position, velocity, acceleration: (n, joints), SI units.
+        effort: (n, joints) N*m or N, NaN where it is unknown.
+        rate: sampling rate, Hz.
     """
 
     time: FloatArray
@@ -78,7 +81,7 @@ class Motion:
 
 
 def choose_filter(recordings: Sequence[Measured]) -> Filter:
-    """A filter for all recordings, from the bandwidth of their fastest joint."""
+    """Choose one filter for all recordings, from the bandwidth of the fastest joint."""
     bandwidth = max(_bandwidth(one) for one in recordings)
     slowest = min(one.rate for one in recordings)
     dynamic = _ACCELERATION * bandwidth
@@ -91,14 +94,14 @@ def choose_filter(recordings: Sequence[Measured]) -> Filter:
 
 
 def differentiate(recording: Measured, chosen: Filter) -> Motion:
-    """Velocities and accelerations of a recording, at the rate where regressors are computed."""
+    """Return motion with velocities and accelerations, at the rate of the regressors."""
     even = uniform(recording)
     rate = recording.rate
     smooth = low_passed(even.position, chosen.cutoff, rate)
     velocity = np.gradient(smooth, 1.0 / rate, axis=0)
     acceleration = np.gradient(velocity, 1.0 / rate, axis=0)
     step = max(1, int(rate / (_OVERSAMPLED * chosen.rate)))
-    # The effort is not low-passed with the positions: its own filter follows with the regressor's.
+    # The effort is not filtered here, but later together with the regressor.
     effort = low_passed(even.effort, min(_HIGHEST * rate / step, _HIGHEST * rate), rate)
     return Motion(
         time=even.time[::step],
@@ -111,7 +114,7 @@ def differentiate(recording: Measured, chosen: Filter) -> Motion:
 
 
 def decimated(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:
-    """(m, ...) values (n, ...) low-passed without a phase lag, at the rate that is fitted.
+    """Low-pass (n, ...) values with zero phase and decimate them to (m, ...) at the fit's rate.
 
     Columns with NaN stay NaN.
     """
@@ -122,7 +125,7 @@ def decimated(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:
 
 
 def _bandwidth(recording: Measured) -> float:
-    """Hz, below which the velocity of every joint has nearly all of its power."""
+    """Frequency, Hz, below which the velocity of every joint has nearly all of its power."""
     position = uniform(recording).position
     rate = recording.rate
     moved = np.ptp(position, axis=0) > 0
@@ -133,20 +136,20 @@ def _bandwidth(recording: Measured) -> float:
     window = np.hanning(len(velocity))[:, None]
     power = np.abs(np.fft.rfft(velocity * window, axis=0)) ** 2
     frequency = np.fft.rfftfreq(len(velocity), 1.0 / rate)
-    # White noise of the position, differenced; motion is what is well above its mean.
+    # White position noise, differentiated, is the reference; motion must be well above its mean.
     shape = np.sin(np.pi * frequency / rate)[:, None] ** 2
     upper = slice(3 * len(frequency) // 4, None)
     noise = np.median(power[upper] / shape[upper], axis=0) / np.log(2.0) * shape
     power = np.where(power > _ABOVE_NOISE * noise, power, 0.0)
     share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
     ends = frequency[np.argmax(share > _MOTION_SHARE, axis=0)]
-    # A joint whose noise is as strong as its motion does not determine the motion.
+    # A joint with as much noise as motion is not used.
     sound = ends < rate / 10.0
     return float(ends[sound].max()) if sound.any() else rate / 50.0
 
 
 def uniform(recording: Measured) -> Measured:
-    """The recording at equal intervals."""
+    """Return the recording resampled at equal intervals."""
     time = recording.time
     step = 1.0 / recording.rate
     count = int(np.floor(time[-1] / step + 1e-6)) + 1
@@ -176,12 +179,12 @@ def _resampled(at: FloatArray, time: FloatArray, values: FloatArray) -> FloatArr
 
 @cache
 def _sections(cutoff: float, rate: float) -> FloatArray:
-    """Second-order sections of the low-pass; designing it costs as much as applying it."""
+    """Return the second-order sections of the low-pass (cached, because the design is costly)."""
     return np.asarray(signal.butter(_ORDER, cutoff, fs=rate, output="sos"))
 
 
 def low_passed(values: FloatArray, cutoff: float, rate: float) -> FloatArray:
-    """(n, k) values without a phase lag below ``cutoff`` Hz; columns with NaN stay as they are."""
+    """(n, k) values low-passed at ``cutoff`` Hz with zero phase; columns with NaN are unchanged."""
     if cutoff >= _HIGHEST * rate:
         return values
     sections = _sections(cutoff, rate)

@@ -1,4 +1,4 @@
-"""Which parameters of the inverse dynamics belong to which stage."""
+"""Assign parameters of the inverse dynamics to stages."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ EXCLUDES: Mapping[StageName, str] = {
 
 
 def stage_of(column: Column, weighs: bool) -> StageName:
-    """The stage that fits a parameter.
+    """Return the stage that fits a parameter.
 
     Args:
-        column: of the regressor.
-        weighs: whether it has an effort at rest.
+        column: column of the regressor.
+        weighs: whether the parameter causes an effort at rest.
     """
     if column.kind in FRICTION:
         return "friction"
@@ -43,7 +43,7 @@ def stage_of(column: Column, weighs: bool) -> StageName:
 
 
 def stages_of(regressor: Regressor, base: BaseParameters) -> list[StageName]:
-    """(b,) the stage of each base parameter: those with an effort at rest are weights."""
+    """(b,) stage of each base parameter; those with an effort at rest belong to gravity."""
     count = len(regressor.joints)
     poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, count))
     still = np.zeros_like(poses)
@@ -56,7 +56,7 @@ def stages_of(regressor: Regressor, base: BaseParameters) -> list[StageName]:
 
 
 def dry_of(columns: Sequence[Column], joints: Sequence[str]) -> NDArray[np.bool_]:
-    """(joints, p) which columns are dry friction that acts on a joint."""
+    """(joints, p) True for columns of dry friction that acts on a joint."""
     return np.array(
         [
             [

@@ -1,4 +1,4 @@
-"""Identification from measured effort, stage by stage."""
+"""Staged identification from measured effort."""
 
 from __future__ import annotations
 
@@ -64,45 +64,46 @@ from pytest_twin.realization import Realization
 from pytest_twin.signals import Signals
 
 _ROUNDS = 6
-"""Errors of encoders that are corrected one after another, at most."""
+"""Largest number of encoder errors that are corrected in sequence."""
 _FARTHEST = 1.0
-"""rad, m, or share: greatest error of an encoder that is corrected. Each step is to first order."""
+"""Largest encoder error that is corrected, rad, m or fraction. Each step is linearized."""
 _ENOUGH_FRICTION = 0.05
-"""Share of a joint's effort above which dry friction matters."""
+"""Fraction of a joint's effort above which dry friction is relevant."""
 _REFINEMENTS = 3
-"""Estimates of a delay, each to first order about the one before."""
+"""Number of estimates of a delay, each linearized about the previous one."""
 _SHORTEST_LAG = 0.3
-"""rad of phase at the highest frequency that is fitted: below, a filter attenuates by less than
-5 %, and acts as a delay."""
+"""Smallest phase lag, rad, at the highest fitted frequency for distinguishing a filter from a
+delay. Below it the filter attenuates by less than 5 % and acts like a delay."""
 _LESS_NOISE = 0.05
-"""By which share a filter has to leave less residual than a delay, the simpler explanation."""
+"""Relative reduction of the residual for which a filter is preferred to a delay, the simpler
+model."""
 
 
 @dataclass(frozen=True)
 class EffortResult:
-    """What measured effort says.
+    """Result of an identification from measured effort.
 
     Attributes:
-        regressor: of the robot, at the model's own parameters.
+        regressor: regressor of the robot, with nominal parameters.
         base: base parameters of the joints whose effort is known.
-        fitted: the essential ones of them.
+        fitted: fit of the essential parameters.
         stages: gravity, inertia, friction, drive.
         stage_of: (b,) stage of each base parameter.
-        errors: joint -> error on what was held out, or on what was fitted where nothing was.
-        nominal: joint -> the same with the model's own parameters.
+        errors: joint -> error on held-out recordings, or on the fitted ones if nothing is held out.
+        nominal: joint -> the same error with nominal parameters.
         without_effort: joints whose effort is unknown.
-        unobservable: base parameters that the motion leaves open.
-        unsure: base parameters that are left out, and that may be as large as the model has them.
-        physical: full parameters.
-        filter: how motion was filtered.
-        samples: of the recordings that were fitted.
-        held_out: of those that were not.
-        delay: of the efforts, where one was found.
-        scales: joint -> recorded over true effort, where known payloads tell it.
-        estimate: by which estimator, and the check of its intervals.
-        encoders: their zeros and scales.
-        suspected: mistakes of the input that the fit shows.
-        notes: one line each.
+        unobservable: base parameters that the motion does not determine.
+        unsure: base parameters that are omitted, but may be as large as their nominal values.
+        physical: full, physically consistent parameters.
+        filter: filter of the motion.
+        samples: rows of the fitted recordings.
+        held_out: rows of the held-out recordings.
+        delay: delay of the efforts, if one was found.
+        scales: joint -> recorded over true effort, if known payloads determine it.
+        estimate: estimator and the check of its intervals.
+        encoders: zeros and scales of encoders.
+        suspected: suspected mistakes of the input.
+        notes: messages.
     """
 
     regressor: Regressor
@@ -128,7 +129,7 @@ class EffortResult:
 
 
 def has_effort(measured: MeasuredSet) -> bool:
-    """Whether some joint has an effort that can be used, in a recording to fit."""
+    """Whether a fitted recording has a usable effort of a joint."""
     return any(bool(np.isfinite(one.effort).any()) for one in measured.fit)
 
 
@@ -138,13 +139,13 @@ def identify_effort(
     """Fit the inverse dynamics to recordings with efforts.
 
     Args:
-        realization: the model, as CAD or the maker states it.
+        realization: the nominal model.
         measured: recordings of the same joints.
-        signals: what they record.
+        signals: meaning of the recorded signals.
 
     Raises:
-        RecordingError: no joint has an effort that can be used.
-        SpecError: a payload that the twin does not state.
+        RecordingError: no joint has a usable effort.
+        SpecError: the twin does not state a payload.
     """
     found, late = _identify(realization, measured, signals)
     if any(one.is_fatal for one in found.suspected):
@@ -171,7 +172,7 @@ def _with_delay(
     found: EffortResult,
     late: Delay | None,
 ) -> tuple[MeasuredSet, EffortResult, Stage]:
-    """The stage of the delay: the efforts are moved where that lowers the held-out error."""
+    """Run the delay stage: efforts are shifted if that reduces the held-out error."""
     if late is None or not late.is_significant:
         why = "the efforts are not stamped later than the motion, as far as the motion shows"
         stage = Stage("delay", "not_observable", why, (), None, EXCLUDES["delay"])
@@ -202,7 +203,7 @@ def _with_delay(
 def _without(
     realization: Realization, measured: MeasuredSet, signals: Signals, late: Delay
 ) -> tuple[MeasuredSet, EffortResult, Delay]:
-    """The recordings without a delay or lag, what they say then, and the refined delay."""
+    """Remove a delay or lag; return the recordings, their identification and the refined delay."""
     for _ in range(_REFINEMENTS):
         moved = MeasuredSet(
             without_delay(measured.fit, late.value, late.name),
@@ -216,7 +217,7 @@ def _without(
 
 
 def _log_noise(found: EffortResult) -> float:
-    """Mean logarithm of the residuals' standard deviations."""
+    """Return the mean logarithm of the residuals' standard deviations."""
     noise = found.fitted.solution.noise
     return float(np.mean(np.log(noise[np.isfinite(noise) & (noise > 0.0)])))
 
@@ -224,7 +225,7 @@ def _log_noise(found: EffortResult) -> float:
 def _with_encoders(
     realization: Realization, measured: MeasuredSet, signals: Signals, found: EffortResult
 ) -> tuple[MeasuredSet, EffortResult, Stage]:
-    """The stage of the encoders: positions are corrected where that lowers the held-out error."""
+    """Run the encoder stage: positions are corrected if that reduces the held-out error."""
     excludes = EXCLUDES["encoder"]
     slides = dict(zip(found.regressor.joints, found.regressor.slides, strict=True))
     said = _encoders(realization, measured, found)
@@ -237,7 +238,7 @@ def _with_encoders(
     right, again, left = measured, found, said
     applied: dict[tuple[str, str], Reading] = {}
     for _ in range(_ROUNDS):
-        # The clearest alone: errors that it causes in the others are gone when it is corrected.
+        # Only the most significant error is corrected, since it biases the estimates of the others.
         fresh = [one for one in left.wrong if (one.joint, one.kind) not in applied]
         applied = {
             key: replace(one, value=one.value + left.value_of(*key)) for key, one in applied.items()
@@ -291,13 +292,13 @@ def _reopened(
     found: EffortResult,
     delay: Stage,
 ) -> tuple[MeasuredSet, EffortResult, Stage]:
-    """The stage of the delay again, where corrected encoders change what it found.
+    """Repeat the delay stage if corrected encoders change its result.
 
     Args:
         realization: the nominal model.
-        recordings: at true positions, as recorded and without the delay that was found.
-        signals: what they record.
-        found, delay: what was found without the delay, and its stage.
+        recordings: recordings with corrected positions, with and without the delay.
+        signals: meaning of the recorded signals.
+        found, delay: identification without the delay, and the stage of the delay.
     """
     recorded, moved = recordings
     first, late = _identify(realization, recorded, signals)
@@ -326,7 +327,7 @@ def _encoders(realization: Realization, measured: MeasuredSet, found: EffortResu
 def _with_scales(
     realization: Realization, measured: MeasuredSet, signals: Signals, found: EffortResult
 ) -> EffortResult:
-    """The drive's scales, where known payloads tell them: efforts are divided by them."""
+    """Estimate the effort scales from known payloads, divide efforts by them and repeat the fit."""
     scales = payload_scales(realization, measured.fit, found.regressor, found.filter)
     off = {joint: scale for joint, scale in scales.items() if scale.is_significant}
     found = replace(found, scales=scales)
@@ -358,7 +359,7 @@ def _mean_relative(errors: dict[str, EffortError]) -> float:
 def _identify(
     realization: Realization, measured: MeasuredSet, signals: Signals
 ) -> tuple[EffortResult, Delay | None]:
-    """The stages after the delay, and the delay that is left."""
+    """Run the stages after the delay; return the result and the remaining delay."""
     everything = (*measured.fit, *measured.held_out)
     joints = everything[0].joints
     unscaled = [j for k, j in enumerate(joints) if any(m.unscaled[k] for m in measured.fit)]
@@ -398,7 +399,7 @@ def _identify(
     kept = columns[found.fitted.kept]
     fitted = Essential(kept, np.setdiff1d(np.arange(len(base)), kept), found.fitted.solution)
     prior = base.values(regressor.prior)
-    # Noise of the measured motion would pass for an error of the stages.
+    # Noise of the measured motion would look like an error of the stages.
     quiet = found.estimator == INSTRUMENTS
     stages = judged_stages(
         along_commands(problem) if quiet else problem,
@@ -459,7 +460,7 @@ def _problem(samples: Sequence[Sampled], regressor: Regressor, base: BaseParamet
 
 
 def _unobservable(problem: Linear) -> NDArray[np.bool_]:
-    """(b,) parameters that the motion leaves open, whatever the noise."""
+    """(b,) True for parameters that the motion does not determine, for any noise."""
     return ~moved_by(problem.matrix, problem)
 
 
@@ -470,17 +471,17 @@ def _unsure(
     kept: NDArray[np.intp],
     full: Solution,
 ) -> NDArray[np.bool_]:
-    """(b,) of the parameters that do not differ from zero, those that may matter all the same.
+    """(b,) True for insignificant parameters that may still be relevant.
 
-    Their 95 % interval is wider than the model's own value or, of dry friction, than 5 % of the
+    Their 95 % interval is wider than the nominal value or, for dry friction, wider than 5 % of the
     joint's effort.
 
     Args:
         problem: all columns.
-        prior: (b,) the model's own values.
-        columns: those that the motion shows.
-        kept: those that differ from zero.
-        full: the fit of all that the motion shows.
+        prior: (b,) nominal values.
+        columns: columns that the motion excites.
+        kept: columns that differ from zero.
+        full: fit of all columns that the motion excites.
     """
     shown = problem.only(columns)
     said = information(shown, full.residual, full.weight).covariance(np.arange(len(columns)))
@@ -496,7 +497,7 @@ def _unsure(
 
 
 def _precision(problem: Linear, solution: Solution) -> FloatArray:
-    """(b, b) inverse covariance of a fit, for residuals that are correlated in time."""
+    """(b, b) inverse covariance of a fit, for residuals correlated in time."""
     said = information(problem, solution.residual, solution.weight)
     shrunk = np.trace(said.matrix) / max(np.trace(said.enlarged), 1e-300)
     return np.asarray(said.matrix * shrunk)

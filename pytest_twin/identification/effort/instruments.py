@@ -1,9 +1,9 @@
-"""Instrumental variables: what the encoders' noise does to least squares, taken out.
+"""Instrumental variables, which remove the bias of least squares from encoder noise.
 
-Noise of the position is in the regressor, and through the servo in the effort: least squares is
-biased by both. A motion without noise that follows the measured one tells the parameters without
-that bias (Janot, Vandanjon, Gautier, IEEE Trans. Control Syst. Technol. 22, 2014). Here it is what
-a linear servo makes of the position commands, fitted joint by joint (Young's auxiliary model).
+Position noise is in the regressor and, through the servo, in the effort. Both bias least squares. A
+noise-free motion that is correlated with the measured one gives unbiased parameters (Janot,
+Vandanjon, Gautier, IEEE Trans. Control Syst. Technol. 22, 2014). Here it is the response of a
+linear servo to the position commands, fitted joint by joint (Young's auxiliary model).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from pytest_twin.identification.effort.least_squares import Linear, Solution, ro
 from pytest_twin.identification.measured import Measured
 
 _ITERATIONS = 3
-"""Of the rows' weights, from those of least squares on."""
+"""Number of iterations of the row weights, starting from those of least squares."""
 _SURE = 0.01
-"""Probability below which a difference of the two estimates is no chance."""
+"""Significance level of a difference of the two estimates."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,11 @@ class Endogeneity:
     """The test of Durbin, Wu and Hausman (Econometrica 46, 1978).
 
     Attributes:
-        statistic: squared difference of both estimates over its variance, were least squares right.
-        freedom: of its chi-squared distribution.
-        held_out: part of the squared residual that the noise-free motion explains on recordings
-            that nothing was fitted on, of least squares and of instrumental variables.
+        statistic: squared difference of both estimates over its variance under the null hypothesis
+            that least squares is unbiased.
+        freedom: degrees of freedom of its chi-squared distribution.
+        held_out: fraction of the squared residual on held-out recordings that the noise-free motion
+            explains, for least squares and for instrumental variables.
     """
 
     statistic: float
@@ -46,17 +47,17 @@ class Endogeneity:
 
     @property
     def probability(self) -> float:
-        """Of a difference as large by chance."""
+        """p-value of the statistic."""
         return float(stats.chi2.sf(self.statistic, self.freedom))
 
     @property
     def biased(self) -> bool:
-        """Whether least squares is biased, and instrumental variables predict better for it."""
+        """Whether least squares is biased and instrumental variables predict better."""
         return self.probability < _SURE and self.held_out[1] < self.held_out[0]
 
     @property
     def words(self) -> str:
-        """What the test says, as one sentence."""
+        """Describe the result of the test in one sentence."""
         said = (
             "least squares and instrumental variables (commanded motion) differ by as much as this "
             f"with a probability of {self.probability:.2g}"
@@ -70,7 +71,7 @@ class Endogeneity:
         return said
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands in ``identification.json``."""
+        """Return the entry of ``identification.json``."""
         return {
             "statistic": self.statistic,
             "degrees_of_freedom": self.freedom,
@@ -81,14 +82,14 @@ class Endogeneity:
 
 
 def commanded_motion(recording: Measured, chosen: Filter) -> Measured | None:
-    """The recording with the positions that a linear servo makes of its commands, free of noise.
+    """Return the recording with noise-free positions: the response of a linear servo to commands.
 
     position = a + b c + d dc/dt + e d2c/dt2 for each joint: gain, delay and lag of the servo to
-    second order. None where a joint has no position command.
+    second order. Returns None if a joint has no position command.
 
     Args:
-        recording: with its commands.
-        chosen: how motion is filtered.
+        recording: recording with its commands.
+        chosen: filter of the motion.
     """
     if recording.command is None or not np.isfinite(recording.command).all():
         return None
@@ -108,19 +109,19 @@ def commanded_motion(recording: Measured, chosen: Filter) -> Measured | None:
 
 
 def along_commands(problem: Linear) -> Linear:
-    """The problem along the commanded motion, whose regressor has no noise."""
+    """Return the problem with the noise-free regressor of the commanded motion."""
     assert problem.instrument is not None
     return replace(problem, matrix=problem.instrument, instrument=None)
 
 
 def instrumental(problem: Linear, start: Solution) -> Solution:
-    """Weighted instrumental variables: (Z^T W)^-1 Z^T y, outliers less as in least squares.
+    """Solve by weighted instrumental variables, (Z^T W)^-1 Z^T y, with robust weights.
 
     Half widths are at least those of the bootstrap over blocks.
 
     Args:
-        problem: with its instrument.
-        start: least squares of the same problem.
+        problem: problem with its instrument.
+        start: least-squares solution of the same problem.
     """
     assert problem.instrument is not None
     count = problem.matrix.shape[2]
@@ -143,14 +144,14 @@ def instrumental(problem: Linear, start: Solution) -> Solution:
 def endogeneity(
     problem: Linear, tested: Linear, squares: Solution, instruments: Solution
 ) -> Endogeneity:
-    """Whether both estimates differ by more than chance, were there no noise in the regressor.
+    """Test whether both estimates differ by more than they would without noise in the regressor.
 
     Under the null hypothesis the difference is linear in the residual of least squares, whose
-    variance counts each joint's effective samples (Geyer 1992).
+    variance uses the effective sample size of each joint (Geyer 1992).
 
     Args:
-        problem: of the recordings that were fitted, with its instrument.
-        tested: of those that were not, or the same.
+        problem: problem on the fitted recordings, with its instrument.
+        tested: problem on the held-out recordings, or the same.
         squares, instruments: the two estimates.
     """
     assert problem.instrument is not None
@@ -189,7 +190,7 @@ def _influence(problem: Linear, left: FloatArray, weight: FloatArray) -> FloatAr
 
 
 def _variance(influence: FloatArray, residual: FloatArray, problem: Linear) -> FloatArray:
-    """(b, b) of ``influence @ residual``, for residuals that are correlated in time."""
+    """(b, b) covariance of ``influence @ residual``, for residuals correlated in time."""
     rows, joints = residual.shape
     effective = np.maximum(effective_samples(residual, problem.lengths), 2.0)
     each = influence.reshape(len(influence), rows, joints)
@@ -203,7 +204,7 @@ def _variance(influence: FloatArray, residual: FloatArray, problem: Linear) -> F
 
 
 def _explained(tested: Linear, solution: Solution) -> float:
-    """Share of the weighed squared residual that the columns of the instrument explain."""
+    """Fraction of the weighted squared residual that the instrument's columns explain."""
     assert tested.instrument is not None
     weight = np.where(tested.known & np.isfinite(solution.noise), 1.0, 0.0)
     weight = np.where(tested.resting, 0.0, weight / np.where(
@@ -217,6 +218,6 @@ def _explained(tested: Linear, solution: Solution) -> float:
 
 
 def instruments_of(recordings: Sequence[Measured], chosen: Filter) -> list[Measured] | None:
-    """The commanded motion of every recording; None where one has none."""
+    """Return the commanded motion of every recording; None if one has none."""
     found = [one for each in recordings if (one := commanded_motion(each, chosen)) is not None]
     return found if len(found) == len(recordings) else None

@@ -1,4 +1,4 @@
-"""Each stage against the model's own values, and the error of each joint."""
+"""Compare each stage with the nominal values, and compute the error of each joint."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
 
 _LINEAR_STAGES: tuple[StageName, ...] = ("gravity", "inertia", "friction", "drive")
 _ENOUGH_MOVING = 10
-"""Samples of a moving joint from which its rows at rest are not needed to judge a stage."""
+"""Fewest samples of a moving joint for excluding its rows at rest from the comparison."""
 
 
 @dataclass(frozen=True)
 class EffortError:
-    """How well the effort of one joint is predicted from its measured motion.
+    """Error of one joint's effort, predicted from its measured motion.
 
     Attributes:
         relative: |measured - predicted| / |measured|.
-        rms: N*m or N (A where the effort is a current).
-        moving: ``relative`` over the samples at which the joint moves; None where it never does.
+        rms: root mean square error, N*m or N (A if the effort is a current).
+        moving: ``relative`` over samples at which the joint moves; None if it never moves.
     """
 
     relative: float
@@ -50,17 +50,17 @@ def judged_stages(
     base: BaseParameters,
     held_out: bool,
 ) -> tuple[Stage, ...]:
-    """Judge each stage: its parameters free against its parameters at the model's value.
+    """Compare each stage with free parameters and with parameters at nominal values.
 
-    Before a stage, the model's own values stand in for its parameters, and all other parameters are
-    fitted around them; after it, its own are fitted too. So nothing that is fitted later can pass
-    for it, and its values are those of the fit of all together.
+    Before a stage, its parameters have nominal values and all other parameters are fitted; after
+    it, its parameters are fitted too. Thus parameters of later stages cannot take over the effect
+    of the stage, and its values are those of the joint fit.
     """
     found: list[Stage] = []
     own = np.array(stage_of)
     dry = dry_levels(problem, fitted.values)
     off = np.where(tested.known, tested.effort - tested.matrix @ fitted.values, 0.0)
-    # The relative standard error of a root mean square of so many independent residuals.
+    # This is the relative standard error of an RMS of so many independent residuals.
     independent = effective_samples(off[:, tested.known.any(axis=0)], tested.lengths)
     chance = float(1.0 / np.sqrt(2.0 * max(independent.sum(), 1.0)))
     for name in _LINEAR_STAGES:
@@ -102,7 +102,7 @@ def accepted_values(
     stage_of: Sequence[StageName],
     prior: FloatArray,
 ) -> FloatArray:
-    """(b,) parameters: fitted where their stage was not rejected, else the model's."""
+    """(b,) parameters: fitted values if their stage was not rejected, else nominal ones."""
     rejected = {stage.name for stage in stages if stage.state == "rejected"}
     values = fitted.values
     for i, name in enumerate(stage_of):
@@ -112,16 +112,16 @@ def accepted_values(
 
 
 def parameter_name(base: BaseParameters, at: int) -> str:
-    """``JOINT.KIND`` where a base parameter is one parameter, else its expression."""
+    """Return ``JOINT.KIND`` if a base parameter is one parameter, else its expression."""
     alone = np.count_nonzero(base.combination[at]) == 1
     return base.names[at] if alone else base.expressions[at]
 
 
 def _weighted(problem: Linear, values: FloatArray, fitted: Solution, dry: FloatArray) -> float:
-    """Root mean square of the residuals, each over what the fit leaves at its joint.
+    """Root mean square of the residuals, divided by the fit's noise of each joint.
 
-    Of a joint that moves, its rows at rest do not count: dry friction of either sign hides there
-    what the stage has found, and a long rest is one observation.
+    Rows at rest of a moving joint are excluded. There, dry friction of unknown sign hides the
+    effect of the stage, and a long rest is only one observation.
     """
     deviation = deviations(problem.resting, fitted.noise, dry)
     known = problem.known & np.isfinite(deviation)
@@ -132,7 +132,7 @@ def _weighted(problem: Linear, values: FloatArray, fitted: Solution, dry: FloatA
 
 
 def errors_of(problem: Linear, values: FloatArray, joints: Sequence[str]) -> dict[str, EffortError]:
-    """Joint -> its error under (b,) parameters; joints without any known effort are left out."""
+    """Return joint -> error with (b,) parameters, without joints of unknown effort."""
     off = problem.effort - problem.matrix @ values
     found = {}
     for k, joint in enumerate(joints):

@@ -1,4 +1,4 @@
-"""Weighted, robust least squares of the inverse dynamics, and what its parameters are worth."""
+"""Weighted, robust least squares of the inverse dynamics, with the parameters' covariance."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from pytest_twin.metrics.joint_covariance import upper_covariance
 _ITERATIONS = 12
 _SETTLED = 1e-4
 _HUBER = 3.0
-"""Standard deviations from which a residual counts by its amount and no more by its square: of
-normal noise less than one in 300, so that the estimate loses no precision."""
+"""Number of standard deviations above which a residual enters the cost linearly (Huber). Less than
+one in 300 normal residuals exceeds it, so the estimate loses no precision."""
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Rows of a linear problem, all recordings one after another.
+    """Linear problem; rows of all recordings are concatenated.
 
     Attributes:
-        matrix: (n, joints, b).
-        effort: (n, joints), 0 where unknown.
-        known: (n, joints) rows that count.
-        resting: (n, joints) where dry friction has no direction.
-        dry: (joints, b) which columns are the dry friction of a joint.
-        lengths: rows of each recording.
-        instrument: (n, joints, b) the same columns along a motion without noise; None without one.
+        matrix: (n, joints, b) regressor.
+        effort: (n, joints) N*m or N, 0 where unknown.
+        known: (n, joints) True for rows that are used.
+        resting: (n, joints) True where the joint is at rest and dry friction has no direction.
+        dry: (joints, b) True for columns that are dry friction of a joint.
+        lengths: number of rows of each recording.
+        instrument: (n, joints, b) the same columns for a noise-free motion; None without one.
     """
 
     matrix: FloatArray
@@ -46,7 +46,7 @@ class Linear:
     instrument: FloatArray | None = None
 
     def only(self, columns: NDArray[np.intp]) -> Linear:
-        """The problem with these columns alone."""
+        """Return the problem with these columns only."""
         return Linear(
             self.matrix[..., columns],
             self.effort,
@@ -60,16 +60,16 @@ class Linear:
 
 @dataclass(frozen=True)
 class Solution:
-    """What a fit found.
+    """Result of a fit.
 
     Attributes:
         values: (b,) parameters.
-        covariance: (b, b), for residuals that are correlated in time.
+        covariance: (b, b) covariance, for residuals correlated in time.
         noise: (joints,) standard deviation of the residual, N*m or N; NaN without any row.
         residual: (n, joints) measured minus predicted, 0 where unknown.
-        weight: (n, joints) reciprocal deviations of the rows.
-        condition: condition number of the weighted columns, each of unit length.
-        half_width: (b,) of the 95 % interval.
+        weight: (n, joints) reciprocal standard deviations of the rows.
+        condition: condition number of the weighted columns, normalized to unit length.
+        half_width: (b,) half widths of the 95 % intervals.
     """
 
     values: FloatArray
@@ -87,12 +87,12 @@ class Solution:
 
 
 def linear(samples: Sequence[Sampled], columns: NDArray[np.intp], dry: NDArray[np.bool_]) -> Linear:
-    """The problem of some recordings.
+    """Build the linear problem of recordings.
 
     Args:
         samples: the recordings.
         columns: (b,) indices of the regressor's columns.
-        dry: (joints, b) which of these are the dry friction of a joint.
+        dry: (joints, b) True for those that are dry friction of a joint.
     """
     effort = np.concatenate([s.effort for s in samples])
     known = np.isfinite(effort) & ~np.concatenate([s.saturated for s in samples])
@@ -109,11 +109,11 @@ def linear(samples: Sequence[Sampled], columns: NDArray[np.intp], dry: NDArray[n
 
 
 def moved_by(columns: FloatArray, problem: Linear) -> NDArray[np.bool_]:
-    """(b,) parameters that a motion determines, whatever the noise.
+    """(b,) True for parameters that a motion determines, for any noise.
 
     Args:
-        columns: (n, joints, b) of the problem along that motion.
-        problem: whose efforts are known.
+        columns: (n, joints, b) regressor of that motion.
+        problem: problem that states which efforts are known.
     """
     size = np.sqrt(np.sum(problem.effort**2, axis=0) / np.maximum(problem.known.sum(axis=0), 1))
     rows = np.where(problem.known[..., None], columns, 0.0)
@@ -121,15 +121,15 @@ def moved_by(columns: FloatArray, problem: Linear) -> NDArray[np.bool_]:
 
 
 def solve(problem: Linear, *, intervals: bool = True) -> Solution:
-    """Iteratively reweighted least squares: each joint by its own residual, outliers less.
+    """Solve by iteratively reweighted least squares, with noise per joint and robust weights.
 
-    A joint at rest tells the rest of its effort only within its dry friction, so that its rows have
-    that variance too. The weight of outliers is Huber's (Annals of Mathematical Statistics 35,
+    The effort of a joint at rest is uncertain by its dry friction, so the variance of its rows
+    includes the friction. Outliers have Huber's weights (Annals of Mathematical Statistics 35,
     1964).
 
     Args:
         problem: rows and columns; columns must be independent.
-        intervals: whether covariance and intervals are wanted.
+        intervals: whether to compute covariance and intervals.
     """
     count = problem.matrix.shape[2]
     weight = np.where(problem.known, 1.0, 0.0)
@@ -168,7 +168,7 @@ def weighed(columns: FloatArray, weight: FloatArray) -> FloatArray:
 def row_weights(
     problem: Linear, residual: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Reciprocal deviations of every row, and each joint's noise while it moves."""
+    """Return reciprocal standard deviations of every row, and each joint's noise while moving."""
     count = residual.shape[1]
     noise = np.full(count, np.nan)
     for j in range(count):
@@ -183,31 +183,33 @@ def row_weights(
 
 
 def dry_levels(problem: Linear, values: FloatArray) -> FloatArray:
-    """(joints,) dry friction of each joint under some parameters, N*m or N."""
+    """(joints,) dry friction of each joint for given parameters, N*m or N."""
     return np.array([np.abs(values[own]).sum() for own in problem.dry])
 
 
 def deviations(resting: NDArray[np.bool_], noise: FloatArray, dry: FloatArray) -> FloatArray:
-    """(n, joints) standard deviation of a residual: the noise, and at rest the dry friction, which
-    is anywhere between its two directions.
+    """(n, joints) standard deviations of residuals: noise and, at rest, dry friction.
+
+    At rest, dry friction has any value between its two directions.
     """
     return np.sqrt(noise**2 + np.where(resting, dry**2 / 3.0, 0.0))
 
 
 @dataclass(frozen=True)
 class Information:
-    """What weighted rows say of the parameters.
+    """Information matrices of weighted rows.
 
     Attributes:
         matrix: (b, b) sum of W^T W over all weighted rows.
-        enlarged: (b, b) the same, each joint times how many samples one independent one is.
+        enlarged: (b, b) the same sum, with each joint multiplied by its number of samples per
+            independent sample.
     """
 
     matrix: FloatArray
     enlarged: FloatArray
 
     def covariance(self, columns: NDArray[np.intp]) -> FloatArray:
-        """(k, k) of the parameters of these columns, the others held."""
+        """(k, k) covariance of the parameters of these columns, with the others fixed."""
         own = self.matrix[np.ix_(columns, columns)]
         sizes = np.sqrt(np.maximum(np.diag(own), 1e-300))
         unit = np.outer(sizes, sizes)
@@ -216,9 +218,9 @@ class Information:
 
 
 def information(problem: Linear, residual: FloatArray, weight: FloatArray) -> Information:
-    """What the rows of a problem say under its weights.
+    """Return the information matrices of a problem with given weights.
 
-    Residuals are correlated in time, and each joint's rows count as its effective samples (Geyer
+    Residuals are correlated in time, so the effective sample size of each joint is used (Geyer
     1992).
     """
     effective = np.maximum(effective_samples(residual, problem.lengths), 2.0)
@@ -236,7 +238,7 @@ def information(problem: Linear, residual: FloatArray, weight: FloatArray) -> In
 def _uncertainty(
     problem: Linear, residual: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance for correlated residuals, and half widths that leaving out recordings bears out.
+    """Return the covariance for correlated residuals, and half widths checked by a jackknife.
 
     The white-noise covariance is enlarged by each joint's effective samples (Geyer 1992). The half
     width is at least that of the jackknife over recordings, or over parts of few ones.

@@ -1,4 +1,4 @@
-"""Recordings as rows of a linear problem: regressor, effort, and who is at rest."""
+"""Recordings as rows of a linear problem: regressor, effort, and joints at rest."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.regressor import Regressor
 
 _EDGE = 1.0
-"""Periods of the parallel filter that are left out at both ends, where it knows one side alone."""
+"""Time at both ends that is left out because of filter transients, in periods of the parallel
+filter."""
 _REST = 0.002
-"""Of a joint's greatest speed: below, the direction of dry friction is unknown."""
+"""Fraction of a joint's largest speed below which the direction of dry friction is unknown."""
 
 
 @dataclass(frozen=True)
 class Sampled:
-    """One recording at the rate that is fitted.
+    """Rows of one recording at the rate of the fit.
 
     Attributes:
-        name: of the recording.
+        name: name of the recording.
         time: (n,) s.
         matrix: (n, joints, p) derivative of the effort by each parameter.
-        effort: (n, joints) measured, NaN where it is unknown.
-        velocity: (n, joints).
-        resting: (n, joints) where dry friction has no direction.
-        saturated: (n, joints) where the drive gives all it can.
-        instrument: (n, joints, p) ``matrix`` along the commanded motion, which has no noise; None
-            without commands of every joint's position.
+        effort: (n, joints) measured effort, N*m or N, NaN where it is unknown.
+        velocity: (n, joints) rad/s or m/s.
+        resting: (n, joints) True where the joint is at rest.
+        saturated: (n, joints) True where the drive is at its effort limit.
+        instrument: (n, joints, p) ``matrix`` for the noise-free commanded motion; None without
+            position commands of every joint.
     """
 
     name: str
@@ -54,10 +55,10 @@ def sample(
     """Rows of every recording.
 
     Args:
-        recordings: with the joints of the regressors.
-        regressors: of each recording, which may carry a payload of its own.
-        chosen: how motion is filtered.
-        commanded: the same recordings with a motion that has no noise, for an instrument.
+        recordings: recordings with the joints of the regressors.
+        regressors: regressor of each recording, which may have its own payload.
+        chosen: filter of the motion.
+        commanded: the same recordings with noise-free motion, for an instrument.
     """
     motions = [differentiate(one, chosen) for one in recordings]
     rest = _rest(motions)
@@ -79,15 +80,15 @@ def predicted(
     chosen: Filter,
     parameters: Sequence[FloatArray],
 ) -> list[FloatArray]:
-    """(n, joints) effort of each recording: ``matrix @ parameters`` of its rows.
+    """Return the (n, joints) predicted effort of each recording, ``matrix @ parameters``.
 
     The effort is filtered instead of the matrix, which has thirty times as many columns.
 
     Args:
-        recordings: with the joints of the regressor.
-        regressor: of the robot.
-        chosen: how motion is filtered.
-        parameters: (p,) of each recording.
+        recordings: recordings with the joints of the regressor.
+        regressor: regressor of the robot.
+        chosen: filter of the motion.
+        parameters: (p,) parameters of each recording.
     """
     motions = [differentiate(one, chosen) for one in recordings]
     rest = _rest(motions)
@@ -130,12 +131,12 @@ def _unfiltered(motion: Motion, regressor: Regressor, rest: FloatArray) -> Float
 
 
 def _inner_rows(values: FloatArray, motion: Motion, chosen: Filter) -> FloatArray:
-    """Values (n, ...) at the rate that is fitted, without the edges."""
+    """Decimate (n, ...) values to the rate of the fit and cut off the edges."""
     found = decimated(values, motion.rate, chosen)
     return np.asarray(found[_inner(len(found), chosen)])
 
 
 def _inner(count: int, chosen: Filter) -> slice:
-    """All rows but the edges."""
+    """Return the slice of rows without the edges."""
     edge = int(np.ceil(_EDGE * chosen.rate / chosen.parallel))
     return slice(edge, max(count - edge, edge + 1))

@@ -1,4 +1,4 @@
-"""Scale of each joint's effort (its torque constant), from payloads that are known."""
+"""Estimate the scale of each joint's effort (its torque constant) from known payloads."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
 
 _LEAST_SHARE = 0.01
-"""Of the effort: a payload that adds less beside what the robot's own parameters can do says
-nothing of the scale."""
+"""Smallest fraction of the effort that a payload must add, beyond what robot parameters can
+explain, to determine the scale."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Recorded effort over true effort of one joint.
+    """Ratio of recorded to true effort of one joint.
 
     Attributes:
-        value: 1 where the recorded effort is right.
-        half_width: of the 95 % interval.
+        value: ratio; 1 if the recorded effort is correct.
+        half_width: half width of the 95 % interval.
     """
 
     value: float
@@ -36,14 +36,14 @@ class Scale:
 
     @property
     def is_significant(self) -> bool:
-        """Whether it differs from 1."""
+        """Whether the ratio differs significantly from 1."""
         return abs(self.value - 1.0) * Z95 >= SIGNIFICANT * self.half_width
 
 
 def payload_effort(
     realization: Realization, regressor: Regressor, recording: Measured, rows: Sampled
 ) -> FloatArray | None:
-    """(n, joints) effort that a known payload of the recording adds; None without one.
+    """(n, joints) effort of a known payload of the recording; None without a payload.
 
     Raises:
         SpecError: the payload names a body that the model lacks.
@@ -55,7 +55,7 @@ def payload_effort(
 def payload_parameters(
     realization: Realization, regressor: Regressor, recording: Measured
 ) -> FloatArray | None:
-    """(p,) what a known payload of the recording adds to the parameters; None without one.
+    """(p,) change of the parameters by a known payload of the recording; None without a payload.
 
     Raises:
         SpecError: the payload names a body that the model lacks.

@@ -1,4 +1,4 @@
-"""Mistakes of the input that the fit shows, each with the correction. None is ever applied."""
+"""Detect mistakes of the input from the fit. Corrections are proposed, never applied."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
 
 _SURE = 6.0
-"""Standard deviations from which a sign or a factor is no chance."""
+"""Number of standard deviations above which a sign or a factor is significant."""
 _FAR = 4.0
-"""Factor between the model's and the measured effort that no payload and no missing motor explains:
-rigid bodies of CAD models are right to 30 %, rotors double what a joint accelerates."""
+"""Ratio between nominal and measured effort that neither a payload nor a missing rotor explains.
+Inertia of CAD models is right to 30 %; rotors double the accelerated inertia of a joint at most."""
 _LIKE = 0.25
-"""Logarithmic distance within which a factor is that of the stated gear."""
+"""Largest logarithmic distance between a ratio and the stated gear ratio."""
 _DRIFT = 0.15
-"""Share by which dry and viscous friction change over a run before a report says so."""
+"""Relative change of dry or viscous friction over a recording above which it is reported."""
 _FEWEST_ROWS, _BLOCKS = 100, 10
-"""Samples of a moving joint that a trend needs, and parts that they are divided into."""
+"""Fewest samples of a moving joint for a trend, and number of time blocks."""
 _OUTSIDE = 3.0
-"""Times a joint's own range that positions span where they are in degrees."""
+"""Ratio of the span of positions to the joint's range above which they may be in degrees."""
 _MANY_TURNS = 4.0 * math.pi
-"""rad that a joint without a range has to span before its positions may be degrees."""
+"""Span, rad, of a joint without limits above which its positions may be in degrees."""
 
 
 @dataclass(frozen=True, slots=True)
 class Suspect:
-    """One mistake.
+    """A suspected mistake of the input.
 
     Attributes:
-        what: joint, what is wrong, and the number that shows it.
-        mend: what to do.
-        is_fatal: whether no result can be accepted before it is corrected.
+        what: joint, mistake and the figure that shows it.
+        mend: how to correct it.
+        is_fatal: whether the result must be rejected until it is corrected.
     """
 
     what: str
@@ -59,16 +59,17 @@ def suspects(
     regressor: Regressor,
     gears: Sequence[float],
 ) -> list[Suspect]:
-    """Degrees, a wrong sign, a gear ratio that is not applied or applied twice.
+    """Detect degrees, wrong signs, and gear ratios that are not applied or applied twice.
 
-    Each joint is fitted alone: the model's rigid bodies as one column, friction and a constant
-    beside it. A negative friction cannot be; a factor far from 1 is no error of a CAD model.
+    Each joint is fitted separately: the nominal rigid-body effort is one column; the others are
+    friction and a constant. Negative friction is impossible, and a factor far from 1 is no error of
+    a CAD model.
 
     Args:
         realization: the nominal model.
-        recordings, samples: those to fit.
-        regressor: of the robot.
-        gears: (joints,) ratios that the signals state, 1 where they do not.
+        recordings, samples: fitted recordings and their rows.
+        regressor: regressor of the robot.
+        gears: (joints,) stated gear ratios, 1 by default.
     """
     found = _degrees(realization, recordings)
     if not found:
@@ -102,12 +103,12 @@ def suspects(
 def drifts(
     problem: Linear, fitted: Solution, samples: Sequence[Sampled], names: Sequence[str]
 ) -> list[Suspect]:
-    """Joints whose dry friction changes over a recording, as in a gear that warms up.
+    """Detect joints whose friction changes over a recording, as in a gear that warms up.
 
     Args:
-        problem, fitted: of the kept columns.
-        samples: the recordings of the problem.
-        names: (joints,).
+        problem, fitted: problem and fit of the kept columns.
+        samples: rows of the recordings.
+        names: (joints,) names of the joints.
     """
     found = []
     velocity = np.concatenate([s.velocity for s in samples])
@@ -121,7 +122,7 @@ def drifts(
         rows = np.column_stack([way, way * share[use]])
         residual = fitted.residual[use, k]
         slope = float(np.linalg.lstsq(rows, residual, rcond=None)[0][1])
-        # Each block of time by itself: residuals within one are correlated.
+        # Blocks of time are averaged, because residuals within a block are correlated.
         parts = np.array_split(np.arange(len(rows)), _BLOCKS)
         means = [float(np.mean(residual[p] * way[p])) for p in parts]
         middle = [float(np.mean(share[use][p])) for p in parts]
@@ -161,7 +162,7 @@ def _degrees_by_effort(
     samples: Sequence[Sampled],
     regressor: Regressor,
 ) -> list[Suspect]:
-    """Joints without a range, whose effort the model explains far better along degrees."""
+    """Detect joints without limits whose effort fits far better if positions are degrees."""
     spans = np.max([np.ptp(one.position, axis=0) for one in recordings], axis=0)
     wide = [
         k
@@ -207,7 +208,7 @@ def _factor(joint: str, factor: float, gear: float) -> Suspect:
 
 
 def _alone(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Solution | None:
-    """Factor of the rigid bodies, viscous and dry friction, constant effort, of one joint."""
+    """Fit factor of the rigid bodies, viscous and dry friction and constant effort of one joint."""
     name = regressor.joints[joint]
     at = {c.kind: i for i, c in enumerate(regressor.columns) if c.joint == name}
     rigid = np.array([c.inertial or c.kind == "effort_scale" for c in regressor.columns])

@@ -1,4 +1,4 @@
-"""The inverse dynamics as a matrix times parameters, and what of these a motion determines.
+"""Regressor of the inverse dynamics, base parameters, and their predicted covariance.
 
 The public surface, in the order of use::
 

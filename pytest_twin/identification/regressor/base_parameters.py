@@ -14,21 +14,22 @@ from pytest_twin.identification.regressor.columns import Column
 from pytest_twin.identification.regressor.regressor import Regressor
 
 RANK_TOLERANCE = 1e-8
-"""Relative size of a column's part that no other column expresses, below which it counts as zero.
-Exact regressors leave 1e-13; columns that motion really moves leave more than 1e-3."""
+"""Relative size of a column's component orthogonal to the other columns below which it is zero.
+Dependent columns have 1e-13; columns that the motion excites have more than 1e-3."""
 _SAMPLES_PER_COLUMN = 4
 _COEFFICIENT_TOLERANCE = 1e-9
-"""Of unit columns: smaller coefficients are rounding and stand in no expression."""
+"""Smallest coefficient of an expression, for columns of unit length. Smaller ones are rounding
+errors."""
 _DIGITS = 6
 
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """A minimal set of parameters and how they combine all others.
+    """A minimal set of parameters, as linear combinations of all parameters.
 
     Attributes:
         columns: (p,) all parameters.
-        independent: (b,) indices of the columns that are kept; their column of the regressor stays.
+        independent: (b,) indices of the independent columns of the regressor.
         combination: (b, p) ``base = combination @ parameters``.
     """
 
@@ -41,7 +42,7 @@ class BaseParameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(b,) name of the leading parameter of each, ``JOINT.KIND``."""
+        """(b,) name of the leading parameter of each combination, ``JOINT.KIND``."""
         return tuple(self.columns[i].name for i in self.independent)
 
     @property
@@ -62,7 +63,7 @@ class BaseParameters:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """(b,) unit of each."""
+        """(b,) unit of each base parameter."""
         return tuple(self.columns[i].unit for i in self.independent)
 
     def matrix(self, regressor: FloatArray) -> FloatArray:
@@ -86,14 +87,14 @@ class BaseParameters:
 
 
 def structural_base(regressor: Regressor, seed: int = 0) -> BaseParameters:
-    """The base parameters of a robot under any motion.
+    """Return the base parameters of a robot that some motion can determine.
 
-    The regressor is evaluated at random positions, velocities and accelerations, so that the rank
-    is the robot's own and no trajectory's.
+    The regressor is evaluated at random positions, velocities and accelerations, so the rank
+    depends on the robot only and not on a trajectory.
 
     Args:
-        regressor: of the robot.
-        seed: of the random motion; the result does not depend on it.
+        regressor: regressor of the robot.
+        seed: seed of the random motion; the result does not depend on it.
     """
     count = len(regressor.joints)
     samples = _SAMPLES_PER_COLUMN * max(1, len(regressor.columns) // count)
@@ -103,13 +104,13 @@ def structural_base(regressor: Regressor, seed: int = 0) -> BaseParameters:
 
 
 def base_of(matrix: FloatArray, columns: Sequence[Column]) -> BaseParameters:
-    """The base parameters that a regressor determines, by rank-revealing QR (Gautier, ICRA 1991).
+    """Return the base parameters of a regressor, by rank-revealing QR (Gautier, ICRA 1991).
 
     Columns are kept from left to right: a parameter is regrouped into those before it.
 
     Args:
-        matrix: (n, joints, p) at the instants of a motion.
-        columns: (p,) what each column is.
+        matrix: (n, joints, p) regressor at the instants of a motion.
+        columns: (p,) description of each column.
     """
     stacked = np.asarray(matrix).reshape(-1, len(columns))
     sizes = np.linalg.norm(stacked, axis=0)

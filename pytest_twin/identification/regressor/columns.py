@@ -1,4 +1,4 @@
-"""The parameters of the inverse dynamics: names, symbols of the literature, units."""
+"""Parameters of the inverse dynamics: names, symbols from the literature, units."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _JOINT: tuple[tuple[str, str, Quantity], ...] = (
     ("effort_bias", "off", "effort"),
 )
 _IN_CURRENT = ["A*s^2/rad", "A*s/rad", "A", "A"]
-"""Units of these where the effort is recorded as a current; of a slide per m."""
+"""Units of drive parameters if the effort is a current; per m for prismatic joints."""
 _COUPLED: tuple[tuple[str, str, Quantity], ...] = (
     ("coupled_armature", "Iam", "inertia"),
     ("coupled_viscous_friction", "fvm", "damping"),
@@ -40,12 +40,12 @@ _MEANING = {
 
 @dataclass(frozen=True, slots=True)
 class SharedMotor:
-    """A motor that two joints share: it turns as ``own + ratio * other``, divided by its gear.
+    """A motor that two joints share. It rotates by ``own + ratio * other``, times the gear ratio.
 
     Attributes:
-        joint: the joint that the motor is named after.
-        other: the joint whose motion turns the motor too.
-        ratio: 1 where the motor turns with the sum of both joints, -1 with their difference.
+        joint: joint that the motor is named after.
+        other: joint whose motion rotates the motor too.
+        ratio: 1 if the motor rotates with the sum of both joints, -1 with their difference.
     """
 
     joint: str
@@ -61,9 +61,9 @@ class Column:
         joint: joint that it belongs to; of an inertial parameter, the joint that moves the link.
         kind: ``Ixx`` to ``m`` (see ``INERTIAL``), or an effect: ``armature``, ``viscous_friction``,
             ``coulomb_friction``, ``effort_bias``; ``coupled_...`` where two joints share a motor.
-        symbol: as the literature writes it, such as ``Izz1``, ``Ia1``, ``fv1``, ``fs1``.
-        unit: of its value.
-        partner: the other joint of a shared motor, else empty.
+        symbol: symbol in the literature, such as ``Izz1``, ``Ia1``, ``fv1``, ``fs1``.
+        unit: unit of its value.
+        partner: other joint of a shared motor, else empty.
     """
 
     joint: str
@@ -74,12 +74,12 @@ class Column:
 
     @property
     def name(self) -> str:
-        """``JOINT.KIND``, as it stands in ``identification.json``."""
+        """Name in ``identification.json``, ``JOINT.KIND``."""
         return f"{self.joint}.{self.kind}"
 
     @property
     def words(self) -> str:
-        """What it is, as a noun phrase."""
+        """Description of the parameter, as a noun phrase."""
         if self.partner:
             return f"{_MEANING[self.kind]} '{self.partner}' and '{self.joint}'"
         link = f"of the link of '{self.joint}'" if self.inertial else f"of '{self.joint}'"
@@ -87,7 +87,7 @@ class Column:
 
     @property
     def inertial(self) -> bool:
-        """Whether it belongs to a link and not to a drive."""
+        """Whether the parameter belongs to a link and not to a drive."""
         return self.kind in INERTIAL
 
 
@@ -98,12 +98,12 @@ def columns(
     shared: Sequence[SharedMotor] = (),
     unscaled: Sequence[str] = (),
 ) -> tuple[Column, ...]:
-    """All columns: those of each link with those of its joint, in the joints' order, then the rest.
+    """Return all columns: for each joint its link and drive, then links of other joints.
 
     Args:
         joints: names in the order of the efforts; symbols count them from 1.
-        links: joints whose links are carried; links of other joints come last.
-        slides: whether each joint is a slide.
+        links: joints whose links are included; links of other joints come last.
+        slides: whether each joint is prismatic.
         shared: motors that two joints share.
         unscaled: joints whose recorded effort is in A and not in N*m.
     """

@@ -1,4 +1,4 @@
-"""The covariance that a motion and a noise of the effort give, before anything is measured."""
+"""Predict the covariance of base parameters from a planned motion and the effort noise."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from pytest_twin.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What a motion would determine.
+    """Predicted covariance of a motion.
 
     Attributes:
-        covariance: (b, b) of the base parameters, in their units; infinite variance (``inf`` on the
-            diagonal) for those that the motion does not move.
-        undetermined: (b,) whether the motion leaves each parameter open.
+        covariance: (b, b) covariance of the base parameters, in their units; ``inf`` on the
+            diagonal for parameters that the motion does not excite.
+        undetermined: (b,) True for parameters that the motion does not determine.
         condition: condition number of the weighted regressor with unit columns.
     """
 
@@ -32,16 +32,17 @@ class Prediction:
 
 
 LARGEST_CONDITION = 1e7
-"""Directions of the weighted regressor with unit columns that are smaller than the greatest one by
-this factor count as not moved: an error of 1e-7 in the geometry would decide their value."""
+"""Largest ratio of singular values of the weighted regressor with unit columns. Directions with
+smaller singular values are undetermined: an error of 1e-7 in the geometry would change their value
+completely."""
 
 
 def predicted_covariance(matrix: FloatArray, effort_std: FloatArray) -> Prediction:
-    """Covariance of weighted least squares: the inverse of sum W^T diag(1 / std^2) W.
+    """Predict the covariance of weighted least squares: (sum W^T diag(1 / std^2) W)^-1.
 
     Args:
-        matrix: (n, joints, b) base columns at the n instants of the motion that would be fitted,
-            one for each independent sample of the noise (after decimation to its bandwidth).
+        matrix: (n, joints, b) base columns at n instants of the motion, one for each independent
+            sample of the noise (after decimation to its bandwidth).
         effort_std: (joints,) standard deviation of the effort's noise at one sample, N*m or N.
     """
     weighted = (np.asarray(matrix) / np.asarray(effort_std)[:, None]).reshape(
@@ -58,7 +59,7 @@ def predicted_covariance(matrix: FloatArray, effort_std: FloatArray) -> Predicti
         open_ = np.ones(count, dtype=bool)
         return Prediction(np.diag(np.full(count, np.inf)), open_, np.inf)
     good = singular > singular[0] / LARGEST_CONDITION
-    # A parameter is open where a direction that nothing moves has a part of it.
+    # A parameter is undetermined if it has a component in an undetermined direction.
     part = np.sqrt(np.sum(directions[~good] ** 2, axis=0))
     undetermined = ~moved
     undetermined[np.flatnonzero(moved)[part > 1e-3]] = True

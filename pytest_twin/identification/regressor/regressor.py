@@ -1,4 +1,4 @@
-"""The inverse dynamics of a realization with its drives, linear in all parameters."""
+"""Inverse dynamics of a realization with its drives, linear in all parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _KINDS = ("armature", "viscous_friction", "coulomb_friction", "effort_bias")
 
 
 class Regressor:
-    """``effort = matrix(motion) @ parameters``, at the joints' side of the gears.
+    """Regressor with ``effort = matrix(motion) @ parameters``, on the joint side of the gears.
 
     effort = rigid bodies + Ia a + fv v + fs sign(v) + off (Khalil, Dombre, Modeling,
     Identification and Control of Robots, 2002, ch. 12). A motor that two joints share adds
@@ -24,22 +24,23 @@ class Regressor:
     1988, for the coupled wrist of the TX series).
 
     Attributes:
-        joints: (joints,) names, the order of the columns of motion and effort.
-        slides: whether each joint is a slide (m, N) and not a hinge (rad, N*m).
-        columns: (p,) what each parameter is, with name, symbol and unit.
-        prior: (p,) what the model states, in the columns' units.
+        joints: (joints,) names, in the order of the columns of motion and effort.
+        slides: whether each joint is prismatic (m, N) and not revolute (rad, N*m).
+        columns: (p,) name, symbol and unit of each parameter.
+        prior: (p,) nominal parameters, in the columns' units.
 
     Args:
-        realization: the robot, with the variant's payload.
-        joints: those whose motion and effort are given; others stand at the model's reference.
+        realization: model of the robot, with its payload.
+        joints: joints with given motion and effort; others stay at the model's reference.
         shared: motors that two joints share.
-        unscaled: joints whose effort is a current of unknown constant. Their rows have the model's
-            own rigid bodies as one column, ``effort_scale`` [A/(N*m)], and their drive's parameters
-            in A; they do not determine inertia.
+        unscaled: joints whose effort is a current with unknown torque constant. Their rows have the
+            nominal rigid-body effort as one column, ``effort_scale`` [A/(N*m)], and drive
+            parameters in A; they do not determine inertia.
 
     Raises:
-        SpecError: a joint that the model lacks.
-        ModelError: a joint of more than one degree of freedom, or what Pinocchio cannot express.
+        SpecError: the model lacks a joint.
+        ModelError: a joint has more than one degree of freedom, or Pinocchio cannot represent the
+            model.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class Regressor:
     def matrix(
         self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
-        """(n, joints, p) derivative of the effort by the parameters, at n instants.
+        """(n, joints, p) regressor, the derivative of the effort by the parameters, at n instants.
 
         Args:
             position: (n, joints) rad or m.

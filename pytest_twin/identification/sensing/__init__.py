@@ -1,1 +1,1 @@
-"""Sensors from recordings of a moving robot."""
+"""Identification of sensors from recordings of a moving robot."""

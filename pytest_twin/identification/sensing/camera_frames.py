@@ -1,10 +1,10 @@
-"""A camera's delay behind the joints, from how the poses that it sees turn.
+"""Estimate the delay of a camera against the joints, from rotations of the observed target.
 
-Between two frames a camera that stands still sees its target turn as the hand does, about axes
-that a constant rotation (the target's mounting) takes to the hand's: the turns ``a_k`` of the
-target and ``b_k(d)`` of the hand, ``d`` earlier, fulfil ``a_k = X b_k(d)``. A camera on the hand
-sees a target that stands still turn the other way. No calibration of the camera is needed
-(Tsai, Lenz, 1989, with the clock's offset as one more unknown).
+Between two frames, a target on the hand rotates by the same angle as the hand, as observed by a
+fixed camera. The axes differ by a constant rotation X (the target's mounting): the rotation vectors
+``a_k`` of the target and ``b_k(d)`` of the hand, ``d`` earlier, satisfy ``a_k = X b_k(d)``. For a
+camera on the hand and a fixed target, the rotation is inverted. No calibration of the camera is
+needed (Tsai, Lenz, 1989, with the clock offset as a further unknown).
 """
 
 from __future__ import annotations
@@ -27,22 +27,23 @@ from pytest_twin.sensors.camera import CameraTiming, frames_of
 from pytest_twin.sensors.linear import in_blocks
 
 MOST_DELAY_S = 0.3
-"""Largest delay that is searched, either way."""
+"""Largest magnitude of the delay."""
 _TURN_S = 0.15
-"""Time over which a turn is taken: at 1 rad/s 9 degrees, far above the noise of a pose."""
+"""Time between the orientations of a rotation. At 1 rad/s the rotation is 9 degrees, far above the
+noise of a pose."""
 _FEWEST = 50
 
 
 @dataclass(frozen=True)
 class CameraTrial:
-    """One recording of what a camera saw while the joints moved.
+    """One recording of observed target orientations and joint motion.
 
     Attributes:
-        path: the recording.
-        stamps: (n,) of the frames, s.
+        path: path of the recording.
+        stamps: (n,) stamps of the frames, s.
         seen: n orientations of the target in the camera.
-        turns: orientations of the frame in the world over the time of the joints, s.
-        role: what the recording says of itself.
+        turns: orientations of the frame in the world, interpolated over the joints' time, s.
+        role: role stated by the recording.
         steps: joint -> quantization of its encoder, rad or m.
     """
 
@@ -63,15 +64,15 @@ def frames_seen(
     names: Sequence[str],
     realization: Realization,
 ) -> CameraTrial:
-    """The frames that joint states surround.
+    """Return the frames within the time range of the joint states.
 
     Args:
-        path: the recording.
+        path: path of the recording.
         frame: site or body that carries the camera or its target.
-        stamps: (n,) ns.
+        stamps: (n,) stamps, ns.
         poses: (n, 7) target in the camera: x y z (m), quaternion x y z w.
-        joints: their states.
-        names: of the joints that the model has.
+        joints: states of the joints.
+        names: names of the joints that the model has.
         realization: the model.
 
     Raises:
@@ -100,13 +101,13 @@ def frames_seen(
 
 @dataclass(frozen=True)
 class Delay:
-    """What was found of a camera's clock.
+    """Estimated delay of a camera.
 
     Attributes:
-        timing: its delay and frames.
+        timing: delay and frame rate.
         deviation: standard deviation of the delay, s.
-        mount: ``world`` where it stands still, ``hand`` where it moves with the frame.
-        blocks: of time, that the deviation depends on.
+        mount: ``world`` for a fixed camera, ``hand`` for one that moves with the frame.
+        blocks: number of time blocks from which the deviation was computed.
     """
 
     timing: CameraTiming
@@ -116,10 +117,10 @@ class Delay:
 
 
 def delay_of(trials: Sequence[CameraTrial]) -> Delay:
-    """The delay at which the turns of hand and target are most alike, least squares.
+    """Return the delay with the smallest squared difference of hand and target rotations.
 
     Raises:
-        RecordingError: the hand hardly turns, or the target does not turn with it.
+        RecordingError: the hand hardly rotates, or the target does not rotate with it.
     """
     found = {mount: _least(trials, mount) for mount in ("world", "hand")}
     mount = min(found, key=lambda one: found[one][1])
@@ -138,8 +139,8 @@ def delay_of(trials: Sequence[CameraTrial]) -> Delay:
     slope = (_errors(trials, delay + step, mount)[0] - _errors(trials, delay - step, mount)[0]) / (
         2.0 * step
     )
-    # The constant rotation is estimated beside it; its share of the slope is gone already, as it
-    # is solved anew for each delay.
+    # The constant rotation is solved again for each delay, so the derivative already includes its
+    # change.
     blocks = np.array(in_blocks(numbers))
     scores = np.sum(slope * errors, axis=1)
     count = int(blocks.max()) + 1
@@ -152,7 +153,7 @@ def delay_of(trials: Sequence[CameraTrial]) -> Delay:
 
 
 def turn_errors(trials: Sequence[CameraTrial], delay: float, mount: str) -> float:
-    """Root mean square of the turns that a delay leaves unexplained, rad."""
+    """RMS difference of hand and target rotations at a delay, rad."""
     errors, _ = _errors(trials, delay, mount)
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
@@ -172,9 +173,9 @@ def _least(trials: Sequence[CameraTrial], mount: str) -> tuple[float, float]:
 def _errors(
     trials: Sequence[CameraTrial], delay: float, mount: str
 ) -> tuple[FloatArray, list[int]]:
-    """(n, 3) turns of the target less those of the hand, rad, and how many of each trial.
+    """(n, 3) rotation vectors of target minus hand, rad, and the number of each trial.
 
-    Each recording has a mounting of its own: a board is put back in another way.
+    Each recording has its own mounting rotation, since the board may have been remounted.
     """
     errors = []
     for trial in trials:
@@ -185,7 +186,7 @@ def _errors(
 
 
 def _turns(trial: CameraTrial, delay: float, mount: str) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) turns of the target and of the hand over the same time, rad."""
+    """(n, 3) rotation vectors of the target and of the hand over the same times, rad."""
     apart = max(1, round(_TURN_S / float(np.median(np.diff(trial.stamps)))))
     hand = CameraTiming(delay, 0.0, 0.0, 0.0).seen(trial.stamps, trial.turns)
     target = trial.seen.inv() if mount == "hand" else trial.seen

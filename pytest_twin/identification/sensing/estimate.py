@@ -1,4 +1,4 @@
-"""A sensor that is linear in the true signal, or a camera, estimated with covariance."""
+"""Estimate sensors that are linear in the true signal, and camera delays, with covariance."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from pytest_twin.sensors.linear import Linear, fit_linear, in_blocks
 from pytest_twin.sensors.stated import axes_of, readings_of, unit_of
 
 _MOST_FILTER_S = 0.1
-"""Longest time constant of a sensor's filter that is searched: 1.6 Hz."""
+"""Longest time constant of a sensor's filter (cutoff 1.6 Hz)."""
 
 
 @dataclass(frozen=True)
 class SensorEstimate:
-    """What was found of one sensor.
+    """Estimated parameters of one sensor.
 
     Attributes:
-        kind: of the sensor.
-        axes: of its readings.
-        axis_units: their units.
-        names: parameters, each with an interval.
-        values: (p,) in SI units.
-        units: (p,).
-        covariance: (p, p).
+        kind: kind of the sensor.
+        axes: names of its axes.
+        axis_units: units of its readings.
+        names: names of the parameters.
+        values: (p,) values in SI units.
+        units: (p,) units.
+        covariance: (p, p) covariance.
         quantile: half width of a 95 % interval in standard deviations.
-        untold: directions of the true signal that the motion did not excite, in words.
-        fields: what a simulation needs to make readings, as ``sensors:`` of a record has it.
-        nominal, error: (k,) root mean square on the held-out recordings, of an ideal sensor and of
-            this one; on the fitted ones where nothing is held out.
+        untold: descriptions of signal directions that the motion did not excite.
+        fields: sensor model for a simulation, in the form of ``sensors:`` of a record.
+        nominal, error: (k,) RMS errors of an ideal sensor and of this sensor on the held-out
+            recordings, or on the fitted ones if nothing is held out.
     """
 
     kind: str
@@ -59,9 +59,9 @@ class SensorEstimate:
 def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> SensorEstimate:
     """Estimate a sensor.
 
-    Readings at the sensor's limit are left out. The filter's time constant of a force-torque sensor
-    is that of the least residual; the other parameters are linear given it. Its covariance is that
-    of the linearized problem.
+    Saturated readings are left out. The filter time constant of a force-torque sensor minimizes the
+    residual; for a given time constant the other parameters are linear. The covariance is that of
+    the linearized problem.
 
     Args:
         fit, held_out: recordings of one sensor.
@@ -122,13 +122,13 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
 
 
 def estimate_camera(fit: Sequence[CameraTrial], held_out: Sequence[CameraTrial]) -> SensorEstimate:
-    """Estimate how late a camera's frames are.
+    """Estimate the delay of a camera's frames.
 
     Args:
         fit, held_out: recordings of one camera.
 
     Raises:
-        RecordingError: its target does not turn as the frame does.
+        RecordingError: the target does not rotate with the frame.
     """
     found = delay_of(fit)
     timing = found.timing
@@ -147,7 +147,7 @@ def estimate_camera(fit: Sequence[CameraTrial], held_out: Sequence[CameraTrial])
 
 
 def _groups(kind: str) -> list[tuple[int, ...]]:
-    """Channels of each block that is linear in its part of the true signal."""
+    """Return the channels of each block that is linear in its part of the true signal."""
     found, first = [], 0
     for size in GROUPS[kind]:
         found.append(tuple(range(first, first + size)))
@@ -160,7 +160,7 @@ def _rms(errors: Sequence[FloatArray]) -> FloatArray:
 
 
 def _filter(solved: Callable[[float], list[Linear]]) -> float:
-    """Time constant of the least residual, each channel over its own; 0 where none is better."""
+    """Return the time constant with the smallest normalized residual; 0 if no filter is better."""
     base = solved(0.0)[0].residual
     weight = np.where(base > 0.0, base, 1.0)
 
@@ -182,7 +182,7 @@ def _filter_deviation(
     reading: FloatArray,
     blocks: Sequence[int],
 ) -> float:
-    """Standard deviation of the time constant beside the linear parameters."""
+    """Return the standard deviation of the time constant, estimated with the linear parameters."""
     step = 0.02 * slow
     true = true_at(slow)
     change = (true_at(slow + step) - true_at(slow - step)) / (2.0 * step)
@@ -202,7 +202,7 @@ def _filter_deviation(
 def _flat(
     found: Sequence[Linear], groups: Sequence[tuple[int, ...]], axes: Sequence[str]
 ) -> tuple[list[str], FloatArray, list[str], FloatArray]:
-    """Parameters of all channels, and their covariance: channels err on their own."""
+    """Return the parameters of all channels and their covariance, for independent channels."""
     names: list[str] = []
     values: list[float] = []
     units: list[str] = []
@@ -228,7 +228,7 @@ def _flat(
 
 
 def _reached(one: Linear) -> FloatArray:
-    """(m + 1,) whether a channel of the true signal, or the bias, has no part in what is untold."""
+    """(m + 1,) True for channels of the true signal, and the bias, that are determined."""
     reached = np.ones(one.matrix.shape[1] + 1, dtype=bool)
     for direction in one.untold:
         reached &= np.abs(direction) < 0.05

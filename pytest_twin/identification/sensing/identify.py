@@ -1,4 +1,4 @@
-"""Sensors that a user named, from recordings to ``identification.json``."""
+"""Identify named sensors, from recordings to the content of ``identification.json``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from pytest_twin.trial.roles import FINAL, HELD_OUT, refuse_final
 _Trial = SensorTrial | CameraTrial
 _ONE_HELD_OUT_OF = 4
 _STILL = 0.005
-"""Speed of the model at the sensor below which a whole recording is one at rest, rad/s."""
+"""Largest angular speed at the sensor, rad/s, of a recording at rest."""
 _MOTION = (
     "turn the sensor through many orientations, with payloads whose centres of mass differ, and "
     "move fast enough that inertia adds to the weight"
@@ -52,21 +52,21 @@ def identify_sensors(
     folder: Path,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
-    """Estimate sensors, and write the model, which they do not change.
+    """Estimate sensors, and write the unchanged model.
 
     Args:
         realization: the model.
         recordings, held_out: bags with joint states and the sensors' topics.
-        sensors: names, topics and frames.
+        sensors: names, topics and frames of the sensors.
         state: topic of the joint states.
-        folder: empty; gets the model.
-        progress: told the fraction done.
+        folder: empty folder for the model.
+        progress: called with the fraction done.
 
     Returns:
-        the content of ``identification.json`` but for its inputs.
+        The content of ``identification.json`` without its inputs.
 
     Raises:
-        TwinError: input that cannot be used.
+        TwinError: the input cannot be used.
     """
     stages: list[Stage] = []
     parameters: dict[str, Any] = {}
@@ -158,7 +158,7 @@ def _by_role(
     state: str,
     notes: list[str],
 ) -> tuple[list[_Trial], list[_Trial]]:
-    """Whole recordings by role, as every identification splits them."""
+    """Split recordings by role, in the same way as other identifications."""
     aside = {path.resolve() for path in held_out}
     fit = [
         read_sensor(path, sensor, realization, state)
@@ -187,7 +187,7 @@ def _by_role(
 
 
 def _total(errors: np.ndarray, found: SensorEstimate) -> float:
-    """Error over all channels, each as a share of the ideal sensor's error."""
+    """Total error of all channels, each relative to the ideal sensor's error."""
     return float(np.sqrt(np.mean((errors / np.maximum(found.nominal, 1e-300)) ** 2)))
 
 
@@ -204,7 +204,7 @@ def _estimated(fit: Sequence[_Trial], tested: Sequence[_Trial], sensor: Mounted)
 
 
 def _noise(fit: Sequence[_Trial]) -> list[dict[str, float | None]] | None:
-    """Noise of each channel over the longest recording in which nothing moves, or None."""
+    """Noise of each channel in the longest recording at rest, or None without one."""
     inertial = [one for one in fit if isinstance(one, SensorTrial)]
     still = [one for one in inertial if np.abs(one.true[:, :3]).max() < _STILL]
     longest = max(still, key=lambda one: len(one.reading) * one.period, default=None)

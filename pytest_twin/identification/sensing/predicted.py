@@ -1,4 +1,4 @@
-"""What the sensors of a twin would have read along a predicted motion, beside what they read."""
+"""Predict the readings of a twin's sensors along a predicted motion, and compare."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from pytest_twin.twin import Twin
 
 
 def encoders_of(twin: Twin | None) -> dict[str, Encoder]:
-    """Joint -> quantization of its encoder, from the records that hold."""
+    """Return joint -> quantization of its encoder, from the valid records."""
     records = () if twin is None else twin.holding_fits
     steps = {joint: step for one in records for joint, step in one.encoder_steps.items()}
     return {joint: Encoder(step) for joint, step in steps.items()}
 
 
 def sensors_of(twin: Twin | None) -> dict[str, SensorFields]:
-    """Name -> sensor, from the records that hold; a later record goes before."""
+    """Return name -> sensor, from the valid records; later records take precedence."""
     records = () if twin is None else twin.holding_fits
     return {one.name: one for record in records for one in record.sensors}
 
 
 def as_encoders_read(series: JointSeries, encoders: Mapping[str, Encoder]) -> JointSeries:
-    """Predicted positions as the encoders would have read them."""
+    """Return predicted positions quantized by the encoders."""
     if series.position is None or not set(encoders) & set(series.names):
         return series
     position = series.position.copy()
@@ -51,21 +51,21 @@ def compared(
     motion: JointSeries,
     state: str,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Distance of predicted from recorded readings.
+    """Return RMS differences between predicted and recorded readings.
 
-    The true signal along the predicted motion goes through the sensor's own model first; beside it
-    stands the distance of an ideal sensor.
+    The sensor's model is applied to the true signal along the predicted motion. The difference for
+    an ideal sensor is returned too.
 
     Args:
-        sensors: of the twin.
-        path: the recording.
+        sensors: sensors of the twin.
+        path: path of the recording.
         realization: the model.
-        motion: predicted joint states, before they are rounded by the encoders.
+        motion: predicted joint states, before quantization by the encoders.
         state: topic of the joint states.
 
     Returns:
-        Sensor -> ``rms`` and ``rms_ideal`` by axis, with ``unit`` of each; and notes about sensors
-        that the recording has no readings of.
+        Sensor -> ``rms`` and ``rms_ideal`` by axis, with ``unit``; and notes about sensors without
+        readings in the recording.
     """
     found: dict[str, Any] = {}
     notes = []
