@@ -1,1 +1,1 @@
-"""Residuals and online updates beside a base model, tried in its shadow before they are used."""
+"""Residual models and online parameter updates, tested against a base model before release."""

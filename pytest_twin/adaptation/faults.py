@@ -1,4 +1,4 @@
-"""Six faults that a residual must survive by falling back to the base, injected in simulation."""
+"""Inject six faults in simulation; a residual must fall back to the base model in each."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.replay import Row
 
 _WINDOW_HOLD_OFFS = 4.0
-"""Length of a fault in multiples of the hold-off, so that falling back and waiting both show."""
+"""Duration of a fault in multiples of the hold-off time, so that fallback and hold-off are both
+visible."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault and what has to follow.
+    """A fault and the required reaction.
 
     Attributes:
-        name: as reported.
-        distort: of (start, end, spec) what the sensors do.
-        is_permanent: whether the residual has to stay out until the end; else for one hold-off.
-        grace: of the spec, s after the start in which it may still act.
-        is_impulse: whether the joints are hit at the start.
+        name: name in the report.
+        distort: function from (start, end, spec) to the change of the sensor samples.
+        is_permanent: whether the residual must stay off until the end; else for one hold-off time.
+        grace: function from the spec to the time after the start, s, in which it may still act.
+        is_impulse: whether the joints get an impact at the start.
     """
 
     name: str
@@ -42,7 +43,7 @@ def _within(start: float, end: float, change: Callable[[Sample], Sample | None])
 
 
 def _shift(start: float, end: float, spec: ResidualSpec) -> Distort:
-    """Positions that no data have shown: by the width of the valid region."""
+    """Shift positions out of the valid region, by its width."""
     width = np.array([r.position[1] - r.position[0] for r in spec.joints.values()])
     return _within(start, end, lambda s: replace(s, position=s.position + width))
 
@@ -52,7 +53,7 @@ def _dropout(start: float, end: float, spec: ResidualSpec) -> Distort:
 
 
 def _stale(start: float, end: float, spec: ResidualSpec) -> Distort:
-    """The sensors' last message again and again."""
+    """Repeat the last message of the sensors."""
     last: list[Sample] = []
 
     def distort(time: float, sample: Sample, guard: Guard) -> Sample:
@@ -88,15 +89,16 @@ FAULTS = (
 
 
 def inject(spec: ResidualSpec, law: Any, row: Row, undisturbed: Log) -> list[dict[str, Any]]:
-    """What a residual does under each fault, and whether the fallback holds.
+    """Simulate a residual under each fault, and check the fallback.
 
-    The fault starts where the undisturbed residual acts longest without a break. It holds where
-    the force never exceeds its bound, is zero while it has to be, and the simulation stays finite.
+    The fault starts where the undisturbed residual acts longest without interruption. The check
+    passes if the force never exceeds its bound, is zero where required, and the simulation stays
+    finite.
 
     Args:
-        spec, law: the residual.
-        row: the trial to disturb, with the base model.
-        undisturbed: what the residual did in it without a fault.
+        spec, law: declaration and function of the residual.
+        row: trial to disturb, with the base model.
+        undisturbed: log of the residual in this trial without a fault.
     """
     span = _window(undisturbed, spec, row.trial.duration)
     if span is None:
@@ -106,7 +108,7 @@ def inject(spec: ResidualSpec, law: Any, row: Row, undisturbed: Log) -> list[dic
 
 
 def _window(log: Log, spec: ResidualSpec, duration: float) -> tuple[float, float] | None:
-    """Start and end (s) of a fault inside the longest stretch in which the residual acts."""
+    """Start and end (s) of a fault inside the longest interval in which the residual acts."""
     time, force = log.table
     acts = np.concatenate([[False], np.any(force != 0.0, axis=1), [False]])
     edges = np.flatnonzero(np.diff(acts.astype(int)))
@@ -134,7 +136,7 @@ def _injected(
     from_, until = start + fault.grace(spec), end + spec.hold_off
     if not fault.is_permanent:
         until = start + spec.hold_off
-    # The sample at the start of a fault is the first that shows it, the one after it for a kick.
+    # The first sample with the fault is the one at its start, or the next one for an impact.
     out = (time >= from_ + spec.period - 1e-9) & (time < until - 1e-9)
     bounded = bool((np.abs(force) <= guard.bound + 1e-12).all())
     finite = replayed.error is None and bool(np.isfinite(replayed.position).all())
@@ -159,7 +161,7 @@ def _injected(
 
 
 def _louder(start: float, end: float, law: Any, guard: Guard) -> Distort:
-    """A residual that asks for a million times its force, at least that many bounds."""
+    """Make the residual request a million times its force, far above its bound."""
 
     def loud(
         position: FloatArray, velocity: FloatArray, command: FloatArray

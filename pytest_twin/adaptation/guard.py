@@ -1,7 +1,7 @@
-"""What stands between a residual and the robot: bounds, valid region, monitors, and the fallback.
+"""Guard between a residual and the robot: bounds, valid region, monitors and fallback.
 
-The base alone (no force) is what remains whenever any condition is not met, for the whole robot
-and not for single joints: a residual that is right about half a robot is wrong about the other.
+If any condition is not met, the force is zero for the whole robot and only the base model remains.
+The fallback is not applied joint by joint, because the joints are coupled.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from pytest_twin.adaptation_spec import ResidualSpec
 from pytest_twin.arrays import FloatArray
 
 Law = Callable[[FloatArray, FloatArray, FloatArray], "tuple[FloatArray, FloatArray | None]"]
-"""(position, velocity, command), each (j,), to force (j,) and its standard deviation or None."""
+"""Function from (position, velocity, command), each (j,), to force (j,) and its standard deviation
+(or None)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,7 @@ class Sample:
     """Measured states and commands of the joints that a residual acts on.
 
     Attributes:
-        time: when it was measured, s.
+        time: time of the measurement, s.
         position, velocity, command: (j,) rad and rad/s or m and m/s.
     """
 
@@ -35,11 +36,11 @@ class Sample:
 
 
 class Guard:
-    """A residual that is only let through while everything that it needs is there.
+    """A residual that is applied only while all of its conditions are met.
 
     Args:
-        spec: its bounds.
-        law: what computes it.
+        spec: declaration with bounds and conditions.
+        law: function that computes the residual.
     """
 
     def __init__(self, spec: ResidualSpec, law: Law) -> None:
@@ -50,23 +51,23 @@ class Guard:
         self.high = np.array([[r.position[1], r.velocity[1]] for r in regions]).T
         self.jump = np.array([region.jump for region in regions])
         self.reasons: Counter[str] = Counter()
-        """How often each condition kept the residual out."""
+        """Condition -> number of samples at which it blocked the residual."""
         self.passed = 0
-        """How often it was let through."""
+        """Number of samples at which the residual was applied."""
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything, as a process does that starts again."""
+        """Reset the state, as after a restart of the process."""
         self._blocked_until: float | None = None
         self._velocity: FloatArray | None = None
         self._saturated_since: float | None = None
 
     def force(self, now: float, sample: Sample | None) -> FloatArray:
-        """(j,) the force to add to the base, N*m or N; zero where it falls back.
+        """Return the (j,) force to add to the base model, N*m or N; zero during a fallback.
 
         Args:
-            now: s.
-            sample: the newest one, None where none came.
+            now: current time, s.
+            sample: newest sample, or None.
         """
         if self._blocked_until is None:
             self._blocked_until = now + self.spec.hold_off
@@ -91,7 +92,7 @@ class Guard:
         if not -1e-9 <= now - sample.time <= self.spec.max_age:
             return "stale sample", none
         before, self._velocity = self._velocity, sample.velocity
-        # At the very end of the region is where a saturated sensor stays.
+        # A saturated sensor reads exactly the end of the region.
         if ((state <= self.low) | (state >= self.high)).any():
             return "outside the valid region", none
         if before is not None and (np.abs(sample.velocity - before) > self.jump).any():
@@ -100,7 +101,7 @@ class Guard:
         if not np.isfinite(raw).all():
             return "not finite", none
         if self.spec.uncertainty is not None and (
-            # A residual that cannot say how sure it is passes no monitor.
+            # A residual without standard deviation does not pass the monitor of uncertainty.
             deviation is None or not (deviation <= self.spec.uncertainty).all()
         ):
             return "uncertain", none

@@ -1,4 +1,4 @@
-"""What computes a residual: tables of a diagnosis, an ONNX model, or a user's function."""
+"""Functions that compute a residual: tables of a diagnosis, an ONNX model, or a user's function."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _ONNX_BYTES = 256 * 2**20
 
 
 def law_of(spec: ResidualSpec) -> Law:
-    """The function that computes a residual.
+    """Return the function that computes a residual.
 
     Raises:
-        SpecError: its file or entry point does not bring one.
-        PathError, LimitError: its file cannot be read.
+        SpecError: the file or entry point contains no such function.
+        PathError, LimitError: the file cannot be read.
     """
     makers: Mapping[str, Callable[[ResidualSpec], Law]] = {
         "unnamed_laws": _tables,
@@ -38,7 +38,7 @@ def law_of(spec: ResidualSpec) -> Law:
 
 
 def _tables(spec: ResidualSpec) -> Law:
-    """Forces that a diagnosis found as tables over position, velocity or command."""
+    """Return forces from tables of a diagnosis over position, velocity or command."""
     assert spec.file is not None
     try:
         listed = json.loads(read_bytes(spec.file, _TABLES_BYTES))["effects"]
@@ -69,7 +69,7 @@ def _tables(spec: ResidualSpec) -> Law:
 
 
 def _table(values: Mapping[str, float]) -> tuple[int, Callable[[float], float]]:
-    """Which input a table is over, and the table: linear, zero one interval beyond its ends."""
+    """Return the input of a table and its function: piecewise linear, zero one interval outside."""
     knots = np.linspace(values["low"], values["high"], KNOTS)
     step = knots[1] - knots[0]
     knots = np.concatenate([[knots[0] - step], knots, [knots[-1] + step]])
@@ -78,8 +78,11 @@ def _table(values: Mapping[str, float]) -> tuple[int, Callable[[float], float]]:
 
 
 def _onnx(spec: ResidualSpec) -> Law:
-    """An ONNX model: input (1, 3 j) float32 of positions, velocities and commands; outputs (1, j)
-    of forces and, where there is a second, of their standard deviations."""
+    """Return the function of an ONNX model.
+
+    The input is (1, 3 j) float32: positions, velocities and commands. The outputs are (1, j)
+    forces and, optionally, (1, j) standard deviations.
+    """
     assert spec.file is not None
     try:
         import onnxruntime
@@ -96,7 +99,7 @@ def _onnx(spec: ResidualSpec) -> Law:
         session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
         (given,) = session.get_inputs()
     except Exception as error:
-        # The library raises errors of its own for each kind of damage.
+        # The library raises its own error types for damaged files.
         words = " ".join(str(error).split())[:120]
         raise SpecError(
             f"not a residual: {words}", path=spec.file, expected="an ONNX model with one input"
@@ -133,8 +136,7 @@ def _onnx(spec: ResidualSpec) -> Law:
 
 
 def _function(spec: ResidualSpec) -> Law:
-    """What the entry point's class makes: called with (position, velocity, command), each (j,), it
-    returns force and standard deviation, or None for the second."""
+    """Return an instance of the entry point's class, which is called like :data:`Law`."""
     points = [point for point in entry_points(group=GROUP) if point.name == spec.function]
     if not points:
         raise SpecError(

@@ -1,9 +1,9 @@
-"""Bounded recursive least squares over named parameters, one window of motion after another.
+"""Bounded recursive least squares of named parameters over consecutive windows of motion.
 
-The prediction of a window starts at its first measured state; its error over the window, to first
-order in the parameters, is the innovation. The recursion is the recursive prediction error method
-with forgetting (Ljung, "System Identification", 2nd ed., 1999, ch. 11), projected onto the bounds.
-Each window is predicted before its own measurements update anything.
+The prediction of a window starts at its first measured state. Its error over the window is the
+innovation, which is linearized in the parameters. The recursion is the recursive prediction error
+method with forgetting (Ljung, "System Identification", 2nd ed., 1999, ch. 11), projected onto the
+bounds. Each window is predicted before its own measurements update anything.
 """
 
 from __future__ import annotations
@@ -27,20 +27,21 @@ _FIELDS = {
     "armature": "dof_armature",
 }
 _INDEPENDENT = 10.0
-"""Samples of one window and joint that count as independent: neighbours share the model's error."""
+"""Number of independent samples per window and joint. Neighbouring samples share the model
+error."""
 _STEP = 1e-3
-"""Finite-difference step, as a share of the width of the bounds."""
+"""Finite-difference step, as a fraction of the width of the bounds."""
 _OUTLIER = 4.0
-"""An innovation this many times the usual one is a fault and updates nothing."""
+"""Ratio to the expected innovation above which a window is treated as a fault and not used."""
 _MEMORY = 0.8
 """Weight of the past in the running errors of base and update."""
 _WORSE = 1.02
-"""Ratio of the running errors from which on the base predicts again."""
+"""Ratio of the running errors of update and base above which the base parameters are used."""
 _SLOPE_SAMPLES = 5
 
 Disturb = Callable[[FloatArray, FloatArray], "FloatArray | None"]
-"""(times in s, measured positions (n, j)) of a window to what the sensors make of it; None where
-the process restarts."""
+"""Function from times (s) and measured positions (n, j) of a window to disturbed positions; None
+means that the process restarts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +49,12 @@ class Window:
     """One window of motion.
 
     Attributes:
-        start: s from the trial's first state.
-        base_rms, updated_rms: error of the prediction by the base's parameters and by those that
-            were in use, rad or m, against what was truly measured.
-        parameters: those in use after the window.
-        state: ``updated``, ``base`` (fallback; the recursion went on), or why nothing was updated.
+        start: time from the trial's first state, s.
+        base_rms, updated_rms: RMS error of the prediction with base parameters and with the
+            parameters in use, against the undisturbed measurement, rad or m.
+        parameters: parameters in use after the window.
+        state: ``updated``, ``base`` (fallback; the recursion continues), or the reason why nothing
+            was updated.
     """
 
     start: float
@@ -64,13 +66,13 @@ class Window:
 
 @dataclass(slots=True)
 class Recursion:
-    """The state of the update.
+    """State of the recursive estimation.
 
     Attributes:
-        spec: its declaration.
-        base: (p,) the base model's parameters.
-        value, covariance: (p,) and (p, p) the estimate.
-        has_fallback: whether the base's parameters are in use.
+        spec: declaration of the update.
+        base: (p,) parameters of the base model.
+        value, covariance: (p,) estimate and (p, p) covariance.
+        has_fallback: whether the base parameters are in use.
     """
 
     spec: UpdateSpec
@@ -86,36 +88,36 @@ class Recursion:
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """(p,) lower and upper."""
+        """(p,) lower and upper bounds."""
         low, high = np.array(list(self.spec.parameters.values())).T
         return low, high
 
     @property
     def prior(self) -> FloatArray:
-        """(p, p) covariance at the start: a quarter of the bounds' width is one deviation."""
+        """(p, p) initial covariance: the standard deviation is a quarter of the bounds' width."""
         low, high = self.bounds
         return np.diag(((high - low) / 4.0) ** 2)
 
     @property
     def in_use(self) -> FloatArray:
-        """(p,) what predicts the next window."""
+        """(p,) parameters for predicting the next window."""
         return self.base if self.has_fallback else self.value
 
     def restart(self) -> None:
-        """Forget everything but the declaration and the base."""
+        """Reset the estimate to the base."""
         self.value, self.covariance = self.base.copy(), self.prior
         self.has_fallback, self.usual, self.errors = False, None, None
 
     def update(self, jacobian: FloatArray, innovation: FloatArray, share: float) -> str:
-        """Take one window in.
+        """Update the estimate with one window.
 
         Args:
-            jacobian: (m, p) of the predictions at ``value``.
-            innovation: (m,) measured less predicted at ``value``, rad or m.
-            share: variance of a sample relative to that of an independent one.
+            jacobian: (m, p) derivative of the predictions at ``value``.
+            innovation: (m,) measured minus predicted at ``value``, rad or m.
+            share: number of samples per independent sample, a factor on the noise variance.
 
         Returns:
-            ``updated``, or why not.
+            ``updated``, or the reason why the window was not used.
         """
         if not (np.isfinite(jacobian).all() and np.isfinite(innovation).all()):
             return "no finite measurement"
@@ -123,12 +125,12 @@ class Recursion:
         if self.usual is not None and size > _OUTLIER * max(self.usual, self.spec.noise):
             return "the error is not of the usual size"
         self.usual = size if self.usual is None else 0.8 * self.usual + 0.2 * size
-        # The model's error is noise to the update too.
+        # The model error is part of the noise of the update.
         variance = share * max(self.spec.noise, size) ** 2
         covariance: FloatArray = self.covariance / self.spec.forgetting
         information = np.linalg.inv(covariance) + jacobian.T @ jacobian / variance
         self.covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        # Without excitation forgetting alone would let it grow beyond what was known at the start.
+        # Without excitation, forgetting would increase the covariance beyond the initial one.
         ratio = np.sqrt(np.clip(np.diag(self.prior) / np.diag(self.covariance), None, 1.0))
         self.covariance = np.asarray(self.covariance * np.outer(ratio, ratio), dtype=np.float64)
         step = self.covariance @ (jacobian.T @ innovation) / variance
@@ -136,7 +138,7 @@ class Recursion:
         return "updated"
 
     def compare(self, base_rms: float, updated_rms: float) -> None:
-        """Fall back to the base where the update has lately predicted worse, or return from it."""
+        """Fall back to the base if the update has recently predicted worse, or end the fallback."""
         if not (np.isfinite(base_rms) and np.isfinite(updated_rms)):
             return
         now: FloatArray = np.array([base_rms, updated_rms])
@@ -147,10 +149,10 @@ class Recursion:
 
 
 def base_parameters(spec: UpdateSpec, model: mujoco.MjModel) -> FloatArray:
-    """(p,) what a model has, SI units at the joint.
+    """(p,) parameters of a model, SI units at the joint.
 
     Raises:
-        SpecError: a joint that the model lacks, or a value outside its bounds.
+        SpecError: the model lacks a joint, or a value is outside its bounds.
     """
     found = []
     for name, (low, high) in spec.parameters.items():
@@ -170,12 +172,12 @@ def base_parameters(spec: UpdateSpec, model: mujoco.MjModel) -> FloatArray:
 def track(
     recursion: Recursion, rows: Sequence[Row], *, disturb: Disturb | None = None
 ) -> list[Window]:
-    """Predict and update window by window through trials in their order.
+    """Predict and update the windows of trials in order of time.
 
     Args:
-        recursion: its state, which is changed.
-        rows: trials with the base model under their controllers.
-        disturb: a fault of the sensors; nothing if None.
+        recursion: state of the estimation, which is changed in place.
+        rows: trials with the base model and their controllers.
+        disturb: fault of the sensors, or None.
     """
     found: list[Window] = []
     for row in rows:
@@ -194,7 +196,7 @@ def track(
 def _window(recursion: Recursion, row: Row, true: Trial, start: float) -> Window:
     seen = row.trial
     if not np.isfinite(seen.position[0]).all():
-        # Nowhere to start from: predicted from what is known to be true, and not learned from.
+        # Without an initial state the window is predicted from the undisturbed one, and not used.
         row, learn = replace(row, trial=replace(true)), False
     else:
         learn = True
@@ -244,7 +246,7 @@ def _windows(trial: Trial, length: float) -> list[tuple[float, Trial]]:
         if len(rows) < 2 * _SLOPE_SAMPLES:
             continue
         at = float(trial.time[rows[0]])
-        # With the command that holds at the start, and the one after the end.
+        # The window includes the command held at its start and the first one after its end.
         first = max(int(np.searchsorted(trial.command_time, at, side="right")) - 1, 0)
         last = int(np.searchsorted(trial.command_time, trial.time[rows[-1]], side="right")) + 1
         velocity = np.full((len(rows), len(trial.joints)), np.nan)
@@ -267,7 +269,7 @@ def _windows(trial: Trial, length: float) -> list[tuple[float, Trial]]:
 
 
 def _speed(trial: Trial, row: int) -> FloatArray:
-    """(j,) velocity at a row: as measured, else the slope of the positions up to it."""
+    """(j,) velocity at a row: measured, or else from the slope of the preceding positions."""
     if trial.velocity is not None and np.isfinite(trial.velocity[row]).all():
         measured: FloatArray = trial.velocity[row]
         return measured

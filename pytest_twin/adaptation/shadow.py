@@ -1,5 +1,4 @@
-"""A candidate in the shadow of a release: both under the same commands, judged by what the release
-declared before.
+"""Compare a candidate with a release under the same commands, by criteria of the release.
 
 Runs in the child process.
 """
@@ -32,7 +31,7 @@ from pytest_twin.trial.roles import refuse_final
 from pytest_twin.twin import Twin, load_twin
 
 ERRORS = ("position_rms", "velocity_rms", "position_max")
-"""Metrics of predicted less measured."""
+"""Metrics of predicted minus measured motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +39,8 @@ class Side:
     """The release or the candidate.
 
     Attributes:
-        twin: as read.
-        realization: its first.
+        twin: the twin.
+        realization: its first realization.
     """
 
     twin: Twin
@@ -52,7 +51,7 @@ class Side:
         """Load a ``twin.yaml`` and its first realization.
 
         Raises:
-            TwinError: it does not load.
+            TwinError: the twin cannot be loaded.
         """
         twin = load_twin(Path(file))
         first = twin.first_realization
@@ -180,10 +179,10 @@ def _active(log: Log) -> float:
 
 
 def measures(replayed: Sequence[Replayed]) -> dict[str, dict[str, float]]:
-    """Metric -> joint -> value over all trials; NaN where nothing was measured.
+    """Return metric -> joint -> value over all trials; NaN if nothing was measured.
 
-    ``position_rms``, ``position_max``, ``velocity_rms`` are of predicted less measured;
-    ``velocity_peak`` and ``effort_peak`` of the prediction alone. SI units.
+    ``position_rms``, ``position_max`` and ``velocity_rms`` are errors, predicted minus measured.
+    ``velocity_peak`` and ``effort_peak`` are of the prediction. All are in SI units.
     """
     joints = sorted({joint for one in replayed for joint in one.trial.joints})
     found: dict[str, dict[str, float]] = {
@@ -224,10 +223,11 @@ def judged(
     after: Mapping[str, Mapping[str, float]],
     policy: ShadowPolicy,
 ) -> list[dict[str, Any]]:
-    """Each declared metric with both values and whether it is met. Pure.
+    """Return each declared metric with both values and whether the candidate meets it.
 
-    A metric must fall by its share, mean over joints. A safety metric may rise by its share, on
-    no joint by more. A declared metric of which nothing was measured is not met.
+    A metric must decrease by its declared fraction, on average over joints. A safety metric may
+    increase by at most its declared fraction on each joint. A declared metric without measurements
+    is not met.
     """
     listed = []
     for safety, table in ((False, policy.metrics), (True, policy.safety)):
@@ -238,7 +238,7 @@ def judged(
                 if np.isfinite([before[name][joint], after[name][joint]]).all()
             }
             rises = [_rise(*pair) for pair in both.values()]
-            # What does not move, in either, neither gains nor loses.
+            # A joint with zero error in both is unchanged.
             rise = (max(rises) if safety else float(np.mean(rises))) if rises else None
             met = rise is not None and (rise <= share if safety else rise <= -share)
             listed.append(
@@ -258,7 +258,7 @@ def judged(
 
 
 def _rise(before: float, after: float) -> float:
-    """(after - before) / before; from zero to zero it is zero."""
+    """Relative increase (after - before) / before; zero if both are zero."""
     if before == after:
         return 0.0
     return (after - before) / before if before > 0.0 else 1e9

@@ -1,4 +1,4 @@
-"""A base model with a guarded residual beside it, simulated under a recording's commands."""
+"""Simulate a base model with a guarded residual under the commands of a recording."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from pytest_twin.replay import Replayed, Row
 from pytest_twin.replay_forced import replay_forced
 
 Distort = Callable[[float, Sample, Guard], Sample | None]
-"""What a fault makes of a sample at a time (s)."""
+"""Function from time (s), sample and guard to the disturbed sample."""
 
 
 @dataclass(slots=True)
 class Log:
-    """What a residual did during a simulation.
+    """Log of a residual during a simulation.
 
     Attributes:
-        time: of each evaluation, s.
-        force: (j,) of each.
+        time: time of each evaluation, s.
+        force: (j,) force of each evaluation, N*m or N.
     """
 
     time: list[float] = field(default_factory=list)
@@ -31,7 +31,7 @@ class Log:
 
     @property
     def table(self) -> tuple[FloatArray, FloatArray]:
-        """(n,) times and (n, j) forces."""
+        """(n,) times, s, and (n, j) forces, N*m or N."""
         return np.array(self.time), np.array(self.force)
 
 
@@ -42,16 +42,17 @@ def simulate(
     distort: Distort | None = None,
     kick: tuple[float, FloatArray] | None = None,
 ) -> tuple[Replayed, Log]:
-    """Replay a trial with a residual, whose sensors see the simulated state.
+    """Replay a trial with a residual that gets the simulated state as sensor samples.
 
-    The residual never sees what was measured: it could otherwise pull the prediction there.
+    The residual does not get the measured state; otherwise it could pull the prediction towards the
+    measurement.
 
     Args:
-        row: the trial, with the base model.
-        guard: of the residual; started anew.
-        distort: what its sensors do to each sample; nothing if None.
-        kick: an impact, as :func:`pytest_twin.replay_forced.replay_forced` takes it, for the
-            residual's joints.
+        row: trial with the base model.
+        guard: guard of the residual; it is reset first.
+        distort: fault of the sensors, applied to each sample, or None.
+        kick: impact on the residual's joints, in the form of
+            :func:`pytest_twin.replay_forced.replay_forced`.
     """
     trial, joints = row.trial, list(guard.spec.joints)
     columns = [trial.joints.index(joint) for joint in joints]
@@ -83,7 +84,7 @@ def simulate(
 
 
 def _commands(row: Row, joints: list[str]) -> Callable[[float, FloatArray], FloatArray]:
-    """The newest command of each joint, in the model's terms; its position where it has none."""
+    """Return the newest command of each joint, in model coordinates; its position without one."""
     trial = row.trial
     encoders = Encoders.of(row.calibration, trial.command_joints)
     table = encoders.model_command(trial.command, trial.command_modes)

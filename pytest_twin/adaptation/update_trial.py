@@ -1,4 +1,4 @@
-"""An online update over recordings in the order of time, and under faults of the sensors."""
+"""Test an online update on recordings in order of time, and under sensor faults."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from pytest_twin.trial import Trial
 
 _FAULT_WINDOWS = 3
 _TRIED_WINDOWS = 12
-"""Windows of motion that a fault is tried on: before it, in it, and after it."""
+"""Number of windows of motion for testing a fault: before, during and after it."""
 _WORSE = 1.05
-"""How much worse than the base the update may predict, over all windows with a fault among them."""
+"""Largest ratio of the update's error to the base's error, over all windows including the fault."""
 
 
 def try_update(
@@ -38,19 +38,19 @@ def try_update(
     released: Realization | None = None,
     released_update: UpdateSpec | None = None,
 ) -> dict[str, Any]:
-    """Run an update beside the base and judge it; each window is predicted before it is learned.
+    """Run an update and compare it with the base; each window is predicted before it is used.
 
     Args:
-        spec: of the update.
-        realization: of the candidate.
-        trials: in the order of time.
-        policy: what the release declares.
-        released: of the release, where its model is another one. Its prediction then is what the
-            candidate has to improve: an update may not hide a worse model.
-        released_update: of the release, where its model is another one and it has an update.
+        spec: declaration of the update.
+        realization: realization of the candidate.
+        trials: trials in order of time.
+        policy: criteria of the release.
+        released: realization of the release, if its model is different. The candidate must then
+            improve on its prediction, so that an update cannot hide a worse model.
+        released_update: update of the release, if its model is different and it has one.
 
     Raises:
-        SpecError: parameters that the model lacks, or a base with effects beside its model.
+        SpecError: the model lacks parameters, or the base has effects outside of its model.
         RecordingError: no recording is long enough for a window.
     """
     if patched_of(realization) is not None:
@@ -129,10 +129,10 @@ def _rms(values: Sequence[float]) -> float:
 
 
 def _faults(spec: UpdateSpec, learned: Recursion, rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Each fault on the first windows of motion, from the state that was learned before.
+    """Test each fault on the first windows of motion, from the learned state.
 
-    It holds where the parameters never leave their bounds and the update predicts, over all these
-    windows and against what was truly measured, no worse than the base by more than 5 %.
+    The test passes if the parameters stay within their bounds and the update's error over all these
+    windows, against the undisturbed measurement, exceeds that of the base by at most 5 %.
     """
     some: list[Row] = []
     seconds = 0.0
@@ -151,7 +151,7 @@ def _faults(spec: UpdateSpec, learned: Recursion, rows: Sequence[Row]) -> list[d
 
 
 class _Counter:
-    """Disturbs the windows ``first`` to ``first + 3`` of a run."""
+    """Apply a fault to a number of consecutive windows of a run."""
 
     def __init__(self, change: Disturb) -> None:
         self.change, self.count = change, 0
@@ -198,7 +198,7 @@ def _saturated(time: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def _contact(time: FloatArray, position: FloatArray) -> FloatArray:
-    """The joints stop half way through, as against a wall."""
+    """Stop the joints in the middle of the window, as in a collision with a wall."""
     stopped = position.copy()
     stopped[len(stopped) // 2 :] = position[len(position) // 2]
     return stopped

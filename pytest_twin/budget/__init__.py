@@ -1,1 +1,1 @@
-"""The error budget of a twin: what its records leave uncertain, and how far that moves the task."""
+"""Error budget of a twin: the uncertainty of its records, propagated to the task frame."""

@@ -1,13 +1,13 @@
-"""What a calibration leaves uncertain, as unknowns that move the task's frame.
+"""Propagate the uncertainty of a calibration to the pose of the task's frame.
 
-All unknowns of one record are one cause: they were estimated together, and their covariance says
-how they vary together. Unknowns that the twin does not take over are left out, which is their
-marginal distribution.
+All unknowns of one record are one cause, because they were estimated together and have a joint
+covariance. Unknowns that the twin does not use are left out; the others keep their marginal
+distribution.
 
-Joint zeros and deviations of links move the frame through the chain. A tool or camera on the flange
-moves it about its mount; for a camera, the moved pose is where it sees an object at the frame. The
-frame's pose is measured in a frame that is fixed to the base: the world, a fixture or a standing
-camera. An error that moves both together cancels.
+Joint zeros and link deviations move the frame through the kinematic chain. The pose of a tool or
+camera on the flange moves it about its mount; for a camera, the moved pose is the measured pose of
+an object at the frame. The frame's pose is measured in a frame that is fixed to the base: the
+world, a fixture or a fixed camera. Errors that move both frames equally cancel.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pytest_twin.calibration.tangent import Moving, left_jacobian
 from pytest_twin.twin import CalibrationEntry
 
 Estimate = tuple[float | None, str]
-"""A value, or None for what is about its own estimate, and its unit."""
+"""A value and its unit; the value is None for deviations from the estimate."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,11 @@ class Placed:
     """A pose among the unknowns.
 
     Attributes:
-        record: its name in the calibration.
-        pose: (4, 4) as it was estimated.
-        mount: (4, 4) its parent in the last link of the chain; None for what stands in the base.
-        columns: of x y z and, of a full pose, rx ry rz.
+        record: name of the record in the calibration.
+        pose: (4, 4) estimated pose, m.
+        mount: (4, 4) pose of its parent frame in the last link of the chain, m; None for a pose in
+            the base.
+        columns: columns of x y z and, for a full pose, of rx ry rz.
     """
 
     record: str
@@ -51,10 +52,10 @@ class Part:
     """Unknowns of one kind in a cause.
 
     Attributes:
-        name: in words.
+        name: description.
         category: id of its category.
-        columns: its unknowns.
-        estimate: unknown -> its value and unit.
+        columns: columns of its unknowns.
+        estimate: unknown -> value and unit.
     """
 
     name: str
@@ -65,18 +66,18 @@ class Part:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What one calibration leaves uncertain of a task's frame.
+    """Unknowns of one calibration that move a task's frame.
 
     Attributes:
         entry: the record in the twin.
-        names: (p,) unknowns.
-        covariance: (p, p), m, rad and s.
+        names: (p,) names of the unknowns.
+        covariance: (p, p) covariance, m, rad and s.
         parts: unknowns by kind.
-        placed: poses among them.
-        zeros: joint of the chain -> column.
-        links: deviations of links, each with its column.
+        placed: poses among the unknowns.
+        zeros: joint of the chain -> column of its zero.
+        links: link deviations, each with its column.
         delay: column of the time offset, or None.
-        left_out: what moves nothing here, and why.
+        left_out: unknowns that do not move the frame, with the reason.
     """
 
     entry: CalibrationEntry
@@ -90,10 +91,10 @@ class Calibrated:
     left_out: tuple[str, ...] = ()
 
     def frame(self, task: Task, step: FloatArray) -> Moving:
-        """The task's frame after a step of the unknowns, with derivatives at step 0.
+        """Return the task's frame after a step of the unknowns, with derivatives at step 0.
 
-        Displacements are what counts: the base's own pose in the world, which moves all alike, is
-        left out.
+        Only displacements matter, so the base's pose in the world, which moves everything equally,
+        is left out.
         """
         chain, width = task.chain, len(self.names)
         columns = tuple(self.zeros.get(at, -1) for at in range(len(chain.joints)))
@@ -125,7 +126,7 @@ class Calibrated:
         return moving
 
     def _late(self, task: Task, readings: FloatArray, moving: Moving, drift: FloatArray) -> Moving:
-        """The derivative by the time offset: that by each joint times its velocity."""
+        """Add the derivative by the time offset, the sum of joint derivatives times velocities."""
         count = len(task.chain.joints)
         every = ChainParameters(count, np.zeros(count), tuple(range(count)))
         by_joint = forward(replace(task.chain, end=np.eye(4)), readings, every)
@@ -136,7 +137,7 @@ class Calibrated:
 
 
 def _moved(one: Placed, step: FloatArray, width: int, rows: int) -> Moving:
-    """A pose after a step: ``t + d``, ``R exp(r)``, with derivatives."""
+    """Return a pose after a step, ``t + d`` and ``R exp(r)``, with derivatives."""
     own = step[list(one.columns)]
     shift, turn = np.zeros((3, width)), np.zeros((3, width))
     shift[:, list(one.columns[:3])] = np.eye(3)
@@ -153,7 +154,7 @@ def _moved(one: Placed, step: FloatArray, width: int, rows: int) -> Moving:
 
 
 def _still(pose: FloatArray, width: int, rows: int) -> Moving:
-    """A pose that no unknown moves."""
+    """Return a fixed pose with zero derivatives."""
     nothing = np.zeros((rows, 3, width))
     return Moving(
         np.tile(pose[:3, :3], (rows, 1, 1)), np.tile(pose[:3, 3], (rows, 1)), nothing, nothing

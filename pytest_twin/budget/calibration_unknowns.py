@@ -1,4 +1,4 @@
-"""The unknowns of a calibration record that move a task's frame."""
+"""Read the unknowns of a calibration record that move a task's frame."""
 
 from __future__ import annotations
 
@@ -22,23 +22,24 @@ from pytest_twin.realization.serial_chain import load_serial_chain
 from pytest_twin.twin import CalibrationEntry
 
 _SAME = 1e-9
-"""Relative difference up to which two covariances are one: both come from one number in JSON."""
+"""Relative difference below which two covariances are equal. Both come from the same number in
+JSON."""
 
 
 def calibrated(entry: CalibrationEntry, task: Task, twin: Path, taken: set[str]) -> Calibrated:
-    """The unknowns of a calibration that move a task's frame.
+    """Return the unknowns of a calibration that move a task's frame.
 
     Args:
         entry: the record in the twin.
-        task: with the chain to the frame.
-        twin: ``twin.yaml``, for the frames that the record names.
-        taken: records of this twin that a newer calibration measured; they are left out.
+        task: task with the kinematic chain to the frame.
+        twin: path of ``twin.yaml``, for the frames that the record names.
+        taken: quantities that a newer calibration of the twin measured; they are left out.
     """
     return _Reader(entry, task, twin, taken).read()
 
 
 def claims(record: CalibrationRecord) -> set[str]:
-    """What a calibration measures: ``zero of JOINT``, a deviation of a link, or a frame."""
+    """Return what a calibration measures: ``zero of JOINT``, link deviations and frames."""
     found = {f"zero of {joint}" for joint in record.joint_zeros} | set(record.deviations)
     return found | {f"{name} in {parent}" for name, (parent, _) in record.frames.items()}
 
@@ -129,7 +130,7 @@ class _Reader:
 
     @staticmethod
     def _estimates(name: str, xyz: Sequence[float], size: int) -> dict[str, Estimate]:
-        """Rotations are about what was estimated: they have a spread and no value."""
+        """Return value and unit of each unknown; rotations are deviations and have no value."""
         values = [*xyz, None, None, None]
         units = ("m",) * 3 + ("rad",) * 3
         return {
@@ -138,7 +139,7 @@ class _Reader:
         }
 
     def _columns(self, name: str) -> tuple[FloatArray, list[int]]:
-        """The pose as it was estimated, and its columns among all unknowns."""
+        """Return the estimated pose, and its columns among all unknowns."""
         xyz, quaternion = self.record.transforms[name]
         turn = np.eye(3) if quaternion is None else rotation_of(quaternion)
         stated, own = rigid(turn, np.array(xyz)), np.array(self.record.covariances[name])
@@ -174,7 +175,7 @@ class _Reader:
         return list(range(start, start + size))
 
     def _mount(self, name: str, parent: str) -> FloatArray | None:
-        """The parent of a pose in the last link of the chain."""
+        """Return the pose of a parent frame in the last link of the chain."""
         try:
             own = load_serial_chain(self.twin, parent)
         except TwinError:

@@ -1,4 +1,4 @@
-"""The categories of an error budget, what measures each, and the test that would tell more."""
+"""Categories of an error budget, with the command and the experiment that measure each."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ class Category:
     """One kind of cause.
 
     Attributes:
-        id: as ``budget.json`` and ``owners:`` have it.
-        metric: what is stated of it.
-        command: what would measure it.
-        next_test: the experiment that tells its causes apart, or narrows them.
-        goldens: kinds of golden that watch it.
+        id: id in ``budget.json`` and ``owners:``.
+        metric: reported quantity.
+        command: command that measures it.
+        next_test: experiment that distinguishes its causes, or reduces their uncertainty.
+        goldens: kinds of golden that test it.
     """
 
     id: str
@@ -26,7 +26,7 @@ class Category:
 
     @property
     def words(self) -> str:
-        """Its name for people."""
+        """Readable name."""
         return self.id.replace("_", " ")
 
 
@@ -161,14 +161,14 @@ _OF_EFFECT = {
 
 
 def category_of_record(name: str) -> str:
-    """The category of one record of a calibration."""
+    """Return the category of one record of a calibration."""
     return _OF_RECORD[name]
 
 
 def category_of_parameter(name: str) -> str:
-    """The category of a parameter of an identification: ``JOINT.EFFECT``, or an expression."""
+    """Return the category of an identified parameter: ``JOINT.EFFECT``, or an expression."""
     words = name.split(".")
-    # Of a sensor: wrist.sensor_bias_fx.
+    # Parameters of sensors have names such as wrist.sensor_bias_fx.
     if any(word.startswith("sensor_") and word not in _OF_EFFECT for word in words[1:]):
         return "timing" if words[-1] == "sensor_filter_time" else "sensing"
     for word in words[1:]:

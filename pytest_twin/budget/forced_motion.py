@@ -1,11 +1,11 @@
-"""How far the parameters of an identification move a simulated motion.
+"""Propagate the uncertainty of identified parameters to a simulated motion.
 
-A parameter of the inverse dynamics acts as a force: a robot whose parameters differ by ``d`` from
-the model moves as the model does under the added force ``-Y d``, ``Y`` the regressor along the
-motion. To first order that force is computed along the nominal motion, one replay for each
-parameter. The draws change damping, dry friction and armature in the simulator
-itself, and add the force of the rest. Delays, encoder zeros, gears and gains shift the joints along
-the way (:mod:`pytest_twin.budget.shifts`).
+A change of inverse-dynamics parameters is equivalent to a force: a robot whose parameters differ by
+``d`` from the model moves like the model with the added force ``-Y d``, where ``Y`` is the
+regressor along the motion. To first order the force is computed along the nominal motion, with one
+replay for each parameter. Random draws change damping, dry friction and armature in the simulator,
+and add the force of the other parameters. Delays, encoder zeros, gears and gains shift the joint
+positions (:mod:`pytest_twin.budget.shifts`).
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ from pytest_twin.replay_forced import replay_forced
 from pytest_twin.trial import Trial
 
 DRAWS = 64
-"""A power of two; each is a replay. Sobol points then hold a root mean square within 3 %."""
+"""Number of draws, a power of two; each needs a replay. With Sobol points an RMS is then accurate
+to 3 %."""
 _STEP = 0.1
-"""Standard deviations of a finite difference: small beside the curvature of dry friction."""
+"""Step of a finite difference, in standard deviations. It is small against the curvature of dry
+friction."""
 _IN_SIMULATOR = {
     "armature": "dof_armature",
     "viscous_friction": "dof_damping",
@@ -43,13 +45,13 @@ _IN_SIMULATOR = {
 
 @dataclass(frozen=True)
 class Moved:
-    """What parameters do to a motion.
+    """Effect of parameters on a motion.
 
     Attributes:
-        frame: to first order.
-        drawn: by draws.
-        joints: joint -> root mean square of its position, rad or m.
-        alone: category -> what its parameters do alone, to first order.
+        frame: displacement of the frame, to first order.
+        drawn: displacement of the frame, by random draws.
+        joints: joint -> RMS displacement of its position, rad or m.
+        alone: category -> displacement by its parameters only, to first order.
     """
 
     frame: Spread
@@ -59,7 +61,7 @@ class Moved:
 
 
 def moved(found: Identified, task: Task, realization: Realization) -> Moved:
-    """How far the parameters move joints and frame along the task's motion.
+    """Return the displacement of joints and frame along the task's motion.
 
     Raises:
         SimulationError: a replay diverged.
@@ -69,7 +71,7 @@ def moved(found: Identified, task: Task, realization: Realization) -> Moved:
 
 
 class _Motion:
-    """The nominal motion of a trial, and what changed parameters make of it."""
+    """Nominal motion of a trial, and its change with the parameters."""
 
     def __init__(
         self, found: Identified, task: Task, realization: Realization, trial: Trial
@@ -148,7 +150,8 @@ class _Motion:
         time = self.nominal.time
 
         def force(now: float) -> FloatArray:
-            # Between two stamps: held values would act half a period late.
+            # The force is interpolated between stamps, because held values would act half a period
+            # late.
             after = int(np.searchsorted(time, now, side="right"))
             if after == 0 or after == len(time):
                 return np.asarray(series[min(after, len(time) - 1)])
@@ -158,7 +161,7 @@ class _Motion:
         return force
 
     def _responses(self) -> FloatArray:
-        """(n, j, p) change of the positions by each parameter, to first order."""
+        """(n, j, p) derivative of the positions by each parameter."""
         found = np.zeros((*self.nominal.position.shape, len(self.found.names)))
         deviations = np.sqrt(np.diag(self.found.covariance).clip(0.0))
         for at, deviation in enumerate(deviations):
@@ -173,7 +176,7 @@ class _Motion:
         return found
 
     def _shifted(self, motion: Replayed, change: FloatArray) -> FloatArray:
-        """(n, j) what shifts the joints adds to a motion's positions."""
+        """(n, j) shift of the joint positions by parameters that are not forces."""
         found = np.zeros_like(motion.position)
         for shift, size in zip(self.found.shifts, change[self.forces :], strict=True):
             if shift.joint in self.joints:
@@ -182,7 +185,7 @@ class _Motion:
         return found
 
     def _drawn(self, draw: FloatArray) -> FloatArray:
-        """(n, j) positions with one draw: what the simulator has is changed there."""
+        """(n, j) positions for one draw; simulator parameters are changed in the simulator."""
         model = copy.copy(self.row.model)
         rest = draw[: self.forces].copy()
         for at, column in enumerate(self.found.columns):
@@ -192,7 +195,7 @@ class _Motion:
                 continue
             dof = self.realization.joint_dof_index(own.joint)
             values = getattr(model, field)
-            # A friction that a draw makes negative is none: it is left to the force.
+            # The simulator accepts no negative friction; such a change is applied as a force.
             changed = values[dof] + draw[at]
             if changed >= 0.0:
                 values[dof], rest[at] = changed, 0.0
@@ -203,7 +206,7 @@ class _Motion:
         return [self.joints.index(j) for j in self.task.chain.joints if j in self.joints]
 
     def _frame(self, position: FloatArray) -> Moving:
-        """The frame at positions (n, j) of the trial's joints, with derivatives by readings."""
+        """Return the frame at positions (n, j) of the trial's joints, with derivatives."""
         chain = self.task.chain
         readings = np.zeros((len(position), len(chain.joints)))
         columns: list[int] = []
@@ -218,7 +221,7 @@ class _Motion:
 
 
 def _of_slopes(moving: Moving, slopes: FloatArray) -> Spread:
-    """Of (n, c, k) changes of the chain's joints by each column of the root."""
+    """Return the displacement from (n, c, k) changes of the chain's joints by each root column."""
     shift = np.sum((moving.shift @ slopes) ** 2, axis=(1, 2))
     turn = np.sum((moving.turn @ slopes) ** 2, axis=(1, 2))
     return spread_of(shift, turn)

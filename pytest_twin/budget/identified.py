@@ -1,4 +1,4 @@
-"""What an identification leaves uncertain: forces, and what shifts a joint along its way."""
+"""Uncertain parameters of an identification: forces and shifts of joint positions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import FitEntry
 
 _ROUNDING = 1e-9
-"""Share of the largest effort below which an effort is zero."""
+"""Fraction of the largest effort below which an effort is zero."""
 _GRAVITY = frozenset({"m", "mx", "my", "mz"})
 
 
@@ -37,12 +37,12 @@ class Identified:
 
     Attributes:
         entry: the record in the twin.
-        names: (f + s,) parameters: those that act as a force, then those that shift a joint.
-        covariance: (f + s, f + s) in their units.
-        columns: (f,) their columns of the regressor.
-        regressor: of the joints that were identified.
-        shifts: (s,) what delays, encoder zeros, gears and gains do to their joints.
-        left_out: what moves nothing here, and why.
+        names: (f + s,) parameters: first those that act as a force, then those that shift a joint.
+        covariance: (f + s, f + s) covariance, in their units.
+        columns: (f,) columns of the forces in the regressor.
+        regressor: regressor of the identified joints.
+        shifts: (s,) shifts of joints by delays, encoder zeros, gears and gains.
+        left_out: parameters that do not move the frame, with the reason.
     """
 
     entry: FitEntry
@@ -55,13 +55,13 @@ class Identified:
 
     @property
     def forces(self) -> FloatArray:
-        """(f, f) covariance of what acts as a force."""
+        """(f, f) covariance of the parameters that act as a force."""
         count = len(self.columns)
         return self.covariance[:count, :count]
 
 
 def identified(entry: FitEntry, task: Task, realization: Realization) -> Identified:
-    """The parameters of an identification that move a task's frame."""
+    """Return the parameters of an identification that move a task's frame."""
     record = entry.record
     regressor = regressor_of(record, realization, task.chain.joints)
     column_of = columns_of(record, regressor)
@@ -111,7 +111,7 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
 def regressor_of(
     record: IdentificationRecord, realization: Realization, otherwise: Sequence[str]
 ) -> Regressor:
-    """The regressor of the joints that a record identified; of ``otherwise`` where it has none."""
+    """Return the regressor of a record's joints, or of ``otherwise`` if it names none."""
     structure = realization.structure
     joints = [name for name in _joints_of(record) if name in structure.joint_type]
     signals = NO_SIGNALS if realization.twin is None else realization.twin.signals
@@ -124,12 +124,13 @@ def regressor_of(
 
 
 def columns_of(record: IdentificationRecord, regressor: Regressor) -> dict[str, int]:
-    """Parameter of a record -> the column of the regressor that it multiplies.
+    """Return parameter of a record -> column of the regressor.
 
-    A base parameter multiplies the column of its first term; those of the other terms depend on it.
+    A base parameter multiplies the column of its first term; the columns of the other terms depend
+    linearly on it.
     """
     by_name = {column.name: at for at, column in enumerate(regressor.columns)}
-    # Symbols count the joints of the record; with one left out they would count others.
+    # Symbols number the joints of the record; with a joint left out the numbers would differ.
     own = _joints_of(record)
     counted = not record.without_effort and len(own) in (0, len(regressor.joints))
     by_symbol = {column.symbol: at for at, column in enumerate(regressor.columns) if counted}
@@ -142,16 +143,16 @@ def columns_of(record: IdentificationRecord, regressor: Regressor) -> dict[str, 
 
 
 def _joints_of(record: IdentificationRecord) -> list[str]:
-    """Joints in the order in which the record's symbols count them."""
+    """Return the joints in the order in which the record's symbols number them."""
     return list(record.held_out) or list(record.position_rms)
 
 
 def displaced(
     found: Identified, task: Task, realization: Realization
 ) -> tuple[Spread, Spread] | None:
-    """What shifts joints does to the frame, to first order and by draws; None where nothing does.
+    """Return the frame's displacement by joint shifts, to first order and by draws, or None.
 
-    The load of a gear or a servo is the gravity of the links at each pose.
+    The load of a gear or a servo is the gravity effort of the links at each pose.
     """
     if not found.shifts:
         return None
@@ -192,7 +193,7 @@ def displaced(
 
 
 def gravity_effort(found: Identified, task: Task) -> dict[str, float]:
-    """Joint -> root mean square over the poses of its static effort's error, N*m or N."""
+    """Return joint -> RMS error of its static effort over the poses, N*m or N."""
     joints = found.regressor.joints
     positions = np.zeros((len(task.readings), len(joints)))
     model = task.chain.signs * task.readings + task.chain.offsets
@@ -205,6 +206,6 @@ def gravity_effort(found: Identified, task: Task) -> dict[str, float]:
     slopes = matrix[:, :, [found.columns[k] for k in heavy]]
     root = root_of(found.forces, found.entry.record.path)[heavy]
     rms = np.sqrt(np.sum((slopes @ root) ** 2, axis=2).mean(axis=0))
-    # Gravity along a vertical axis leaves rounding alone.
+    # Gravity about a vertical axis is zero up to rounding.
     rms[rms < _ROUNDING * rms.max(initial=0.0)] = 0.0
     return dict(zip(joints, rms.tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Lines of an error budget: one for each record, with what it moves."""
+"""Lines of an error budget: one for each record, with its effect on the task frame."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from pytest_twin.realization import Realization
 from pytest_twin.twin import CalibrationEntry, FitEntry, Twin
 
 _CORRELATED = 0.1
-"""Correlation from which on a pair of parts is named."""
+"""Correlation above which a pair of parts is reported."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One cause that varies on its own, and what it moves.
+    """One independent cause and its effect.
 
     Attributes:
-        id: of its record.
-        category: that of its part that moves the frame most.
-        record: where it stands: kind, id, file, digest, date.
-        parts: what varies together, each with category, estimates and what it moves alone.
+        id: id of its record.
+        category: category of the part that moves the frame most.
+        record: kind, id, file, digest and date of the record.
+        parts: correlated parts, each with category, estimates and its own displacement.
         correlated: pairs of parts of different categories, with their largest correlation.
-        linear, drawn: what all parts move together; None where it is not known.
-        joints: joint -> root mean square of its position, rad or m.
-        effort: joint -> root mean square of its effort, N*m or N.
-        slides: joints that slide, in m and N.
-        method: how it was carried to the task.
-        warnings: what to doubt.
-        left_out: what moves nothing here, and why.
+        linear, drawn: displacement by all parts, to first order and by draws; None if unknown.
+        joints: joint -> RMS displacement of its position, rad or m.
+        effort: joint -> RMS error of its effort, N*m or N.
+        slides: prismatic joints, in m and N.
+        method: method of the propagation to the task.
+        warnings: limitations of the result.
+        left_out: unknowns that move nothing here, with the reason.
     """
 
     id: str
@@ -66,7 +66,7 @@ class Line:
     left_out: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able fields, in SI units."""
+        """Return fields for JSON, in SI units."""
         return {
             "id": self.id,
             "category": self.category,
@@ -90,10 +90,10 @@ class Line:
 
 
 def calibration_line(found: Calibrated, task: Task, twin: Twin) -> Line | None:
-    """What a calibration leaves uncertain; None where it moves nothing here.
+    """Return the line of a calibration; None if it does not move the frame.
 
     Raises:
-        FormatError: a covariance that is none.
+        FormatError: a matrix is no covariance.
     """
     record = found.entry.record
     if not found.names:
@@ -132,7 +132,7 @@ def calibration_line(found: Calibrated, task: Task, twin: Twin) -> Line | None:
 
 
 def identification_line(found: Identified, task: Task, realization: Realization) -> Line | None:
-    """What an identification leaves uncertain; None where it states no parameter."""
+    """Return the line of an identification; None if it states no parameter."""
     record, twin = found.entry.record, realization.twin
     assert twin is not None
     if not record.covariance_names:
@@ -211,7 +211,7 @@ def identification_line(found: Identified, task: Task, realization: Realization)
 
 
 def total_of(spreads: Sequence[Spread]) -> Spread | None:
-    """Causes that vary on their own, together: the root of the sum of squares."""
+    """Combine independent causes: root of the sum of squares."""
     return _together(spreads) if spreads else None
 
 
@@ -239,7 +239,7 @@ def _part(
 
 
 def _leading(parts: Sequence[Mapping[str, Any]]) -> str:
-    """The category of the part that moves the frame most; of the largest where none is known to."""
+    """Return the category of the part that moves the frame most, or else of the largest part."""
     return str(max(parts, key=_size)["category"])
 
 
@@ -251,7 +251,7 @@ def _size(part: Mapping[str, Any]) -> tuple[float, int]:
 def _correlated(
     covariance: FloatArray, groups: Mapping[str, tuple[str, tuple[int, ...]]]
 ) -> list[dict[str, Any]]:
-    """Pairs of parts with the largest correlation between any two of their unknowns."""
+    """Return pairs of parts with the largest correlation between any two of their unknowns."""
     deviations = np.sqrt(np.diag(covariance).clip(1e-300))
     correlation = np.abs(covariance / np.outer(deviations, deviations))
     names = list(groups)

@@ -1,4 +1,4 @@
-"""Covariances through the forward kinematics: to first order, and by draws."""
+"""Propagate covariances through the forward kinematics, to first order and by random draws."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from pytest_twin.calibration.tangent import Moving
 from pytest_twin.errors import FormatError
 
 DRAWS = 256
-"""A power of two, as Sobol's sequence wants. The root mean square of a linear output is then within
-1 % of its value; 64 draws gave 3 %."""
+"""Number of draws, a power of two as Sobol's sequence requires. The RMS of a linear output is then
+accurate to 1 %; 64 draws gave 3 %."""
 LARGEST_DIFFERENCE = 0.2
-"""Relative difference between both ways from which on the first order does not hold."""
+"""Relative difference between both methods above which the linearization is not valid."""
 _NEGATIVE = -1e-6
-"""Eigenvalue of a correlation matrix below which it is none: rounding leaves 1e-12."""
+"""Smallest eigenvalue of a correlation matrix. Rounding errors are about 1e-12."""
 _SEED = 57
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """How far a pose is moved by one standard deviation of its causes.
+    """Displacement of a pose by one standard deviation of its causes.
 
     Attributes:
         position: root mean square of the displacement over all poses, m.
-        rotation: of the angle, rad.
-        worst_position, worst_rotation: at the pose where it is largest.
+        rotation: root mean square of the rotation angle, rad.
+        worst_position, worst_rotation: values at the pose with the largest one, m and rad.
     """
 
     position: float
@@ -41,7 +41,7 @@ class Spread:
     worst_rotation: float
 
     def to_json(self) -> dict[str, float]:
-        """JSON-able fields, in m and rad."""
+        """Return fields for JSON, in m and rad."""
         return {
             "position": self.position,
             "rotation": self.rotation,
@@ -51,14 +51,14 @@ class Spread:
 
 
 def root_of(covariance: FloatArray, path: Path) -> FloatArray:
-    """(p, p) ``L`` with ``L L^T = covariance``; singular covariances too.
+    """(p, p) root ``L`` with ``L L^T = covariance``, also of singular covariances.
 
     Args:
-        covariance: (p, p).
-        path: of the record that it stands in.
+        covariance: (p, p) covariance.
+        path: path of its record, for errors.
 
     Raises:
-        FormatError: not symmetric, or not positive semidefinite.
+        FormatError: the matrix is not symmetric, or not positive semidefinite.
     """
     deviations = np.sqrt(np.diag(covariance).clip(0.0))
     scale = np.where(deviations > 0.0, deviations, 1.0)
@@ -82,8 +82,8 @@ def root_of(covariance: FloatArray, path: Path) -> FloatArray:
 def normal_draws(root: FloatArray, count: int = DRAWS) -> FloatArray:
     """(count, p) draws from the normal distribution of a covariance's root.
 
-    Scrambled Sobol points through the inverse of the normal distribution: their moments converge
-    faster than those of independent draws (Owen, 1998).
+    Scrambled Sobol points are mapped by the inverse normal distribution function. Their moments
+    converge faster than those of independent draws (Owen, 1998).
     """
     points = qmc.Sobol(root.shape[1], scramble=True, seed=_SEED).random(count)
     drawn: FloatArray = ndtri(points.clip(1e-12, 1.0 - 1e-12)) @ root.T
@@ -91,10 +91,10 @@ def normal_draws(root: FloatArray, count: int = DRAWS) -> FloatArray:
 
 
 def first_order(moving: Moving, root: FloatArray) -> Spread:
-    """``J C J^T`` of a pose whose derivatives are known.
+    """Return the first-order displacement of poses, from ``J C J^T``.
 
     Args:
-        moving: (n) poses with (n, 3, p) derivatives.
+        moving: n poses with (n, 3, p) derivatives.
         root: (p, k) root of the covariance.
     """
     shift = np.sum((moving.shift @ root) ** 2, axis=(1, 2))
@@ -103,11 +103,11 @@ def first_order(moving: Moving, root: FloatArray) -> Spread:
 
 
 def sampled(at: Callable[[FloatArray], Moving], draws: FloatArray) -> Spread:
-    """The same by the poses that draws of the unknowns give.
+    """Return the displacement of poses over random draws of the unknowns.
 
     Args:
-        at: step of the unknowns (p,) to (n) poses.
-        draws: (m, p).
+        at: function from a step of the unknowns (p,) to n poses.
+        draws: (m, p) steps of the unknowns.
     """
     nominal = at(np.zeros(draws.shape[1]))
     shift, turn = np.zeros((2, len(nominal.position)))
@@ -125,7 +125,7 @@ def angles(rotation: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def differing(linear: Spread, drawn: Spread) -> list[str]:
-    """What to say where both ways differ by more than ``LARGEST_DIFFERENCE``."""
+    """Return warnings if both methods differ by more than ``LARGEST_DIFFERENCE``."""
     found = []
     for name, unit in (("position", "mm"), ("rotation", "mrad")):
         one, other = getattr(linear, name), getattr(drawn, name)
@@ -139,7 +139,7 @@ def differing(linear: Spread, drawn: Spread) -> list[str]:
 
 
 def spread_of(shift: FloatArray, turn: FloatArray) -> Spread:
-    """From (n,) mean squares of displacement (m^2) and angle (rad^2)."""
+    """Build a spread from (n,) mean squares of displacement (m^2) and angle (rad^2)."""
     return Spread(
         float(np.sqrt(shift.mean())),
         float(np.sqrt(turn.mean())),

@@ -1,4 +1,4 @@
-"""``budget.json``: every category, what measured it, and how far it moves the task's frame."""
+"""Compute the content of ``budget.json``: each category with its displacement of the task frame."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ MEANING = (
 
 
 def budget_of_file(path: str, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
-    """The content of ``budget.json`` for a ``twin.yaml``.
+    """Return the content of ``budget.json`` for a ``twin.yaml``.
 
     Raises:
-        TwinError: a twin, a record or a recording that cannot be used.
+        TwinError: a twin, a record or a recording cannot be used.
     """
     twin = load_twin(Path(path))
     first = twin.first_realization
-    # Shapes are of use only where motion is simulated; their files may be elsewhere.
+    # Shapes are needed only for simulating motion; their files may be missing.
     shapes = bool(twin.budget.recordings)
     realization = load(first.file, twin=twin, name=first.name, shapes=shapes)
     return budget(twin, realization, progress or (lambda done: None))
@@ -47,7 +47,7 @@ def budget_of_file(path: str, progress: Callable[[float], None] | None = None) -
 def budget(
     twin: Twin, realization: Realization, progress: Callable[[float], None]
 ) -> dict[str, Any]:
-    """The error budget of a twin that is loaded."""
+    """Return the error budget of a loaded twin."""
     task = task_of(twin, realization)
     notes = list(task.notes)
     if twin.first_realization.effects is not None:
@@ -98,7 +98,7 @@ def _lines(
     superseded |= {name for fit in twin.fits for name in fit.supersedes}
     taken: set[str] = set()
     count = max(1, len(twin.calibrations) + len(twin.fits))
-    # The newest first: what it measured, no earlier one counts again.
+    # Newest records come first; quantities that they measured are not taken from earlier ones.
     for done, entry in enumerate(reversed(twin.calibrations), 1):
         if entry.record.id in superseded:
             continue
@@ -121,7 +121,7 @@ def _lines(
 
 
 def _share(spread: Spread | None, twin: Twin) -> dict[str, float | None]:
-    """The spread as a share of what the task allows."""
+    """Return the displacement as a fraction of the task's tolerance."""
     spec = twin.budget
     return {
         "position": None
@@ -183,7 +183,7 @@ def _category(
 
 
 def _goldens(twin: Twin, notes: list[str]) -> dict[str, list[str]]:
-    """Kind of golden -> ids of the twin's goldens."""
+    """Return kind of golden -> ids of the twin's goldens."""
     found: dict[str, list[str]] = {}
     for path in spec_paths(twin):
         try:

@@ -1,7 +1,7 @@
-"""Parameters that shift a joint along its way: delays, encoder zeros, gears and gains.
+"""Parameters that shift joint positions: delays, encoder zeros, gears and gains.
 
-A gear and a servo hold a load by giving way to it. Their rules are quasi-static: the load is the
-gravity of the links at a pose, or the effort of the drive along a simulated motion.
+Gears and servos deflect under load. Their rules are quasi-static: the load is the gravity effort of
+the links at a pose, or the effort of the drive along a simulated motion.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _SOFT = frozenset({"rad/(N*m)", "m/N"})
 
 @dataclass(frozen=True)
 class Shift:
-    """What one parameter does to its joint.
+    """Shift of a joint's position by one parameter.
 
     Attributes:
-        joint: name.
-        slope: change of the position by a unit of the parameter, over what it is proportional to.
-        by: that is the joint's ``velocity``, its ``load``, the ``side`` on which the load presses
-            the teeth (1 or -1), or nothing (``one``).
+        joint: name of the joint.
+        slope: change of the position per unit of the parameter and of the quantity ``by``.
+        by: quantity that the shift is proportional to: the joint's ``velocity``, its ``load``, the
+            ``side`` of the gap on which the load presses the teeth (1 or -1), or ``one``.
     """
 
     joint: str
@@ -39,11 +39,11 @@ class Shift:
     by: str
 
     def rate(self, velocity: FloatArray, load: FloatArray) -> FloatArray:
-        """(n,) change of the joint's position by a unit of the parameter.
+        """(n,) change of the joint's position per unit of the parameter.
 
         Args:
-            velocity: (n,) of the joint, rad/s or m/s.
-            load: (n,) effort that holds it, N*m or N.
+            velocity: (n,) velocity of the joint, rad/s or m/s.
+            load: (n,) effort that holds the joint, N*m or N.
         """
         factors = {
             "one": np.ones_like(velocity), "velocity": velocity, "load": load,
@@ -53,17 +53,17 @@ class Shift:
 
 
 def shift_of(name: str, value: float, unit: str, realization: Realization) -> Shift | str:
-    """The rule of a parameter, or why there is none.
+    """Return the shift by a parameter, or the reason why there is no rule.
 
-    A robot that is later by ``d`` is where it was: ``q - v d``. A reading that is too high by ``b``
-    leaves the joint at ``q - b``. Under the effort ``u`` a gear of stiffness ``k`` and gap ``g``
-    leaves the link at ``q - u / k - g sign(u) / 2`` of its motor, and a servo of stiffness
-    ``(1 + e) kp`` leaves the joint at ``u / ((1 + e) kp)`` before its command.
+    With a delay ``d`` the joint is at ``q - v d``. If the reading is too high by ``b``, the joint
+    is at ``q - b``. Under the effort ``u`` a gear of stiffness ``k`` and gap ``g`` puts the link at
+    ``q - u / k - g sign(u) / 2``, where ``q`` is the motor position. A servo of stiffness ``(1 + e)
+    kp`` has a position error of ``u / ((1 + e) kp)``.
 
     Args:
         name: ``JOINT.EFFECT`` or ``JOINT.EFFECT.PARAMETER``.
-        value: in its unit.
-        unit: as the record states it.
+        value: value in its unit.
+        unit: unit in the record.
         realization: the model.
     """
     joint, _, rest = name.partition(".")
@@ -87,7 +87,7 @@ def shift_of(name: str, value: float, unit: str, realization: Realization) -> Sh
 
 
 def servo_stiffness(realization: Realization) -> Mapping[str, float]:
-    """Joint -> stiffness of the position servo that drives it, N*m/rad or N/m."""
+    """Return joint -> stiffness of its position servo, N*m/rad or N/m."""
     model = realization.model
     found: dict[str, float] = {}
     for actuator in range(model.nu):

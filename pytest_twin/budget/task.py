@@ -1,4 +1,4 @@
-"""What the task needs: the pose of one frame, over the poses or the motion of the task."""
+"""Task of an error budget: the pose of one frame, over poses or motion."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from pytest_twin.trial.roles import refuse_final
 from pytest_twin.twin import Twin
 
 POSES = 64
-"""Most poses over which a spread is averaged."""
+"""Largest number of poses over which a displacement is averaged."""
 SIMULATED_S = 3.0
-"""Motion that is simulated once for each parameter and draw, s."""
+"""Longest motion, s. It is simulated once for each parameter and draw."""
 _SLOPE_S = 0.05
-"""Time over which a velocity is taken from positions: noise of 1 mrad then is 28 mrad/s."""
+"""Time over which a velocity is computed from positions. Noise of 1 mrad then becomes 28 mrad/s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """The output that the causes move.
+    """Frame, poses and motion of a task.
 
     Attributes:
-        frame: whose pose it is.
-        frame_source: where the frame was declared, in words.
-        chain: the joints that carry it.
-        readings: (n, j) what the encoders of the chain read, rad or m.
-        velocity: (n, j) rad/s or m/s, as the encoders tell it, or None where no motion is known.
-        source: where the readings come from, in words.
+        frame: name of the frame.
+        frame_source: description of where the frame was declared.
+        chain: kinematic chain to the frame.
+        readings: (n, j) encoder readings of the chain, rad or m.
+        velocity: (n, j) velocities from encoders, rad/s or m/s, or None without known motion.
+        source: description of where the readings come from.
         trial: motion with commands, at most ``SIMULATED_S`` long, or None.
-        notes: what was taken for granted.
+        notes: messages on assumptions.
     """
 
     frame: str
@@ -52,10 +52,10 @@ class Task:
 
 
 def task_of(twin: Twin, realization: Realization) -> Task:
-    """The task that ``budget:`` of a twin declares, or what stands in for it.
+    """Return the task that ``budget:`` of a twin declares, or a default task.
 
     Raises:
-        TwinError: a frame or a joint that the model lacks, or a recording that cannot be read.
+        TwinError: the model lacks a frame or a joint, or a recording cannot be read.
     """
     frame, source = _frame(twin, realization)
     chain = load_serial_chain(twin.path, frame)
@@ -123,7 +123,7 @@ def _trials(twin: Twin, realization: Realization, notes: list[str]) -> list[Tria
 
 
 def _without_motion(twin: Twin, realization: Realization, task: Task) -> Task:
-    """Joint positions of recordings without commands, else drawn ones."""
+    """Use joint positions of recordings without commands, or else random ones."""
     recordings = [
         one
         for path in twin.budget.recordings
@@ -143,7 +143,7 @@ def _without_motion(twin: Twin, realization: Realization, task: Task) -> Task:
 
 
 def _instants(trials: Sequence[Trial], chain: SerialChain) -> tuple[FloatArray, FloatArray]:
-    """Positions and velocities of the chain's joints at instants spread over trials."""
+    """Return positions and velocities of the chain's joints at instants spread over the trials."""
     positions, velocities = [], []
     each = max(2, POSES // len(trials))
     for trial in trials:
@@ -166,7 +166,7 @@ def _instants(trials: Sequence[Trial], chain: SerialChain) -> tuple[FloatArray, 
 
 
 def record_path(path: Path, twin: Twin) -> str:
-    """A record's file as ``budget.json`` names it: relative to the twin's folder."""
+    """Return the path of a record's file relative to the twin's folder, for ``budget.json``."""
     root = twin.root.resolve()
     resolved = path.resolve()
     return str(resolved.relative_to(root) if resolved.is_relative_to(root) else resolved)

@@ -1,4 +1,4 @@
-"""Held-out errors of records, beyond what the uncertainty of their estimates explains."""
+"""Held-out errors of records that the uncertainty of their estimates does not explain."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from pytest_twin.twin import Twin
 
 
 def unmodelled_lines(task: Task, lines: Sequence[Line], twin: Twin) -> list[dict[str, Any]]:
-    """Held-out errors of the records, as a position of the frame, beyond what their lines explain.
+    """Return unexplained held-out errors of the records, as position errors of the frame.
 
-    Each is an upper bound: it holds the noise of what measured it too.
+    Each is an upper bound, because it includes measurement noise.
     """
     found = []
     explained = {line.id: line.linear.position for line in lines if line.linear is not None}
@@ -25,7 +25,7 @@ def unmodelled_lines(task: Task, lines: Sequence[Line], twin: Twin) -> list[dict
         record = calibration.record
         if record.id not in {line.id for line in lines}:
             continue
-        # Of all three coordinates together, where the record has it.
+        # The error of all three coordinates is used if the record has it.
         error = record.held_out.get("distance_rms")
         if error is None and "translation_rms" in record.held_out:
             error = float(np.sqrt(3.0)) * record.held_out["translation_rms"]
@@ -42,7 +42,7 @@ def unmodelled_lines(task: Task, lines: Sequence[Line], twin: Twin) -> list[dict
 
 
 def frame_error(task: Task, joints: Mapping[str, float]) -> float | None:
-    """Root mean square displacement (m) of the frame by errors of joints that vary on their own."""
+    """RMS displacement (m) of the frame by independent errors of joints."""
     columns = [joints.get(joint, 0.0) for joint in task.chain.joints]
     if not any(columns):
         return None

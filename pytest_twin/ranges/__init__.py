@@ -1,1 +1,1 @@
-"""Randomization ranges of a twin: what its records leave uncertain, checked by simulation."""
+"""Randomization ranges of a twin, from the uncertainty of its records, checked by simulation."""

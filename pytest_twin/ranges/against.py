@@ -1,4 +1,4 @@
-"""Given randomization ranges against what was measured, in words."""
+"""Compare given randomization ranges with measured ones, as sentences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pytest_twin.ranges_spec import TrialGroup
 
 _UNITS = {"temperature": "deg C", "load": "kg"}
 _SAME = 0.1
-"""Relative difference of two widths up to which they are called alike."""
+"""Relative difference below which two widths are called equal."""
 _LONGEST_PATTERN, _MOST_REPEATED = 256, 4
 
 
@@ -29,18 +29,19 @@ def compared(
     groups: Sequence[TrialGroup],
     share: float,
 ) -> dict[str, Any]:
-    """``against`` of ``ranges.json``: each given range beside the measured one.
+    """Return ``against`` of ``ranges.json``: each given range with the measured one.
 
     Args:
-        path: of the given ranges.
-        terms: what they draw.
-        skipped: what of the file is not compared.
-        measured: the quantities of the twin.
-        groups: trials under different conditions, whose estimates a range should hold.
-        share: of a range of a normal distribution that represents it.
+        path: path of the file with the given ranges.
+        terms: randomization terms of the file.
+        skipped: parts of the file that are not compared.
+        measured: quantities of the twin.
+        groups: trials under different conditions, whose estimates should lie in a range.
+        share: probability of the central interval that represents a normal distribution.
 
     Raises:
-        FormatError: a pattern of names is no regular expression, or one that could take for ever.
+        FormatError: a pattern of names is no regular expression, or its evaluation could take very
+            long.
     """
     entries: list[dict[str, Any]] = []
     unmatched = list(skipped)
@@ -70,10 +71,10 @@ def _matches(term: Term, one: Quantity, path: Path) -> bool:
 
 
 def _fits(pattern: str, name: str, path: Path) -> bool:
-    """Whether a pattern of names, a regular expression in both simulators, fits a whole name."""
+    """Whether a pattern of names (a regular expression, as in both simulators) matches a name."""
     if pattern == name:
         return True
-    # Nested repetition can take for ever: only what names of joints need is tried.
+    # Nested repetitions can take exponential time; only simple patterns are evaluated.
     often = len(re.findall(r"[*+{]", pattern))
     if len(pattern) > _LONGEST_PATTERN or often > _MOST_REPEATED or ")" in pattern:
         raise FormatError(
@@ -116,7 +117,7 @@ def _entry(term: Term, one: Quantity, groups: Sequence[TrialGroup], share: float
 
 
 def _given_range(term: Term, nominal: float, share: float) -> tuple[float, float]:
-    """What a term makes of the model's value."""
+    """Return the range that a term gives for a nominal value."""
     first, second = term.numbers
     if term.distribution == "gaussian":
         reach = float(ndtri(0.5 + 0.5 * share)) * abs(second)

@@ -1,11 +1,11 @@
-"""Inertias of bodies in coordinates in which every value is a real body.
+"""Coordinates of body inertias in which every value is physically consistent.
 
 The pseudo-inertia of a body (Wensing, Kim, Slotine, IEEE RA-L 3, 2018) is ``R (A + S) R^T``: ``R``
-a root of the model's body with some thickness, ``A`` what makes it the model's, and ``S`` the ten
-coordinates, a symmetric matrix of relative changes. Whatever ``S``, no eigenvalue of ``A + S`` is
-less than a floor: a body that cannot be becomes the nearest one that can. Log-Cholesky coordinates
-(Rucker, Wensing, IEEE RA-L 7, 2022) do the same by exponentials, which run away where a fit has
-made a body nearly flat.
+is a root of the nominal pseudo-inertia with a minimum thickness, ``A`` restores the nominal value,
+and ``S`` is a symmetric matrix of relative changes, the ten coordinates. The eigenvalues of ``A +
+S`` are limited from below, so an unphysical body becomes the nearest physical one. Log-Cholesky
+coordinates (Rucker, Wensing, IEEE RA-L 7, 2022) use exponentials instead, which diverge if a fit
+has made a body nearly flat.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from pytest_twin.realization.inverse_dynamics import INERTIAL, InverseDynamics, 
 from pytest_twin.realization.rigid import moments
 
 AXES = ("s11", "s22", "s33", "s44", "s21", "s31", "s32", "s41", "s42", "s43")
-"""Names of the coordinates: the diagonal of ``S``, then what is below it, row by row."""
+"""Names of the coordinates: the diagonal of ``S``, then the rows below it."""
 COUNT = len(AXES)
 _THINNEST = 0.05
-"""Share of the largest second moment that the least of the root has: a body as thin as a fifth of
-its length; thinner ones vary as if they were so thick."""
+"""Smallest second moment of the root, relative to the largest. It corresponds to a body with a
+thickness of a fifth of its length; thinner bodies vary as if they had this thickness."""
 _FLOOR = 0.01
-"""Least eigenvalue of ``A + S``: a hundredth of the model's mass and inertia."""
+"""Smallest eigenvalue of ``A + S``: 1 % of the nominal mass and inertia."""
 _PAYLOAD = 1e-9
-"""Share of a body's mass above which a model carries more on it than the twin's own."""
+"""Fraction of a body's mass above which the model carries an additional payload on it."""
 _STEP = 1e-6
 
 
 @dataclass(frozen=True)
 class Body:
-    """One body that carries what is uncertain of its link.
+    """Body that represents the uncertainty of its link's inertia.
 
     Attributes:
-        name: of the model's body.
-        joint: that moves its link.
-        root: (4, 4) ``R``, about the body's own frame, body axes.
+        name: name of the model's body.
+        joint: joint that moves its link.
+        root: (4, 4) ``R``, about the body's frame, in body axes.
         middle: (4, 4) ``A``.
-        floor: least eigenvalue of ``A + S``.
-        placement: in the frame of the joint's link.
+        floor: smallest eigenvalue of ``A + S``.
+        placement: pose of the body in the frame of the joint's link.
     """
 
     name: str
@@ -57,11 +57,11 @@ class Body:
 
     @property
     def scaling(self) -> FloatArray:
-        """(10,) coordinates of a body of twice the mass in the same places."""
+        """(10,) coordinates of a body with twice the mass and the same mass distribution."""
         return _coordinates(self.middle)
 
     def pseudo_inertia(self, x: FloatArray) -> FloatArray:
-        """(n, 4, 4) at coordinates (n, 10)."""
+        """(n, 4, 4) pseudo-inertia at coordinates (n, 10)."""
         side = self._side(x)
         return np.asarray(side @ np.swapaxes(side, 1, 2))
 
@@ -70,13 +70,13 @@ class Body:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(n,) mass [kg], (n, 3) centre of mass [m], (n, 3, 3) second moments about it [kg*m^2].
 
-        The inertia about the centre is ``trace(C) 1 - C`` of these moments ``C``. They come from
-        what of the first three rows of a root is orthogonal to the fourth: a difference of large
-        moments would leave rounding, and may be no body's.
+        The inertia about the centre is ``trace(C) 1 - C`` with these moments ``C``. They are
+        computed from the component of the root's first three rows that is orthogonal to the fourth.
+        A difference of large moments would have rounding errors and could be unphysical.
 
         Args:
             x: (n, 10) coordinates.
-            carried: (4, 4) pseudo-inertia of a payload on the body, which stays the same.
+            carried: (4, 4) pseudo-inertia of a payload on the body, which does not vary.
         """
         if carried is None:
             side = self._side(x)
@@ -97,7 +97,7 @@ class Body:
         return found
 
     def _in_link(self, change: FloatArray) -> FloatArray:
-        """(10,) a change of the pseudo-inertia in the frame of the joint's link; it is linear."""
+        """(10,) inertial parameters of a pseudo-inertia change, in the link's frame."""
         homogeneous = self.placement.homogeneous
         moved = homogeneous @ change @ homogeneous.T
         second = moved[:3, :3]
@@ -131,7 +131,7 @@ def _coordinates(matrix: FloatArray) -> FloatArray:
 
 
 def bodies_of(realization: Realization, joints: Sequence[str]) -> list[Body]:
-    """The heaviest body of each link that these joints carry, as the model has it."""
+    """Return the heaviest body of each link that these joints carry."""
     dynamics = InverseDynamics(realization, joints)
     found = []
     for link, joint in zip(dynamics.link_ids, dynamics.links, strict=True):
@@ -144,14 +144,15 @@ def bodies_of(realization: Realization, joints: Sequence[str]) -> list[Body]:
             root = _thick_root(stated)
             middle = np.linalg.solve(root, np.linalg.solve(root, stated).T)
             least = float(np.linalg.eigvalsh(middle).min())
-            # A model's body may be flat, or impossible by a digit: it has some thickness then.
+            # A body of a model may be flat or slightly unphysical; it then gets a minimum
+            # thickness.
             floor = min(_FLOOR, max(0.5 * least, 1e-6))
             found.append(Body(heaviest.name, joint, root, middle, floor, heaviest.placement))
     return found
 
 
 def _thick_root(stated: FloatArray) -> FloatArray:
-    """(4, 4) root of the body with second moments about its centre that are not thin."""
+    """(4, 4) root of a body whose second moments are limited to a minimum thickness."""
     mass, com = stated[3, 3], stated[:3, 3] / stated[3, 3]
     values, vectors = np.linalg.eigh(stated[:3, :3] - mass * np.outer(com, com))
     values = np.maximum(values, _THINNEST * max(float(values.max()), _STEP * mass))
@@ -164,8 +165,8 @@ def _thick_root(stated: FloatArray) -> FloatArray:
 def principal(second: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n, 3) principal moments of inertia, and (n, 3, 3) their axes, right-handed.
 
-    The moments are sums of two second moments that are not negative: no moment is larger than the
-    sum of the other two.
+    Each moment is the sum of two non-negative second moments, so no moment exceeds the sum of the
+    other two.
 
     Args:
         second: (n, 3, 3) second moments about the centre of mass.
@@ -177,11 +178,11 @@ def principal(second: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def write_bodies(models: Sequence[mujoco.MjModel], body: Body, x: FloatArray) -> None:
-    """Write a body's inertia into models; what they carry on it beside the twin's own stays.
+    """Write a body's inertia into models; additional payloads on it are kept.
 
     Args:
-        models: one for each row, all alike so far.
-        body: which.
+        models: one model for each row, with equal inertia of this body before.
+        body: the body.
         x: (rows, 10) coordinates.
     """
     index = models[0].body(body.name).id
@@ -194,12 +195,12 @@ def write_bodies(models: Sequence[mujoco.MjModel], body: Body, x: FloatArray) ->
         model.body_mass[index], model.body_ipos[index] = mass[at], com[at]
         model.body_inertia[index] = inertia[at]
         mujoco.mju_mat2Quat(model.body_iquat[index], axes[at].ravel())
-        # A frame that coincided with the body's need not any more.
+        # The inertial frame may no longer coincide with the body's frame.
         model.body_sameframe[index] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
 
 def pseudo_inertia_of(model: mujoco.MjModel, name: str) -> FloatArray:
-    """(4, 4) of a model's body, about its own frame."""
+    """(4, 4) pseudo-inertia of a model's body, about its own frame."""
     index = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
     axes = np.empty(9)
     mujoco.mju_quat2Mat(axes, model.body_iquat[index])

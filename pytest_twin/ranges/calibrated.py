@@ -1,4 +1,4 @@
-"""What calibrations leave uncertain of the joints' zeros, as coordinates of a randomization."""
+"""Uncertainty of calibrated joint zeros as coordinates of a randomization."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _PREFIX = "joint_zeros."
 
 
 def zeros_of(entry: CalibrationEntry, structure: Structure, taken: set[str]) -> Gathered:
-    """Zeros of the encoders about the calibrated ones; those in ``taken`` are a later record's.
+    """Return deviations of encoder zeros; those in ``taken`` belong to a later record.
 
     Raises:
-        FormatError: the covariance is none.
+        FormatError: the matrix is no covariance.
     """
     record = entry.record
     names = record.covariance_names
@@ -42,7 +42,7 @@ def zeros_of(entry: CalibrationEntry, structure: Structure, taken: set[str]) -> 
 
 
 def encoder_zero(joint: str, structure: Structure) -> Coordinate:
-    """What an encoder reads where the joint is at its zero, as the model counts it."""
+    """Return the coordinate of an encoder's reading at the joint's zero."""
     unit = "m" if structure.joint_type[joint] == "slide" else "rad"
     return Coordinate(
         f"{joint}.{EncoderBias.id}", unit, 0.0, 0.0, joint=joint, effect=EncoderBias.id,

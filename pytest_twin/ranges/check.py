@@ -1,4 +1,4 @@
-"""Whether final recordings lie in the predictive envelope, and whether that is too wide."""
+"""Check that final recordings lie in the predictive envelope, and that it is not too wide."""
 
 from __future__ import annotations
 
@@ -22,33 +22,36 @@ from pytest_twin.metrics.envelope import (
 from pytest_twin.ranges.simulate import Traces
 
 TOO_WIDE = 3.0
-"""Width of the envelope over the tightest that covers. Beyond it, and beyond what chance explains,
-the ranges are too wide: a robot that happens to be near the mean needs less than the fleet does."""
+"""Ratio of the envelope's width to that of the narrowest envelope with the required coverage, above
+which ranges are too wide if it is also significant. A robot that happens to be near the mean needs
+a narrower envelope than the fleet."""
 ONE_TOO_WIDE = 2.0 * TOO_WIDE
-"""The same of one joint: of several, one is near its mean more often than all of them are."""
+"""The same ratio for one joint. It is more likely that one of several joints is near its mean than
+that all are."""
 SAYS_LITTLE = 0.5
-"""Width of the envelope over the range of the motion, from which on a joint's prediction says
-hardly more than that it stays where it can move."""
+"""Ratio of the envelope's width to the range of the motion above which a joint's prediction is of
+no use."""
 _MOVES = {"rad": 0.2, "m": 0.05}
-"""Range of a motion from which on it is asked for more than that."""
+"""Smallest range of a motion for which this ratio is tested."""
 LEVEL = 0.05
-"""Of the tests; divided by the joints where each is tested."""
+"""Significance level of the tests; divided by the number of joints if each is tested."""
 _WIDE_LEVEL = 0.02
-"""Of the tests for too wide ranges, which cost less than too narrow ones."""
+"""Significance level of the tests for too wide ranges, which cost less than too narrow ones."""
 _REFERENCE = 512
-"""Simulated robots that take the part of the real one: a chance of 5 % is then known to 1 %."""
+"""Number of simulated robots that replace the real one in the tests. A p-value of 5 % then has a
+standard error of 1 %."""
 _PLOTTED = 400
-"""Samples of an envelope that a page shows for each joint."""
+"""Largest number of samples of an envelope in the report, for each joint."""
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """One recording, its envelope, and how each simulated robot lies in it.
+    """One recording with its simulated robots and envelope.
 
     Attributes:
-        traces: measured and simulated.
-        robots: (robots, n, j) with sensor noise, as encoders would read them.
-        envelope: of these.
+        traces: measured and simulated traces.
+        robots: (robots, n, j) simulated encoder readings with noise.
+        envelope: envelope of the readings.
     """
 
     traces: Traces
@@ -59,13 +62,13 @@ class Predicted:
 def predicted(
     traces: Sequence[Traces], noise: Mapping[str, float], share: float, seed: int
 ) -> list[Predicted]:
-    """Envelopes of recordings, with the noise of the encoders in them.
+    """Return the envelopes of recordings, including encoder noise.
 
     Args:
-        traces: measured and simulated.
+        traces: measured and simulated traces.
         noise: joint -> standard deviation of a reading, rad or m.
-        share: of the samples that should lie in the envelope.
-        seed: of the noise.
+        share: fraction of the samples that should lie in the envelope.
+        seed: seed of the noise.
     """
     random = np.random.default_rng(seed)
     found = []
@@ -79,12 +82,12 @@ def predicted(
 
 
 def assessed(found: Sequence[Predicted], share: float) -> dict[str, Any]:
-    """``check`` of ``ranges.json``: each joint, all joints together, and the verdict.
+    """Return ``check`` of ``ranges.json``: each joint, all joints together, and the verdict.
 
-    Neighbouring samples of a trace, and traces of one robot, are no independent evidence. So each
-    simulated robot takes the part of the real one (posterior predictive check; Gelman, Meng, Stern,
-    Statistica Sinica 6, 1996): how much their coverages scatter says how many independent samples
-    a coverage is worth, and sharpness and evenness are compared with theirs.
+    Neighbouring samples of a trace, and traces of one robot, are not independent. Therefore each
+    simulated robot replaces the real one in turn (posterior predictive check; Gelman, Meng, Stern,
+    Statistica Sinica 6, 1996). The scatter of their coverages gives the effective sample size of a
+    coverage. Sharpness and uniformity are compared with theirs.
     """
     joints = list(dict.fromkeys(j for one in found for j in one.traces.joints))
     level = LEVEL / len(joints)
@@ -114,7 +117,7 @@ def assessed(found: Sequence[Predicted], share: float) -> dict[str, Any]:
 
 
 def _joint(found: Sequence[Predicted], joint: str, share: float, level: float) -> dict[str, Any]:
-    """One joint over all recordings that have it."""
+    """Check one joint over all recordings that have it."""
     own = [(one, one.traces.joints.index(joint)) for one in found if joint in one.traces.joints]
     transforms, of_robots, lengths = [], [], []
     widths: list[FloatArray] = []
@@ -131,7 +134,7 @@ def _joint(found: Sequence[Predicted], joint: str, share: float, level: float) -
     shares = np.average([histogram(t)[0] for t in transforms], axis=0, weights=lengths)
     robots_shares = np.average(_common(of_robots), axis=0, weights=lengths)
     unevenness = float(uneven(shares))
-    # Each robot as if it were measured: how uneven is one of the fleet?
+    # Each simulated robot is treated as the measured one, to get the distribution of the statistic.
     chance = _share_at_least(uneven(robots_shares), unevenness)
     ratio, ratio_chance = _sharpness(found, share, joint)
     motion = float(np.ptp(np.concatenate([o.traces.measured[:, c] for o, c in own])))
@@ -154,13 +157,13 @@ def _joint(found: Sequence[Predicted], joint: str, share: float, level: float) -
 
 @dataclass(frozen=True)
 class Coverage:
-    """Share of the samples in the envelope.
+    """Fraction of the samples in the envelope.
 
     Attributes:
-        share: found.
-        samples: measured.
-        effective: independent ones that they are worth.
-        interval: of the share.
+        share: the fraction.
+        samples: number of measured samples.
+        effective: effective number of independent samples.
+        interval: confidence interval of the fraction.
     """
 
     share: float
@@ -179,10 +182,10 @@ class Coverage:
 
 
 def _coverage(found: Sequence[Predicted], joints: Sequence[str], level: float) -> Coverage:
-    """Of some joints over all recordings, with the interval that it deserves.
+    """Return the coverage of joints over all recordings, with its confidence interval.
 
-    Independent samples of which a share ``c`` is inside scatter by ``c (1 - c) / n``: the effective
-    number is the ``n`` of which that is the variance among simulated robots.
+    The coverage ``c`` of ``n`` independent samples has the variance ``c (1 - c) / n``. The
+    effective sample size is the ``n`` for which it equals the variance among simulated robots.
     """
     hits: list[float] = []
     robots: list[FloatArray] = []
@@ -212,7 +215,7 @@ def _column(found: Envelope, column: int) -> Envelope:
 
 
 def _common(parts: Sequence[FloatArray]) -> list[FloatArray]:
-    """Of as many robots each as the recording with the fewest has."""
+    """Cut all parts to the smallest number of robots."""
     least = min(len(part) for part in parts)
     return [part[:least] for part in parts]
 
@@ -220,10 +223,10 @@ def _common(parts: Sequence[FloatArray]) -> list[FloatArray]:
 def _sharpness(
     found: Sequence[Predicted], share: float, joint: str | None = None
 ) -> tuple[float, float]:
-    """Width of the envelope over the tightest that covers, and the share of simulated robots of
-    which that is as large.
+    """Return the relative width of the envelope, and its p-value among simulated robots.
 
-    Of several joints and recordings: the geometric mean, so that no unit counts.
+    The relative width is the ratio to the narrowest envelope with the required coverage. It is the
+    geometric mean over joints and recordings, so it does not depend on units.
     """
     measured: list[float] = []
     robots: list[FloatArray] = []
@@ -246,7 +249,7 @@ def _share_at_least(values: FloatArray, value: float) -> float:
 
 
 def plotted(found: Sequence[Predicted]) -> list[dict[str, Any]]:
-    """Envelopes and traces with as many samples as a page shows."""
+    """Return envelopes and traces, reduced to the number of samples of a report."""
     out = []
     for one in found:
         traces = one.traces

@@ -1,4 +1,4 @@
-"""The joint distribution of what is uncertain: correlated coordinates, each with its own law."""
+"""Joint distribution of uncertain parameters, as correlated coordinates."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from pytest_twin.arrays import FloatArray
 
 Support = Literal["any", "positive"]
 _NEVER_NEGATIVE = 8.0
-"""Standard deviations from zero from which on no double is ever drawn below it."""
+"""Distance of the mean from zero, in standard deviations, above which a double-precision draw is
+never negative."""
 _LARGEST = 1.0 - 2.0**-53
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One reason why a coordinate varies.
+    """One source of a coordinate's variance.
 
     Attributes:
         kind: ``covariance``, ``trials``, ``tolerance``, or ``widening``.
-        name: the record, or where it is declared.
-        std: standard deviation that it adds; of ``widening`` that of everything before it, times
-            ``factor``.
-        factor: by which the standard deviation grows; 1 of all other kinds.
+        name: name of the record, or place of the declaration.
+        std: standard deviation that it adds; for ``widening``, the standard deviation before it
+            times ``factor``.
+        factor: factor on the standard deviation; 1 for all other kinds.
     """
 
     kind: Literal["covariance", "trials", "tolerance", "widening"]
@@ -42,21 +43,21 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """One number that differs from robot to robot, or from episode to episode.
+    """One random parameter, which differs between robots or episodes.
 
     Attributes:
         name: such as ``elbow.viscous_friction``.
-        unit: SI.
-        mean, std: of a normal variable; where it has to be ``positive``, cut off at zero.
-        support: which values it can have.
-        joint: whose motion it moves first, or None.
-        body, index: of a body's inertia: which body, and which of its ten coordinates.
-        effect, parameter: of a catalogued effect: which, and which of its parameters.
-        relative: whether the value is a factor, 1 more than the effect's relative parameter.
-        field: of a model's joint: ``damping``, ``frictionloss`` or ``armature``.
-        condition: whether it is a condition of the trials, such as their temperature, that moves
-            nothing by itself.
-        sources: why it varies.
+        unit: SI unit.
+        mean, std: of the normal distribution; truncated at zero for ``positive`` support.
+        support: admissible values.
+        joint: joint whose motion it affects directly, or None.
+        body, index: for a body's inertia: name of the body, and index of the coordinate.
+        effect, parameter: for a catalogued effect: name of the effect and of its parameter.
+        relative: whether the value is a factor, 1 plus the effect's relative parameter.
+        field: for a joint of the model: ``damping``, ``frictionloss`` or ``armature``.
+        condition: whether it is a condition of the trials, such as their temperature, without
+            direct effect on the motion.
+        sources: sources of its variance.
     """
 
     name: str
@@ -75,24 +76,24 @@ class Coordinate:
     sources: tuple[Source, ...] = ()
 
     def values(self, normal: FloatArray) -> FloatArray:
-        """Values at standard normal ones: of the normal law, or of the one cut off at zero.
+        """Map standard normal values to values of the normal or truncated normal distribution.
 
-        The quantile function of the truncated normal (Johnson, Kotz, Balakrishnan, Continuous
-        Univariate Distributions 1, 1994, sec. 13.10.1) keeps the order, and with it the rank
-        correlation.
+        The quantile function of the truncated normal distribution (Johnson, Kotz, Balakrishnan,
+        Continuous Univariate Distributions 1, 1994, sec. 13.10.1) preserves the order and thus the
+        rank correlation.
         """
         if self.std == 0.0:
             return np.full(normal.shape, self.mean)
         ratio = self.mean / self.std
         if self.support == "any" or ratio > _NEVER_NEGATIVE:
             return np.asarray(self.mean + self.std * normal)
-        # By the upper tail: nothing is lost where most of the normal lies below zero.
+        # The upper tail is used to keep precision if most of the normal distribution is below zero.
         above = ndtr(-normal) * ndtr(ratio)
         cut = np.asarray(self.mean - self.std * ndtri(np.clip(above, 1e-300, _LARGEST)))
         return np.maximum(cut, np.finfo(float).tiny)
 
     def interval(self, share: float) -> tuple[float, float]:
-        """The central interval that holds this share of the values."""
+        """Return the central interval that contains this fraction of the values."""
         ends = ndtri(np.array([0.5 - 0.5 * share, 0.5 + 0.5 * share]))
         low, high = self.values(ends)
         return float(low), float(high)
@@ -100,11 +101,11 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Distribution:
-    """Coordinates and how they vary together (a Gaussian copula).
+    """Coordinates with their joint distribution (a Gaussian copula).
 
     Attributes:
         coordinates: (p,).
-        correlation: (p, p) of the normal variables behind them.
+        correlation: (p, p) correlation of the underlying normal variables.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -125,7 +126,7 @@ class Distribution:
 
     @property
     def root(self) -> FloatArray:
-        """(p, k) ``L`` with ``L L^T`` the correlation; only as many columns as it has rank."""
+        """(p, k) ``L`` with ``L L^T`` the correlation, where k is its rank."""
         values, vectors = np.linalg.eigh(self.correlation)
         use = values > 1e-12 * max(float(values.max(initial=0.0)), 1.0)
         return np.asarray(vectors[:, use] * np.sqrt(values[use]))
@@ -146,7 +147,7 @@ class Distribution:
         return np.stack(columns, axis=1) if columns else np.zeros((len(normals), 0))
 
     def widened(self, factors: Sequence[float], why: str) -> Distribution:
-        """The same with standard deviations times (p,) factors, which the sources then hold."""
+        """Return the distribution with standard deviations times (p,) factors."""
         widened = tuple(
             one
             if factor == 1.0
@@ -160,7 +161,7 @@ class Distribution:
         return replace(self, coordinates=widened)
 
     def without_variation(self) -> Distribution:
-        """The same at the means."""
+        """Return the distribution with zero variance, at the means."""
         still = tuple(replace(one, std=0.0) for one in self.coordinates)
         return replace(self, coordinates=still)
 
@@ -168,15 +169,15 @@ class Distribution:
 def distribution_of(
     coordinates: Sequence[Coordinate], covariance: FloatArray, *, floor: float = 0.0
 ) -> Distribution:
-    """A distribution whose standard deviations are those of a covariance.
+    """Build a distribution from coordinates and their covariance.
 
     Coordinates that do not vary are left out.
 
     Args:
         coordinates: (p,) with any standard deviation.
-        covariance: (p, p), positive semidefinite.
-        floor: standard deviation up to which a coordinate counts as constant, a share of the
-            largest of its kind (same unit).
+        covariance: (p, p) covariance, positive semidefinite.
+        floor: standard deviation below which a coordinate is constant, as a fraction of the largest
+            one with the same unit.
     """
     std = np.sqrt(np.diag(covariance).clip(0.0))
     largest: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""What is written beside ``ranges.json``: a sampler, and configurations of simulators."""
+"""Write the files that accompany ``ranges.json``: a sampler and simulator configurations."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 from pytest_twin.formats import atomic
 
 FILES = ("sampler.py", "mjx_randomize.py", "isaaclab_events.py", "mjlab_events.py")
-"""Each reads ``ranges.json`` beside it and imports nothing of this package."""
+"""Each file reads ``ranges.json`` in its folder and does not import this package."""
 
 
 def write_files(folder: Path) -> None:
     """Write the sampler and the configurations into a folder.
 
     Raises:
-        PathError: it cannot be written.
+        PathError: a file cannot be written.
     """
     source = resources.files("pytest_twin.ranges") / "written"
     for name in FILES:

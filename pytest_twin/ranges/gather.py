@@ -1,4 +1,4 @@
-"""The joint distribution of a twin's uncertain parameters, from its own records."""
+"""Build the joint distribution of a twin's uncertain parameters from its records."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from pytest_twin.realization import Realization
 from pytest_twin.twin import Twin
 
 _SMALLEST = 1e-9
-"""Standard deviation, as a share of the largest of its unit, below which rounding alone varies."""
+"""Smallest standard deviation, as a fraction of the largest with the same unit. Smaller ones are
+rounding errors."""
 
 
 @dataclass(frozen=True)
 class Uncertain:
-    """What varies from robot to robot.
+    """Parameters that vary between robots.
 
     Attributes:
-        distribution: of all coordinates.
-        bodies: whose inertia varies.
-        records: where it comes from: kind, id, file.
-        left_out: parameters of records that vary nothing, and why.
-        notes: what was taken for granted, one line each.
+        distribution: joint distribution of all coordinates.
+        bodies: bodies whose inertia varies.
+        records: kind, id and file of the source records.
+        left_out: parameters of records that are not varied, with the reason.
+        notes: messages on assumptions.
     """
 
     distribution: Distribution
@@ -45,11 +46,11 @@ class Uncertain:
 
 
 def uncertain(twin: Twin, realization: Realization, patched: Patched | None) -> Uncertain:
-    """Gather what the records, trials and tolerances of a twin leave uncertain.
+    """Collect uncertain parameters from the records, trials and tolerances of a twin.
 
     Raises:
-        SpecError: the twin has no record, or nothing of its records varies.
-        FormatError: a covariance that is missing, zero, or none.
+        SpecError: the twin has no record, or no parameter of its records varies.
+        FormatError: a covariance is missing, zero or invalid.
     """
     parts, records = _of_records(twin, realization, patched)
     if not records and not twin.ranges.trials and not twin.ranges.tolerances:
@@ -85,7 +86,7 @@ def uncertain(twin: Twin, realization: Realization, patched: Patched | None) -> 
 def _of_records(
     twin: Twin, realization: Realization, patched: Patched | None
 ) -> tuple[list[Gathered], list[dict[str, str]]]:
-    """Of each record that still holds, the newest first; what it has, no earlier one has again."""
+    """Collect each valid record, the newest first; parameters of later records take precedence."""
     superseded = {name for entry in twin.calibrations for name in entry.supersedes}
     superseded |= {name for fit in twin.fits for name in fit.supersedes}
     parts: list[Gathered] = []
@@ -114,7 +115,7 @@ def _record(kind: str, ident: str, path: Path, twin: Twin) -> dict[str, str]:
 
 
 def _without(found: Gathered, later: Sequence[Gathered]) -> Gathered:
-    """Without coordinates that a later record has; a body belongs to one record."""
+    """Remove coordinates that a later record has; a body belongs to one record only."""
     known = {one.name for part in later for one in part.coordinates}
     bodies = {body.name for part in later for body in part.bodies}
     keep = [
@@ -132,7 +133,7 @@ def _without(found: Gathered, later: Sequence[Gathered]) -> Gathered:
 
 
 def _together(parts: Sequence[Gathered]) -> Gathered:
-    """All records; they vary on their own."""
+    """Combine all records as independent."""
     covariance: FloatArray = linalg.block_diag(*(part.covariance for part in parts))
     coordinates: list[Coordinate] = []
     for part in parts:

@@ -1,7 +1,7 @@
-"""Reader of randomization ranges from other tools; their code is never executed.
+"""Read randomization ranges of other tools; their code is never executed.
 
 A file is a ``ranges.json``, a table of ``NAME: [low, high]``, or events of Isaac Lab or mjlab as
-YAML or as a Python file, of which the syntax tree alone is read.
+YAML or Python. Of a Python file only the syntax tree is read.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ _EXPECTED = (
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """What one parameter of one event draws.
+    """Randomization by one parameter of one event.
 
     Attributes:
-        kinds: of the quantities that it sets, such as ``coulomb_friction``; of a plain table the
-            whole name.
-        names: patterns of joints or bodies; None for all of them.
+        kinds: kinds of the quantities that it sets, such as ``coulomb_friction``; for a plain table
+            the whole name.
+        names: patterns of joint or body names; None for all.
         numbers: the two numbers of the distribution.
-        operation: what is done with a draw: ``abs`` sets it, ``scale`` multiplies, ``add`` adds.
+        operation: use of a draw: ``abs`` sets the value, ``scale`` multiplies, ``add`` adds.
         distribution: ``uniform``, ``log_uniform`` or ``gaussian`` (mean and standard deviation).
-        where: in the file.
+        where: place in the file.
     """
 
     kinds: tuple[str, ...]
@@ -66,16 +66,16 @@ _FUNCTIONS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 }
 """Function of an event -> its parameter -> kinds of the quantities that it sets."""
 _OPERATION = {"encoder_bias": "abs", "body_mass": "scale", "randomize_rigid_body_mass": "abs"}
-"""Function -> what it does where the event does not say it; all others set."""
+"""Function -> default operation; all others set the value."""
 
 
 def read_given(path: Path) -> tuple[list[Term], list[str]]:
-    """Terms of a file, and what of it is not compared, one line each.
+    """Return the terms of a file, and one line for each part that is not compared.
 
     Raises:
-        PathError: no such file, or a link.
-        LimitError: too large.
-        FormatError: none of the kinds that can be read.
+        PathError: the file does not exist or is a link.
+        LimitError: the file is too large.
+        FormatError: the file has none of the known formats.
     """
     suffix = path.suffix.lower()
     skipped: list[str] = []
@@ -130,7 +130,7 @@ def _plain(name: str, value: Any) -> Term | None:
 
 
 def _mapped_events(data: Mapping[str, Any], where: str, depth: int = 0) -> Iterator[dict[str, Any]]:
-    """Tables with a function and parameters, at any depth."""
+    """Yield tables with a function and parameters, at any depth."""
     if "func" in data and isinstance(data.get("params"), Mapping):
         name = str(data["func"]).replace(":", ".").split(".")[-1]
         yield {"func": name, "params": data["params"], "where": where}
@@ -141,7 +141,7 @@ def _mapped_events(data: Mapping[str, Any], where: str, depth: int = 0) -> Itera
 
 
 def _python_events(path: Path, skipped: list[str]) -> list[dict[str, Any]]:
-    """Calls of event classes in a Python file."""
+    """Return calls of event classes in a Python file."""
     text = decode_text(read_bytes(path, _MOST_BYTES), path)
     try:
         tree = ast.parse(text, filename=path.name)
@@ -173,7 +173,7 @@ def _last_name(node: ast.expr) -> str:
 
 
 def _literal(node: ast.expr) -> Any:
-    """A literal, or the keywords of a call such as ``SceneEntityCfg(...)``; else None."""
+    """Return a literal, or the keywords of a call such as ``SceneEntityCfg(...)``; else None."""
     if isinstance(node, ast.Call):
         return {one.arg: _literal(one.value) for one in node.keywords if one.arg is not None}
     try:

@@ -1,4 +1,4 @@
-"""What identifications leave uncertain, as coordinates of a randomization."""
+"""Uncertainty of identified parameters as coordinates of a randomization."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ FIELDS: Mapping[str, str] = {
 """Parameter of a joint -> attribute of the model's joint."""
 _INSTANTS = 60
 _RANK = 1e-8
-"""Share of the largest singular value below which a motion does not show a combination."""
+"""Fraction of the largest singular value below which a motion does not excite a combination."""
 _SEED = 57
 
 
 @dataclass
 class Gathered:
-    """Coordinates that one record leaves uncertain.
+    """Uncertain coordinates of one record.
 
     Attributes:
-        name: of the record.
-        coordinates: (p,) with standard deviation 0; the covariance has them.
-        covariance: (p, p).
-        bodies: those whose inertia varies.
-        left_out: parameters that vary nothing here, and why.
+        name: name of the record.
+        coordinates: (p,) coordinates; their field ``std`` is 0, the covariance has the variances.
+        covariance: (p, p) covariance.
+        bodies: bodies whose inertia varies.
+        left_out: parameters that are not varied, with the reason.
     """
 
     name: str
@@ -55,15 +55,15 @@ class Gathered:
 def gathered(
     record: IdentificationRecord, realization: Realization, patched: Patched | None
 ) -> Gathered:
-    """The coordinates of an identification, about what the twin's model has.
+    """Return the coordinates of an identification, with means from the twin's model.
 
-    Friction and armature vary as they are. Inertial base parameters are combinations of several
-    bodies' parameters: the bodies vary by the smallest change of their coordinates (see
-    :mod:`pytest_twin.ranges.bodies`) with the same efforts in every motion. Parameters that no
-    motion determines keep their values.
+    Friction and armature are varied directly. Inertial base parameters are combinations of
+    parameters of several bodies. The bodies are varied by the smallest change of their coordinates
+    (see :mod:`pytest_twin.ranges.bodies`) that causes the same efforts in every motion. Parameters
+    that no motion determines keep their values.
 
     Raises:
-        FormatError: the covariance is missing, zero, or none.
+        FormatError: the covariance is missing, zero or invalid.
     """
     names = record.covariance_names
     matrix = np.reshape(record.covariance, (len(names),) * 2)
@@ -128,7 +128,7 @@ def _coordinate(
     patched: Patched | None,
     found: Gathered,
 ) -> Coordinate | None:
-    """The coordinate of a drive's parameter or of an effect; None where it varies nothing."""
+    """Return the coordinate of a drive parameter or effect; None if it is not varied."""
     if column is not None:
         own = regressor.columns[column]
         if record.units.get(name, own.unit) != own.unit:
@@ -142,7 +142,7 @@ def _coordinate(
         found.left_out.append(f"{name}: no rule of the simulation takes it")
         return None
     law = {p.name: p for p in catalogue()[effect].parameters}
-    # A record does not name the only parameter of an effect that a fit moves.
+    # If a fit changes only one parameter of an effect, the record does not name it.
     known = [p for p in law.values() if p.name == parameter or not (parameter or p.choice)]
     stated = None
     if known and patched is not None:
@@ -166,10 +166,10 @@ def _coordinate(
 
 
 def _support(law: Parameter, stated: float) -> Support:
-    """Whether a parameter of an effect has to be positive.
+    """Return whether a parameter of an effect must be positive.
 
-    Factors have to be, and what the law bounds at zero. What is added to the model's own friction
-    or mass may be negative only where the fit itself took some away.
+    Factors and parameters with a lower bound of zero must be positive. An addition to the model's
+    friction or mass may be negative only if the fitted value is negative.
     """
     if law.relation == "relative" or law.lower >= 0.0:
         return "positive"
@@ -187,7 +187,7 @@ def _of_joint(
 
 
 def joint_coordinate(realization: Realization, joint: str, kind: str, unit: str) -> Coordinate:
-    """Friction or armature of a joint, at what the model has.
+    """Return the coordinate of friction or armature of a joint, with the model's value as mean.
 
     Args:
         kind: one of ``FIELDS``.
@@ -200,7 +200,7 @@ def joint_coordinate(realization: Realization, joint: str, kind: str, unit: str)
 
 
 def _stated(patched: Patched, effect: str, joint: str | None, parameter: str) -> float | None:
-    """The value that the twin's realization has, SI."""
+    """Return the value in the twin's realization, SI units."""
     for one in patched.effects:
         if one.effect == effect and one.joint == joint and parameter in one.values:
             return one.values[parameter]
@@ -210,7 +210,7 @@ def _stated(patched: Patched, effect: str, joint: str | None, parameter: str) ->
 def _bodies_for(
     realization: Realization, regressor: Regressor, columns: Sequence[int]
 ) -> tuple[list[Body], FloatArray]:
-    """Bodies, and (10 bodies, k) how their coordinates change by a unit of each column."""
+    """Return bodies, and (10 bodies, k) changes of their coordinates per unit of each column."""
     bodies = bodies_of(realization, regressor.joints)
     inertial = [at for at, one in enumerate(regressor.columns) if one.inertial]
     place = {(regressor.columns[at].joint, regressor.columns[at].kind): k
@@ -223,7 +223,7 @@ def _bodies_for(
     unit = np.zeros((len(inertial), len(columns)))
     for k, column in enumerate(columns):
         unit[inertial.index(column), k] = 1.0
-    # Rows of the motion in as many combinations as it shows.
+    # The rows are reduced to the combinations that the motion excites.
     _, values, vectors = np.linalg.svd(efforts, full_matrices=False)
     shown = (values[:, None] * vectors)[values > _RANK * values[0]]
     found = np.linalg.pinv(shown @ change, rcond=_RANK) @ (shown @ unit)
@@ -231,7 +231,7 @@ def _bodies_for(
 
 
 def _efforts(realization: Realization, regressor: Regressor) -> FloatArray:
-    """(rows, p) of the regressor at random states of the joints, which show all combinations."""
+    """(rows, p) regressor at random joint states, which excite all combinations."""
     random = np.random.default_rng(_SEED)
     count = len(regressor.joints)
     position, velocity, acceleration = random.uniform(-1.0, 1.0, (3, _INSTANTS, count))

@@ -1,4 +1,4 @@
-"""Ranges in the quantities that people and simulators use: masses, centres, friction, delays."""
+"""Ranges of physical quantities: masses, centres of mass, inertias, friction, delays."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from pytest_twin.ranges.bodies import Body, principal
 from pytest_twin.ranges.distribution import Distribution
 
 _DRAWS = 4096
-"""Of which ranges are quantiles: an end of a 95 % range is then known to a tenth of a standard
-deviation."""
+"""Number of draws for the quantiles of ranges. The ends of a 95 % range are then accurate to a
+tenth of a standard deviation."""
 _SEED = 59
 _ROUNDING = 1e-9
 _SMALL = {"kg": 1e-6, "m": 1e-3, "kg*m^2": 1e-9}
-"""What is no size for a robot's body: variation below ``_ROUNDING`` of it is that of digits."""
+"""Smallest size of a robot's body by unit. Variation below ``_ROUNDING`` times this size is
+rounding."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of a robot, and how it varies.
+    """One physical quantity of a robot with its variation.
 
     Attributes:
         name: such as ``elbow.coulomb_friction`` or ``fore.mass``.
-        unit: SI.
-        nominal: what the twin has.
-        range: that holds the stated share of the robots.
-        draws: (n,) values.
-        joint: whose motion it moves first, or None.
-        body: that it belongs to, or None.
+        unit: SI unit.
+        nominal: value in the twin.
+        range: central range that contains the stated fraction of the robots.
+        draws: (n,) random values.
+        joint: joint whose motion it affects directly, or None.
+        body: body that it belongs to, or None.
         condition: whether it is a condition of the trials.
     """
 
@@ -47,12 +48,12 @@ class Quantity:
 
     @property
     def owner(self) -> str:
-        """The body or joint in front of the name's last part."""
+        """Name of the body or joint, the part before the last dot."""
         return self.name.rpartition(".")[0]
 
     @property
     def kind(self) -> str:
-        """Such as ``coulomb_friction``."""
+        """Kind of the quantity, such as ``coulomb_friction``."""
         return self.name.rpartition(".")[2]
 
     def to_json(self) -> dict[str, Any]:
@@ -70,12 +71,12 @@ class Quantity:
 
 
 def quantities(distribution: Distribution, bodies: Sequence[Body], share: float) -> list[Quantity]:
-    """Every quantity that varies.
+    """Return every quantity that varies.
 
     Args:
-        distribution: of the coordinates.
-        bodies: whose inertia varies.
-        share: of the robots that a range holds.
+        distribution: distribution of the coordinates.
+        bodies: bodies whose inertia varies.
+        share: fraction of the robots that a range contains.
     """
     draws = distribution.draws(_DRAWS, _SEED)
     found = [
@@ -98,7 +99,7 @@ def quantities(distribution: Distribution, bodies: Sequence[Body], share: float)
 def _of_body(
     body: Body, distribution: Distribution, draws: FloatArray
 ) -> list[tuple[str, str, FloatArray, float]]:
-    """Name, unit, drawn values and the value of the model: mass, centre, moments of inertia."""
+    """Return name, unit, draws and nominal value of mass, centre of mass and moments of inertia."""
     x = np.zeros((len(draws) + 1, 10))
     for column, one in enumerate(distribution.coordinates):
         if one.body == body.name:

@@ -1,4 +1,4 @@
-"""Recordings that check ranges, or widen them, and that nothing was made from."""
+"""Read the recordings that check or widen ranges and were not used for fitting."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pytest_twin.trial.roles import FINAL, FIT, HELD_OUT
 from pytest_twin.twin import Twin
 
 FOLDER = "recordings"
-"""In a twin's folder: where recordings are looked for if nobody names any."""
+"""Default folder of recordings in a twin's folder."""
 _FEWEST = 8
 _SHORTEST_S = 0.2
 
@@ -27,9 +27,9 @@ class Checked:
     """Recordings by role.
 
     Attributes:
-        final: parts of recordings that check the ranges.
-        held_out: parts of recordings that may widen them.
-        notes: what was left out, one line each.
+        final: segments of recordings that check the ranges.
+        held_out: segments of recordings that may widen them.
+        notes: messages on what was left out.
     """
 
     final: tuple[Trial, ...]
@@ -47,20 +47,19 @@ def checked_recordings(
 ) -> Checked:
     """Read the final and the held-out recordings of a twin.
 
-    Those that are named count; else those that ``ranges:`` of ``twin.yaml`` names; else what lies
-    in ``recordings/`` beside it and has the role in its metadata.
+    Explicitly named recordings are used; else those named in ``ranges:`` of ``twin.yaml``; else
+    those in the folder ``recordings/`` next to it with the role in their metadata.
 
     Args:
-        twin: whose records name the files that they were made from.
+        twin: twin whose records name their source files.
         realization: the model.
-        final, held_out: named by the user.
-        options: how recordings are read.
-        topics: role -> topic.
+        final, held_out: recordings named by the user.
+        options: settings for reading recordings.
+        topics: role of a topic -> topic.
 
     Raises:
-        RecordingError: a final recording that a record was made from, that is held out as well, or
-            that has another role.
-        TwinError: a recording that cannot be read.
+        RecordingError: a final recording was used for a record, is held out, or has another role.
+        TwinError: a recording cannot be read.
     """
     notes: list[str] = []
     named = {
@@ -111,7 +110,7 @@ def _trials(
 
 
 def _dense(trial: Trial) -> Trial:
-    """Positions at every stamp: joints in messages of their own are interpolated."""
+    """Interpolate positions so that every stamp has all joints."""
     if trial.is_dense:
         return trial
     position = trial.position.copy()
@@ -122,7 +121,7 @@ def _dense(trial: Trial) -> Trial:
 
 
 def _check_role(trials: Iterable[Trial], role: str, notes: list[str]) -> None:
-    """Its own metadata may give a recording another role than the user does, within limits."""
+    """Check that the role in the metadata is compatible with the role given by the user."""
     for trial in trials:
         own = trial.metadata.get("role")
         if own in (None, role):
@@ -142,7 +141,7 @@ def _check_role(trials: Iterable[Trial], role: str, notes: list[str]) -> None:
 
 
 def _refuse_used(final: Sequence[Trial], held_out: Sequence[Trial], twin: Twin) -> None:
-    """A final recording has guided nothing: no record was made from its bytes."""
+    """Refuse final recordings that a record was made from, by their digests."""
     made_from = [
         *((entry.record.id, entry.record.inputs) for entry in twin.calibrations),
         *((fit.record.id, fit.record.inputs) for fit in twin.fits),

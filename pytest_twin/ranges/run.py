@@ -1,4 +1,4 @@
-"""``ranges.json``: what varies, how, and whether final recordings lie in what it predicts."""
+"""Compute the content of ``ranges.json``: distribution, ranges, and check on final recordings."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ _WIDENING_DRAWS = 128
 
 @dataclass(frozen=True)
 class Request:
-    """What was asked for, beside the twin.
+    """Request of the user.
 
     Attributes:
-        final, held_out: recordings, before those of the twin.
-        draws: robots, or None for the twin's.
-        share: of the envelope, or None for the twin's.
-        options: how recordings are read, before what the twin says.
-        topics: role -> topic, before those of the twin.
-        against: a configuration whose ranges are compared, or None.
+        final, held_out: recordings; they take precedence over those of the twin.
+        draws: number of robots, or None for the twin's setting.
+        share: coverage of the envelope, or None for the twin's setting.
+        options: settings for reading recordings; they take precedence over the twin's.
+        topics: role of a topic -> topic; these take precedence over the twin's.
+        against: configuration whose ranges are compared, or None.
     """
 
     final: Sequence[Path] = ()
@@ -56,7 +56,7 @@ class Request:
 
     @classmethod
     def from_json(cls, fields: Mapping[str, Any]) -> Request:
-        """Its fields with paths as text."""
+        """Build a request from fields with paths as text."""
         paths = {
             name: [Path(one) for one in fields[name]]
             for name in ("final", "held_out")
@@ -71,15 +71,15 @@ def ranges_of_file(
     request: Mapping[str, Any] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """The content of ``ranges.json`` for a ``twin.yaml``.
+    """Return the content of ``ranges.json`` for a ``twin.yaml``.
 
     Args:
-        path: the ``twin.yaml``.
-        request: fields of :class:`Request`, paths as text, as one process tells another.
-        progress: told the fraction done.
+        path: path of the ``twin.yaml``.
+        request: fields of :class:`Request`, with paths as text, as passed between processes.
+        progress: called with the fraction done.
 
     Raises:
-        TwinError: a twin, a record or a recording that cannot be used.
+        TwinError: a twin, a record or a recording cannot be used.
     """
     twin = load_twin(Path(path))
     first = twin.first_realization
@@ -94,7 +94,7 @@ def ranges(
     request: Request,
     progress: Callable[[float], None] = lambda done: None,
 ) -> dict[str, Any]:
-    """The randomization ranges of a twin that is loaded, and their check."""
+    """Return the randomization ranges of a loaded twin, and their check."""
     given = None if request.against is None else (request.against, *read_given(request.against))
     patched = patched_of(realization)
     share = request.share or twin.ranges.share
@@ -134,8 +134,9 @@ def ranges(
 
 
 def _noise(fleet: Fleet, checked: Checked) -> dict[str, float]:
-    """Joint -> standard deviation of an encoder's reading; of held-out recordings if there are
-    any."""
+    """Return joint -> standard deviation of an encoder reading, rad or m.
+
+    It is estimated from held-out recordings if there are any."""
     found: dict[str, list[float]] = {}
     for trial in checked.held_out or checked.final:
         own = sensor_noise(trial.time, trial.position)
@@ -175,7 +176,7 @@ def _document(
     noise: Mapping[str, float],
     checked: Checked,
 ) -> dict[str, Any]:
-    """Everything that does not need the final recordings."""
+    """Return the parts of the document that do not need the final recordings."""
     notes = [*found.notes, *checked.notes]
     if not checked.held_out:
         notes.append(
@@ -240,7 +241,7 @@ def _body(body: Body, distribution: Distribution, realization: Realization) -> d
 def _places(
     realization: Realization, distribution: Distribution, bodies: Sequence[Body]
 ) -> dict[str, Any]:
-    """Where a simulator of this model has what varies: ids of MuJoCo."""
+    """Return the MuJoCo ids of the joints and bodies that vary."""
     joints = {one.joint for one in distribution.coordinates if one.joint is not None}
     return {
         "joints": {joint: realization.joint_dof_index(joint) for joint in sorted(joints)},

@@ -1,4 +1,4 @@
-"""Recordings as many robots would have moved under their commands."""
+"""Simulate many varied robots under the commands of recordings."""
 
 from __future__ import annotations
 
@@ -29,24 +29,25 @@ from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.trial import Trial
 
 ROWS = 256
-"""Robots that are simulated side by side: records of more than these no longer fit a cache."""
+"""Number of robots in one batch. The data of more robots would not fit the cache."""
 _MEMORY_SHARE = 0.25
-"""Of the child process's memory, for the traces of all robots; quantiles need a copy."""
+"""Fraction of the child process's memory for the traces of all robots; quantiles need a copy."""
 
 Values = dict[str, dict[str, FloatArray]]
 
 
 @dataclass(frozen=True)
 class Traces:
-    """One recording, measured and as all robots would have moved.
+    """Measured and simulated traces of one recording.
 
     Attributes:
         trial: the recording.
-        joints: (j,).
+        joints: (j,) names of the joints.
         time: (n,) s.
-        measured: (n, j) rad or m.
-        robots: (robots, n, j) without sensor noise, single precision; NaN where it diverged.
-        slides: joints that slide, in m.
+        measured: (n, j) measured positions, rad or m.
+        robots: (robots, n, j) simulated positions without sensor noise, in single precision; NaN if
+            the simulation diverged.
+        slides: prismatic joints, in m.
     """
 
     trial: Trial
@@ -58,14 +59,14 @@ class Traces:
 
 
 class Fleet:
-    """Simulates robots that differ in some coordinates.
+    """Simulation of robots with different coordinates.
 
     Args:
-        realization: of the twin.
-        patched: effects beside it, where a diagnosis or an identification wrote it.
-        coordinates: (p,) in which robots differ.
-        bodies: whose inertia they are.
-        memory_bytes: for the traces of all robots.
+        realization: realization of the twin.
+        patched: effects added by a diagnosis or an identification, if any.
+        coordinates: (p,) coordinates in which robots differ.
+        bodies: bodies whose inertia varies.
+        memory_bytes: memory for the traces of all robots.
     """
 
     def __init__(
@@ -82,16 +83,16 @@ class Fleet:
         self.coordinates, self.bodies = tuple(coordinates), tuple(bodies)
         self._room = _MEMORY_SHARE * memory_bytes
         self.steps = 0
-        """Steps of the engine so far, over all robots."""
+        """Number of engine steps so far, over all robots."""
         self.seconds = 0.0
-        """Time that they took, s."""
+        """Wall-clock time of these steps, s."""
 
     def joints_of(self, trial: Trial) -> tuple[str, ...]:
-        """Joints whose motion is predicted."""
+        """Return the joints whose motion is predicted."""
         return trial.joints if self.patched is None else self.patched.joints
 
     def carrying(self, joint: str) -> list[str]:
-        """A joint and those that carry its link."""
+        """Return a joint and the joints that carry its link."""
         model = self.realization.model
         body = int(model.jnt_bodyid[model.joint(joint).id])
         found: list[str] = []
@@ -108,12 +109,12 @@ class Fleet:
         draws: FloatArray,
         progress: Callable[[float], None] = lambda done: None,
     ) -> list[Traces]:
-        """Every trial as every robot would have moved.
+        """Simulate every trial for every robot.
 
         Args:
-            trials: commands and first states are read to predict.
+            trials: trials, of which only commands and initial states are used.
             draws: (robots, p) values of the coordinates.
-            progress: told the fraction done.
+            progress: called with the fraction done.
 
         Raises:
             LimitError: the traces would not fit in memory.
@@ -129,10 +130,10 @@ class Fleet:
         return found
 
     def refuse_too_many(self, trials: Sequence[Trial], robots: int) -> None:
-        """Refuse what would not fit in memory, before anything is drawn.
+        """Raise an error if the traces would not fit in memory.
 
         Raises:
-            LimitError: the traces of so many robots do not fit.
+            LimitError: the traces do not fit.
         """
         samples = sum(len(t.time) * len(self.joints_of(t)) for t in trials)
         needed = 4 * samples * robots
@@ -187,7 +188,7 @@ class Fleet:
             yield rows, predicted
 
     def _correction(self, segment: Segment, joints: Sequence[str]) -> FloatArray:
-        """(n, j) what a replay of a patched model takes off for the size of its step."""
+        """(n, j) time-step error, which the replay of a patched model subtracts, rad or m."""
         if self.patched is None or self.patched.substeps:
             return np.zeros_like(segment.position)
         values = fixed_values(self._outside_mjcf, joints, 1)
@@ -202,7 +203,7 @@ class Fleet:
         return corrected(coarse, step_error(coarse, fine)).position - coarse.position
 
     def _models(self, model: mujoco.MjModel, draws: FloatArray) -> list[mujoco.MjModel]:
-        """A model for each robot; the batch works out what follows from their inertias."""
+        """Return a model for each robot; the batch computes dependent constants."""
         models = [copy.copy(model) for _ in draws]
         for column, one in enumerate(self.coordinates):
             if one.field is not None and one.joint is not None:
@@ -217,7 +218,7 @@ class Fleet:
         return models
 
     def _values(self, draws: FloatArray, joints: Sequence[str]) -> Values:
-        """Parameters of effects, (robots, joints) each: those of the twin, and what differs."""
+        """Return effect parameters, (robots, joints) each: values of the twin plus variations."""
         rows = len(draws)
         values: Values = {
             effect: {name: np.array(v) for name, v in own.items()}
@@ -249,7 +250,7 @@ class Fleet:
         if one.effect not in values:
             values[one.effect] = {p.name: np.full((rows, joints), p.absent) for p in law.parameters}
             if one.effect == EncoderBias.id:
-                # The servo regulates what the encoder reads.
+                # The servo controls the encoder reading.
                 values[one.effect]["in_loop"][:] = 1.0
         array = values[one.effect][one.parameter]
         written = self._written(one)
@@ -257,7 +258,7 @@ class Fleet:
             array[:, place] = (drawn / (1.0 + written.values[one.parameter]) - 1.0
                                if written else drawn - 1.0)[:, None]  # fmt: skip
         elif written is not None:
-            # The model has the twin's value; the effect adds the difference.
+            # The model contains the twin's value, so the effect adds the difference.
             array[:, place] = (drawn - written.values[one.parameter])[:, None]
         elif one.effect == EncoderBias.id:
             array[:, place] += drawn[:, None]
@@ -265,7 +266,7 @@ class Fleet:
             array[:, place] = drawn[:, None]
 
     def _written(self, one: Coordinate) -> AppliedEffect | None:
-        """The effect where the stepped model has it in its fields."""
+        """Return the effect if the simulated model contains it in its fields, else None."""
         if self.patched is None:
             return None
         beside = {(e.effect, e.joint) for e in self._outside_mjcf}

@@ -1,4 +1,4 @@
-"""Manufacturing tolerances that a twin declares: what one measured robot cannot show."""
+"""Add declared manufacturing tolerances, which one measured robot cannot reveal."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from pytest_twin.realization.patch import suggest
 from pytest_twin.twin import Twin
 
 _UNIFORM = np.sqrt(3.0)
-"""Half width of a uniform distribution over its standard deviation."""
+"""Ratio of half width to standard deviation of a uniform distribution."""
 _QUANTITY = {"viscous_friction": "damping", "coulomb_friction": "effort", "armature": "inertia"}
 
 
 def with_tolerances(found: Gathered, twin: Twin, realization: Realization) -> Gathered:
-    """What is gathered, with declared tolerances added to the covariance.
+    """Return the collected coordinates with declared tolerances added to the covariance.
 
-    A tolerance is a uniform distribution of the stated half width; its variance is added. A
-    tolerance of a mass scales the body: its inertia grows with it.
+    A tolerance is a uniform distribution of the stated half width, whose variance is added. A
+    tolerance of a mass scales the whole inertia of the body.
 
     Raises:
-        SpecError: a parameter that the model lacks, or a share of nothing.
+        SpecError: the model lacks a parameter, or a relative tolerance refers to the value zero.
     """
     for at, tolerance in enumerate(twin.ranges.tolerances):
         where = f"ranges.tolerance.{at}"
@@ -98,7 +98,7 @@ def _of_parameter(
 
 
 def _declared(tolerance: Tolerance, where: str, twin: Twin, realization: Realization) -> Coordinate:
-    """The coordinate of a parameter that no record has."""
+    """Return the coordinate of a parameter that no record has."""
     joint, _, kind = tolerance.parameter.rpartition(".")
     structure = realization.structure
     kinds = (*FIELDS, CommandDelay.id, EncoderBias.id)

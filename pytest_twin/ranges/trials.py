@@ -1,4 +1,4 @@
-"""How parameters differ over trials: loads, temperatures, days."""
+"""Variation of parameters between groups of trials: loads, temperatures, days."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ NAME = "ranges: trials: of twin.yaml"
 def spread_over_trials(
     found: Gathered, twin: Twin, realization: Realization, notes: list[str]
 ) -> Gathered:
-    """What is gathered, with the spread of the parameters over groups of trials.
+    """Return the collected coordinates with the variance between groups of trials added.
 
-    The covariance between groups is that of their estimates less the mean of their own covariances
-    (method of moments; DerSimonian, Laird, Controlled Clinical Trials 7, 1986), with no negative
-    eigenvalue. Conditions of the trials vary with them, so that friction keeps its correlation with
-    temperature. Of few groups the spread itself is uncertain: it is as wide as Student's t makes a
-    prediction interval (Cox, Snell, Applied Statistics, 1981, ch. 4).
+    The covariance between groups is the covariance of their estimates minus the mean of their own
+    covariances (method of moments; DerSimonian, Laird, Controlled Clinical Trials 7, 1986), without
+    negative eigenvalues. Conditions of the trials are included, so that friction keeps its
+    correlation with temperature. With few groups the variance is itself uncertain and is widened to
+    Student's prediction interval (Cox, Snell, Applied Statistics, 1981, ch. 4).
 
     Args:
-        found: what the records left uncertain.
-        twin: whose ``ranges: trials:`` count.
+        found: uncertain coordinates of the records.
+        twin: twin with ``ranges: trials:``.
         realization: the model.
-        notes: gets what was taken for granted.
+        notes: list to which messages on assumptions are added.
     """
     groups = twin.ranges.trials
     if not groups:
@@ -70,7 +70,7 @@ def spread_over_trials(
 
 
 def _covariance(group: TrialGroup, names: list[str]) -> FloatArray:
-    """(k, k) of a group's estimates; of those without a covariance their variance."""
+    """(k, k) covariance of a group's estimates; only variances if it has no covariance."""
     record = group.record
     at = [record.covariance_names.index(n) if n in record.covariance_names else -1 for n in names]
     whole = np.reshape(record.covariance, (len(record.covariance_names),) * 2)
@@ -85,23 +85,23 @@ def _covariance(group: TrialGroup, names: list[str]) -> FloatArray:
 
 
 def _between(table: FloatArray, within: FloatArray) -> FloatArray:
-    """(k, k) covariance between groups, of estimates and conditions; conditions are exact."""
+    """(k, k) covariance of estimates and conditions between groups; conditions have no error."""
     scale = table.std(axis=0, ddof=1)
     scale = np.where(scale > 0.0, scale, 1.0)
     between = np.atleast_2d(np.cov(table / scale, rowvar=False))
     known = len(within)
     between[:known, :known] -= within / np.outer(scale[:known], scale[:known])
-    # Of a condition nothing is subtracted: what correlates with it stays.
+    # Nothing is subtracted for conditions, so the correlation with them remains.
     values, vectors = np.linalg.eigh(between)
     positive = (vectors * values.clip(0.0)) @ vectors.T
     return np.asarray(positive * np.outer(scale, scale))
 
 
 def _prediction_factor(groups: int) -> float:
-    """Half width of a 95 % prediction interval over that of a known standard deviation.
+    """Return the ratio of a 95 % prediction interval to that for a known standard deviation.
 
-    Two groups have one degree of freedom, whose Student's t of 12.7 would drown what they tell.
-    They get that of two degrees.
+    Two groups have one degree of freedom, for which Student's t of 12.7 would make the interval
+    useless. For two groups, t of two degrees of freedom is used.
     """
     freedom = max(groups - 1, 2)
     return float(stats.t.ppf(0.975, freedom) / Z95 * np.sqrt(1.0 + 1.0 / groups))
@@ -124,7 +124,7 @@ def _grown(
     for column, place in enumerate(shared):
         one = coordinates[place]
         source = Source("trials", NAME, float(std[column]))
-        # The trials' mean stands in the middle of their spread.
+        # The mean is that of the trials.
         mean = float(table[:, column].mean()) + one.relative
         coordinates[place] = replace(one, mean=mean, sources=(*one.sources, source))
     for k, name in enumerate(conditions):

@@ -1,12 +1,13 @@
-"""Wider ranges, where held-out recordings deviate more than the parameters' covariance predicts.
+"""Widen ranges if held-out recordings deviate more than the parameters' covariance predicts.
 
-Standard deviations grow by the larger of two ratios. Birge's (Physical Review 40, 1932), as
-metrology uses it for results that scatter more than their uncertainties say, is the root of the
-observed mean square over the predicted one. The other is the quantile of the deviations over the
-predicted half width, of the recording where it is largest (normalized split conformal prediction;
-Lei et al., Journal of the American Statistical Association 113, 2018; samples of one recording are
-no independent evidence, recordings are). The envelope then covers the stated share of each
-held-out recording. Either counts only if few simulated robots deviate as much.
+Standard deviations are multiplied by the larger of two ratios. The Birge ratio (Physical Review 40,
+1932), which metrology uses for results with more scatter than their uncertainties predict, is the
+root of the observed over the predicted mean square. The second ratio is the quantile of the
+deviations over the predicted half width, from the recording where it is largest (normalized split
+conformal prediction; Lei et al., Journal of the American Statistical Association 113, 2018). It is
+computed by recording, because samples of one recording are not independent. The envelope then
+covers the stated fraction of each held-out recording. A ratio is applied only if few simulated
+robots deviate as much.
 """
 
 from __future__ import annotations
@@ -23,17 +24,19 @@ from pytest_twin.ranges.distribution import Coordinate, Distribution
 from pytest_twin.ranges.simulate import Traces
 
 LEVEL = 0.2
-"""Share of simulated robots that deviate as much, below which a joint is widened. Ranges that are
-too narrow cost more than ranges a little too wide, so that one joint in five widens without need.
+"""Fraction of simulated robots with such a deviation below which a joint is widened. Too narrow
+ranges cost more than slightly too wide ones, so one joint in five being widened without need is
+accepted.
 """
 ROUNDS = 4
-"""Friction and stops are not linear, and each joint moves with the others: the factors are found
-again with the wider ranges."""
+"""Number of iterations. Friction and joint stops are non-linear and the joints are coupled, so the
+factors are determined again with the wider ranges."""
 _SETTLED = 0.15
-"""Of the ratio of observed to predicted deviation; 128 robots know the latter to 6 %."""
+"""Tolerance of the ratio of observed to predicted deviation. With 128 robots the latter is accurate
+to 6 %."""
 LARGEST = 30.0
-"""Factor beyond which the parameters are not what is wrong: one that is known to 1 % would be as
-uncertain as a third of its value. With 10, coverage of one concealed arm in four was 88 %."""
+"""Largest factor. Beyond it, the cause is not the parameters: one with an uncertainty of 1 % would
+have 30 %. With a limit of 10, the coverage of one concealed arm in four was 88 %."""
 _NAME = "held-out recordings deviate more than the covariance predicts"
 
 Simulate = Callable[[Distribution], Sequence[Traces]]
@@ -41,11 +44,11 @@ Simulate = Callable[[Distribution], Sequence[Traces]]
 
 @dataclass(frozen=True)
 class Deviation:
-    """Deviation of one joint from the mean of the robots, over what is predicted.
+    """Observed deviation of one joint from the mean of the robots, relative to the prediction.
 
     Attributes:
-        ratio: by which the deviations that are predicted are too small.
-        chance: share of the simulated robots that deviate as much.
+        ratio: factor by which the predicted deviations are too small.
+        chance: fraction of simulated robots that deviate as much.
     """
 
     ratio: float
@@ -59,14 +62,14 @@ def widened(
     carrying: Mapping[str, Sequence[str]],
     share: float,
 ) -> tuple[Distribution, dict[str, Any]]:
-    """The ranges with the factors that held-out recordings ask for, and how they were found.
+    """Return the widened distribution, and the factors with their derivation.
 
     Args:
-        start: from records, trials and tolerances.
-        simulate: a distribution to traces of the held-out recordings.
+        start: distribution from records, trials and tolerances.
+        simulate: function from a distribution to traces of the held-out recordings.
         noise: joint -> standard deviation of a reading, rad or m.
         carrying: joint -> itself and the joints that carry its link.
-        share: of the samples that the envelope should cover.
+        share: fraction of the samples that the envelope should cover.
     """
     first = last = deviations(simulate(start), noise, share)
     level = LEVEL / max(len(first), 1)
@@ -94,10 +97,10 @@ def widened(
 def _factor(
     one: Coordinate, factors: Mapping[str, float], carrying: Mapping[str, Sequence[str]]
 ) -> float:
-    """By which a coordinate's standard deviation grows.
+    """Return the factor of a coordinate's standard deviation.
 
-    The inertia of a link moves every joint that carries it, so it grows only as far as each of
-    these asks for.
+    The inertia of a link affects every joint that carries it, so its factor is the smallest of
+    these joints' factors.
     """
     if one.joint is None:
         return 1.0
@@ -106,7 +109,7 @@ def _factor(
 
 
 def _settled(factor: float, ratio: float) -> bool:
-    """Whether a factor explains what is observed, or cannot grow."""
+    """Whether a factor explains the observed deviation, or is at its limit."""
     return abs(ratio - 1.0) < _SETTLED or (factor >= LARGEST and ratio > 1.0)
 
 
@@ -117,7 +120,7 @@ def _json(one: Deviation) -> dict[str, float]:
 def deviations(
     traces: Sequence[Traces], noise: Mapping[str, float], share: float
 ) -> dict[str, Deviation]:
-    """Joint -> how far it is from the mean of the robots, over all recordings."""
+    """Return joint -> deviation from the mean of the robots, over all recordings."""
     found = {}
     for joint in dict.fromkeys(j for one in traces for j in one.joints):
         std = noise.get(joint, 0.0)
@@ -137,14 +140,14 @@ def deviations(
             reached.append(float(np.quantile(off / half, share, method="higher")))
         samples = sum(len(measured) for _, measured in own)
         birge = _birge(square, np.sum(predicted, axis=0), samples * std**2)
-        # Of fewer than twenty recordings the quantile over recordings is the largest.
+        # With fewer than twenty recordings the quantile over recordings is the maximum.
         conformal = float(np.quantile(reached, share, method="higher"))
         found[joint] = Deviation(max(birge.ratio, conformal), birge.chance)
     return found
 
 
 def _birge(observed: float, predicted: FloatArray, noise: float) -> Deviation:
-    """Of sums of squares; a sum of squares of noise adds to what each robot deviates."""
+    """Compute the Birge ratio from sums of squares; noise is added to each robot's deviation."""
     chance = float((np.sum(predicted + noise >= observed) + 1.0) / (len(predicted) + 1.0))
     mean = float(predicted.mean())
     excess = max(observed - noise, 0.0)

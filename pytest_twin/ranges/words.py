@@ -1,4 +1,4 @@
-"""What the ranges and their check mean, in words, with what to do."""
+"""Summarize ranges and their check in sentences, with the next steps."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ MEANING = {
     "too_wide": "the predicted envelope is wider than the final recordings need",
     "not_checked": "not checked: there is no final recording",
 }
-"""Verdict -> what it says."""
+"""Verdict -> its meaning."""
 
 
 def words_of(document: Mapping[str, Any]) -> list[str]:
-    """The verdict, figures of each joint, what was widened, and what to do; one line each.
+    """Return lines with the verdict, figures of each joint, widening, and next steps.
 
     Args:
-        document: ``ranges.json``.
+        document: content of ``ranges.json``.
     """
     lines = [MEANING[document["verdict"]]]
     check = document["check"]
@@ -68,7 +68,7 @@ def _widening(widening: Mapping[str, Any] | None) -> list[str]:
 
 
 def _advice(document: Mapping[str, Any]) -> list[str]:
-    """What to do next."""
+    """Return the recommended next steps."""
     lines = []
     unexplained = [] if document["widening"] is None else document["widening"]["unexplained"]
     if unexplained:

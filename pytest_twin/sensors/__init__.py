@@ -1,1 +1,1 @@
-"""What a sensor makes of the true signal: one file for each sensor, with how it is estimated."""
+"""Sensor models from true signal to reading, one file for each sensor, with their estimation."""

@@ -1,4 +1,4 @@
-"""When a camera saw what its stamps say: delay, period, jitter and lost frames."""
+"""Timing of a camera: delay, period, jitter and lost frames."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pytest_twin.arrays import FloatArray
 
 @dataclass(frozen=True)
 class CameraTiming:
-    """A frame with the stamp ``t`` shows what was there at ``t - delay``.
+    """Camera timing: a frame with the stamp ``t`` shows the scene at ``t - delay``.
 
     Attributes:
-        delay: s; exposure, transfer and a clock that is ahead all are in it.
-        period: s between two frames.
+        delay: total delay by exposure, transfer and clock offset, s.
+        period: time between two frames, s.
         jitter: standard deviation of a stamp from the regular grid of frames, s.
-        lost: share of the frames that are missing.
+        lost: fraction of missing frames.
     """
 
     delay: float
@@ -27,20 +27,20 @@ class CameraTiming:
     lost: float
 
     def seen(self, stamps: FloatArray, turns: Slerp) -> Rotation:
-        """The orientations that frames show.
+        """Return the orientations that the frames show.
 
         Args:
-            stamps: (n,) of frames, s.
-            turns: true orientations over time, s. Frames before its start or after its end show
-                its ends.
+            stamps: (n,) stamps of frames, s.
+            turns: true orientations over time, s. Frames outside of its time range show the
+                orientation at its start or end.
         """
         return turns(np.clip(stamps - self.delay, turns.times[0], turns.times[-1]))
 
 
 def frames_of(stamps: FloatArray) -> tuple[float, float, float]:
-    """Period (s), jitter (s) and share of lost frames of (n,) ascending stamps, s.
+    """Period (s), jitter (s) and fraction of lost frames of (n,) ascending stamps, s.
 
-    Jitter that is independent from frame to frame is in the difference of two stamps twice.
+    The difference of two stamps has twice the variance of independent jitter.
     """
     apart = np.diff(stamps)
     period = float(np.median(apart))

@@ -1,4 +1,4 @@
-"""The quantization of an encoder."""
+"""Quantization of an encoder."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from pytest_twin.arrays import FloatArray
 
 _FEWEST = 20
 _SAME = 0.05
-"""Distance of a difference from whole steps, in steps, that rounding of a log explains."""
+"""Largest deviation of a difference from a whole number of steps, in steps, by rounding in a
+log."""
 
 
 @dataclass(frozen=True)
 class Encoder:
-    """``reading = step round(position / step)``.
+    """Encoder with ``reading = step round(position / step)``.
 
     Attributes:
-        step: rad or m.
+        step: quantization step, rad or m.
     """
 
     step: float
@@ -29,14 +30,15 @@ class Encoder:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of a reading: a uniform error of one step, rad or m."""
+        """Standard deviation of a reading for a uniform error of one step, rad or m."""
         return self.step / float(np.sqrt(12.0))
 
 
 def encoder_of(reading: FloatArray) -> Encoder | None:
-    """The quantization of (n,) readings; None where they show none.
+    """Return the quantization of (n,) readings; None if they show none.
 
-    The step is the least difference between two readings of which all others are whole multiples.
+    The step is the smallest difference between two readings; all others must be whole multiples of
+    it.
     """
     values = np.unique(reading)
     apart = np.diff(values)

@@ -1,4 +1,4 @@
-"""A force-torque sensor: bias, scale, cross-axis coupling, frame, filter and saturation."""
+"""Force-torque sensor with bias, scale, cross-axis coupling, frame, filter and saturation."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from pytest_twin.arrays import FloatArray
 
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 _AT_LIMIT = 3
-"""Samples in a row at the greatest reading from which on it is a limit."""
+"""Number of consecutive samples at the largest reading above which it is a limit."""
 
 
 @dataclass(frozen=True)
 class ForceTorqueSensor:
-    """``reading = clip(lowpass(coupling wrench) + bias)``.
+    """Force-torque sensor with ``reading = clip(lowpass(coupling wrench) + bias)``.
 
-    The 6 by 6 coupling has the scales on its diagonal. It holds the rotation and offset of the
-    sensor's frame too: no wrench tells a turned frame from cross-axis coupling (Liu, Tzo, 2002).
+    The 6 by 6 coupling has the scales on its diagonal. It includes the rotation and offset of the
+    sensor's frame, because no wrench distinguishes a rotated frame from cross-axis coupling (Liu,
+    Tzo, 2002).
 
     Attributes:
-        bias: (6,) N, N*m.
-        coupling: (6, 6) reading by true wrench, force before torque.
-        time_constant: of the first-order low-pass, s; 0 for none.
-        limit: (6,) greatest amount that is read, N, N*m; infinite for none.
+        bias: (6,) bias, N and N*m.
+        coupling: (6, 6) matrix from true wrench to reading, force before torque.
+        time_constant: time constant of the first-order low-pass, s; 0 for none.
+        limit: (6,) largest magnitude of a reading, N and N*m; infinite for none.
     """
 
     bias: FloatArray
@@ -40,7 +41,7 @@ class ForceTorqueSensor:
 
 
 def low_passed(values: FloatArray, time_constant: float, period: float) -> FloatArray:
-    """(n, k) after a first-order low-pass at rest at the first sample, held between samples."""
+    """(n, k) output of a first-order low-pass, in steady state at the first sample."""
     if time_constant <= 0.0:
         return values
     pole = float(np.exp(-period / time_constant))
@@ -50,7 +51,7 @@ def low_passed(values: FloatArray, time_constant: float, period: float) -> Float
 
 
 def limits_of(reading: FloatArray) -> FloatArray:
-    """(k,) amounts at which channels stand again and again, infinite where they do not."""
+    """(k,) magnitudes at which channels saturate repeatedly; infinite if they do not."""
     found = np.full(reading.shape[1], np.inf)
     for channel, values in enumerate(np.abs(reading).T):
         most = values.max(initial=0.0)

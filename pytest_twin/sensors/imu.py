@@ -1,4 +1,4 @@
-"""An inertial measurement unit: bias, scale, misalignment, and noise by Allan deviation."""
+"""Inertial measurement unit with bias, scale, misalignment, and noise by Allan deviation."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from pytest_twin.errors import TwinError
 
 AXES = ("gx", "gy", "gz", "ax", "ay", "az")
 _FLAT = 0.664
-"""Allan deviation of flicker noise over its bias instability, sqrt(2 ln 2 / pi) (IEEE 952)."""
+"""Ratio of the Allan deviation of flicker noise to its bias instability, sqrt(2 ln 2 / pi) (IEEE
+952)."""
 
 
 @dataclass(frozen=True)
 class ImuSensor:
-    """``reading = matrix true + bias``, for the gyroscope and for the accelerometer.
+    """IMU with ``reading = matrix true + bias`` for gyroscope and accelerometer.
 
-    A matrix has the scales on its diagonal and the misalignment beside it.
+    A matrix has the scales on its diagonal and the misalignment off the diagonal.
 
     Attributes:
-        gyroscope, accelerometer: (3, 3).
-        gyroscope_bias, accelerometer_bias: (3,) rad/s, m/s^2.
+        gyroscope, accelerometer: (3, 3) matrices.
+        gyroscope_bias, accelerometer_bias: (3,) biases, rad/s and m/s^2.
     """
 
     gyroscope: FloatArray
@@ -33,7 +34,7 @@ class ImuSensor:
     accelerometer_bias: FloatArray
 
     def measured(self, true: FloatArray) -> FloatArray:
-        """(n, 6) readings of (n, 6) true angular velocity and specific force, sensor's axes."""
+        """(n, 6) readings of (n, 6) true angular velocity and specific force, in sensor axes."""
         turning = true[:, :3] @ self.gyroscope.T + self.gyroscope_bias
         pushing = true[:, 3:] @ self.accelerometer.T + self.accelerometer_bias
         return np.hstack([turning, pushing])
@@ -44,10 +45,12 @@ class Noise:
     """Noise of one channel at rest.
 
     Attributes:
-        density: white noise, unit / sqrt(Hz): the Allan deviation at 1 s on the slope of -1/2.
-        density_std: its standard deviation.
-        instability: bias instability, unit: the least Allan deviation over 0.664; None where the
-            deviation still falls at the longest time, so that the recording was too short.
+        density: density of white noise, unit / sqrt(Hz): the Allan deviation at 1 s on the slope of
+            -1/2.
+        density_std: standard deviation of the density.
+        instability: bias instability, in the reading's unit: the smallest Allan deviation over
+            0.664; None if the deviation still decreases at the longest time, because the recording
+            is too short.
     """
 
     density: float
@@ -56,11 +59,11 @@ class Noise:
 
 
 def noise_of(still: FloatArray, rate: float) -> list[Noise]:
-    """Noise of (n, k) readings of a sensor at rest, by overlapping Allan deviation.
+    """Return the noise of (n, k) readings at rest, by overlapping Allan deviation.
 
     Args:
-        still: readings while nothing moves.
-        rate: samples per s.
+        still: (n, k) readings at rest.
+        rate: sampling rate, Hz.
 
     Raises:
         TwinError: allantools is not installed.
@@ -78,7 +81,7 @@ def noise_of(still: FloatArray, rate: float) -> list[Noise]:
     found = []
     for values in still.T:
         taus, deviations, _, _ = allan.oadev(values, rate=rate, data_type="freq", taus=times)
-        # A tenth of the record's length at most: beyond, few pairs are averaged.
+        # The longest time is a tenth of the record's length; beyond it, too few pairs are averaged.
         short = taus <= max(taus[0], longest / 100.0)
         densities = deviations[short] * np.sqrt(taus[short])
         density = float(np.median(densities))

@@ -1,4 +1,4 @@
-"""A joint torque sensor: between gear and link, so that friction of the gear is not in it."""
+"""Joint torque sensor between gear and link, so friction of the gear is not measured."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from pytest_twin.sensors.force_torque import low_passed
 
 @dataclass(frozen=True)
 class JointTorqueSensor:
-    """``reading = clip(scale lowpass(load) + bias)``.
+    """Joint torque sensor with ``reading = clip(scale lowpass(load) + bias)``.
 
-    The load is what the links beyond the joint ask of it. Inertia and friction of motor and gear
-    are on the other side of the sensor (Albu-Schäffer, Ott, Hirzinger, 2007).
+    The load is the effort that the links beyond the joint require. Inertia and friction of motor
+    and gear are on the other side of the sensor (Albu-Schäffer, Ott, Hirzinger, 2007).
 
     Attributes:
-        bias: N*m, of a slide N.
-        scale: 1.
-        time_constant: of the first-order low-pass, s; 0 for none.
-        limit: greatest amount that is read, N*m or N; infinite for none.
+        bias: bias, N*m; N for a prismatic joint.
+        scale: scale factor, dimensionless.
+        time_constant: time constant of the first-order low-pass, s; 0 for none.
+        limit: largest magnitude of a reading, N*m or N; infinite for none.
     """
 
     bias: float

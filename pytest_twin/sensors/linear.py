@@ -1,8 +1,8 @@
-"""Sensors whose reading is linear in what is true: ``reading = matrix true + bias``.
+"""Fit of sensors that are linear in the true signal: ``reading = matrix true + bias``.
 
-Least squares on stretches of time. Noise of a sensor is correlated from sample to sample, so the
-covariance comes from the sums of whole blocks (Newey, West, 1987, with blocks in place of a
-kernel), and intervals from Student's distribution with one degree of freedom less than blocks.
+The fit uses least squares. Sensor noise is correlated in time, so the covariance is computed from
+the sums over time blocks (Newey, West, 1987, with blocks instead of a kernel). Intervals use
+Student's distribution with one degree of freedom less than the number of blocks.
 """
 
 from __future__ import annotations
@@ -15,24 +15,26 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 
 BLOCKS = 30
-"""Blocks of a covariance: its standard deviations are good to 13 %."""
+"""Number of blocks of a covariance. Its standard deviations are then accurate to 13 %."""
 UNTOLD = 1e-3
-"""Part of the largest singular value below which a direction of the true signal was not excited;
-the columns are scaled to their own size first."""
+"""Fraction of the largest singular value below which a direction of the true signal was not
+excited. The columns are normalized first."""
 
 
 @dataclass(frozen=True)
 class Linear:
-    """A linear sensor, estimated.
+    """Estimated linear sensor.
 
     Attributes:
-        matrix: (k, m) reading by true signal; rows of directions that were not excited are those of
+        matrix: (k, m) matrix from true signal to reading; in directions that were not excited it is
             the nominal matrix.
-        bias: (k,).
-        covariance: (k, m + 1, m + 1) for each channel: its row of the matrix, then its bias.
-        untold: unit vectors (m + 1,) of the scaled true signal, and the bias, not excited.
-        residual: (k,) root mean square of what is not explained.
-        blocks: how many the covariance depends on.
+        bias: (k,) bias.
+        covariance: (k, m + 1, m + 1) covariance of each channel: its row of the matrix, then its
+            bias.
+        untold: (m + 1,) unit vectors of directions of the normalized true signal and bias that were
+            not excited.
+        residual: (k,) RMS residual.
+        blocks: number of blocks of the covariance.
     """
 
     matrix: FloatArray
@@ -50,17 +52,17 @@ class Linear:
 def fit_linear(
     true: FloatArray, reading: FloatArray, blocks: Sequence[int], nominal: FloatArray
 ) -> Linear:
-    """Least squares of a linear sensor.
+    """Fit a linear sensor by least squares.
 
     Args:
         true: (n, m) true signals.
-        reading: (n, k).
-        blocks: (n,) number of the block of each sample, from 0 on.
-        nominal: (k, m) matrix that holds where nothing was excited.
+        reading: (n, k) readings.
+        blocks: (n,) index of the block of each sample, from 0.
+        nominal: (k, m) matrix that is used in directions without excitation.
     """
     design = np.hstack([true, np.ones((len(true), 1))])
     scale = np.linalg.norm(design, axis=0) / np.sqrt(len(design))
-    # A channel of the true signal that is rounding alone is not excited.
+    # A channel of the true signal with rounding errors only is not excited.
     scale[scale < 1e-9 * scale.max()] = np.inf
     left, sizes, right = np.linalg.svd(design / scale, full_matrices=False)
     kept = sizes > UNTOLD * sizes[0]
@@ -89,10 +91,10 @@ def fit_linear(
 
 
 def in_blocks(samples: Sequence[int]) -> list[int]:
-    """Block of each sample of recordings, in their order: about ``BLOCKS`` in all.
+    """Return the block of each sample of recordings, with about ``BLOCKS`` blocks in total.
 
     Args:
-        samples: of each recording; no block spans two.
+        samples: number of samples of each recording; no block spans two recordings.
     """
     size = max(2, int(np.ceil(sum(samples) / BLOCKS)))
     found: list[int] = []

@@ -1,4 +1,4 @@
-"""Sensors as a record of an identification states them."""
+"""Sensors from the record of an identification."""
 
 from __future__ import annotations
 
@@ -13,31 +13,32 @@ from pytest_twin.sensors.imu import ImuSensor
 from pytest_twin.sensors.joint_torque import JointTorqueSensor
 
 AXES = {FORCE_TORQUE: force_torque.AXES, IMU: imu.AXES, JOINT_TORQUE: ("torque",)}
-"""Kind -> its channels; the load of a slide's sensor is a force and so has the axis ``force``."""
+"""Kind -> its channels. The load of a sensor on a prismatic joint is a force with the axis
+``force``."""
 
 
 def axes_of(kind: str, slide: bool = False) -> tuple[str, ...]:
-    """Channels of a kind of sensor.
+    """Return the channels of a kind of sensor.
 
     Args:
         kind: one of ``AXES``.
-        slide: whether a joint torque sensor is on a slide.
+        slide: whether a joint torque sensor is on a prismatic joint.
     """
     return ("force",) if kind == JOINT_TORQUE and slide else AXES[kind]
 
 
 def unit_of(axis: str) -> str:
-    """Unit of a channel."""
+    """Return the unit of a channel."""
     return {"f": "N", "t": "N*m", "g": "rad/s", "a": "m/s^2"}[axis[0]]
 
 
 def readings_of(stated: SensorFields, true: FloatArray, period: float) -> FloatArray:
-    """(n, k) readings of a stated sensor.
+    """(n, k) readings of a sensor from a record.
 
     Args:
-        stated: no camera.
+        stated: fields of the sensor; not of a camera.
         true: (n, k) true signals at the sensor's frame.
-        period: s between samples.
+        period: time between samples, s.
     """
     matrix = [np.array(one) for one in stated.matrix]
     bias = [np.array(one) for one in stated.bias]
@@ -55,6 +56,6 @@ def readings_of(stated: SensorFields, true: FloatArray, period: float) -> FloatA
 
 
 def timing_of(stated: SensorFields) -> CameraTiming:
-    """The timing of a stated camera."""
+    """Return the timing of a camera from a record."""
     assert stated.kind == CAMERA
     return CameraTiming(stated.delay, stated.period, stated.jitter, stated.lost)

@@ -1,13 +1,12 @@
-"""``EventTerm`` configuration for Isaac Lab 3 that makes each environment one robot of
-``ranges.json``.
+"""``EventTerm`` configuration for Isaac Lab 3: each environment gets a robot of ``ranges.json``.
 
     from isaaclab_events import MeasuredEventCfg
 
     events: MeasuredEventCfg = MeasuredEventCfg()
 
-Everything that was measured together varies together, so it is one term. Isaac Lab's own
+Correlated parameters must be drawn together, so there is one term. Isaac Lab's own
 ``randomize_joint_parameters`` draws static, dynamic and viscous friction from one pair of numbers;
-here each has its own. In Isaac Sim 5 and later joint friction is an effort, N*m or N.
+here each has its own distribution. In Isaac Sim 5 and later joint friction is an effort, N*m or N.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def measured_robot(env, env_ids, asset_cfg, seed=None):
         env: the environment.
         env_ids: (n,) which environments, None for all.
         asset_cfg: the articulation.
-        seed: of the draws, None for another one each time.
+        seed: seed of the draws; None for a different one each time.
     """
     asset = env.scene[asset_cfg.name]
     if env_ids is None:
@@ -68,7 +67,7 @@ def measured_robot(env, env_ids, asset_cfg, seed=None):
         asset.set_inertias_index(
             inertias=table(names, "inertia").flatten(2), body_ids=ids, env_ids=env_ids
         )
-        # A position and the orientation of the body's own axes, as the inertia is given in these.
+        # The pose has the orientation of the body's axes, in which the inertia is given.
         centres = torch.zeros((len(env_ids), len(names), 7), device=asset.device)
         centres[..., :3], centres[..., 6] = table(names, "com"), 1.0
         asset.set_coms_index(coms=centres, body_ids=ids, env_ids=env_ids)
@@ -76,7 +75,7 @@ def measured_robot(env, env_ids, asset_cfg, seed=None):
 
 @configclass
 class MeasuredEventCfg:
-    """One term at startup: a robot stays the same over its episodes."""
+    """One term at startup: the robot of an environment is the same in all episodes."""
 
     measured_robot = EventTerm(
         func=measured_robot, mode="startup", params={"asset_cfg": SceneEntityCfg("robot")}

@@ -1,12 +1,12 @@
-"""Events for mjlab that make each environment one robot of ``ranges.json``.
+"""Events for mjlab: each environment gets a robot of ``ranges.json``.
 
     from mjlab_events import EVENTS
 
     cfg.events |= EVENTS
 
-Everything that was measured together varies together, so it is one event and not one for each
-field. It runs at startup: a robot stays the same over its episodes. ``mode="reset"`` draws anew for
-each episode.
+Correlated parameters must be drawn together, so there is one event and not one for each field. It
+runs at startup: the robot of an environment is the same in all episodes. ``mode="reset"`` draws a
+new robot for each episode.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def measured_robot(env, env_ids, asset_cfg, seed=None):
         env: the environment.
         env_ids: (n,) which environments, None for all.
         asset_cfg: the robot, with its joints and bodies in the order of the names below.
-        seed: of the draws, None for another one each time.
+        seed: seed of the draws; None for a different one each time.
     """
     if env_ids is None:
         env_ids = torch.arange(env.num_envs, device=env.device, dtype=torch.int)
@@ -74,8 +74,8 @@ EVENTS = {
         func=measured_robot, mode="startup", params={"asset_cfg": SceneEntityCfg("robot")}
     )
 }
-"""Delays belong to the actuators' configuration, noise to the observations': ``DELAYS`` and
-``NOISE`` have their numbers."""
+"""Delays belong to the configuration of actuators and noise to that of observations; ``DELAYS`` and
+``NOISE`` have their values."""
 DELAYS = {one["joint"]: one["range"] for one in RANGES.document["quantities"]
           if one["name"].endswith(".command_delay")}  # fmt: skip
 """Joint -> range of its command's delay, s."""

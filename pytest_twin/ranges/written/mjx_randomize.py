@@ -4,7 +4,7 @@
 
     train(..., randomization_fn=domain_randomize)
 
-Works on the model that was checked: its ids of bodies and joints are in ``ranges.json``. The robots
+It works for the checked model, whose body and joint ids are in ``ranges.json``. The robots
 are drawn by ``sampler.py`` on the host, one for each key. Delays, encoder zeros and noise belong to
 the environment: ``robots_of(rng)`` gives the same robots.
 """
@@ -22,14 +22,14 @@ RANGES = Ranges.load(Path(__file__).with_name("ranges.json"))
 
 
 def robots_of(rng: jax.Array) -> dict[str, np.ndarray]:
-    """Name -> (n, ...) values of the robots that (n,) or (n, 2) keys give."""
+    """Return name -> (n, ...) values of the robots for (n,) or (n, 2) keys."""
     data = rng if jp.issubdtype(rng.dtype, jp.unsignedinteger) else jax.random.key_data(rng)
     keys = np.asarray(data).reshape(len(rng), -1)
     return RANGES.draw(len(keys), seed=[int(word) for word in keys.sum(axis=0) % 2**32])
 
 
 def domain_randomize(model, rng):
-    """The model with a leading axis in what varies, and which axes of it ``vmap`` maps.
+    """Return the model with a leading axis in varied fields, and the axes for ``vmap``.
 
     Args:
         model: ``mjx.Model`` of the robot that was checked.

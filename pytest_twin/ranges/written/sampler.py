@@ -1,4 +1,4 @@
-"""Draw robots from ``ranges.json`` beside this file. Needs numpy alone.
+"""Draw robots from ``ranges.json`` in the folder of this file. Requires numpy only.
 
     from sampler import Ranges
 
@@ -7,8 +7,8 @@
     robots["fore.mass"]                     # (4096,) kg
     robots["fore.inertia"]                  # (4096, 3, 3) kg*m^2 about the centre, body axes
 
-Everything in one row belongs to one robot: masses go with inertias, and what was measured
-together varies together. Draw once for each episode, and noise of the encoders for each sample.
+Values with the same index belong to one robot and are correlated as they were estimated. Draw a
+robot once for each episode, and encoder noise for each sample.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from statistics import NormalDist
 import numpy as np
 
 NEVER_NEGATIVE = 8.0
-"""Standard deviations from zero from which on no double is ever drawn below it."""
+"""Distance of the mean from zero, in standard deviations, above which a double-precision draw is
+never negative."""
 _below = np.vectorize(lambda x: 0.5 * math.erfc(-x / math.sqrt(2.0)), otypes=[float])
 _quantile = np.vectorize(NormalDist().inv_cdf, otypes=[float])
 
 
 class Ranges:
-    """The joint distribution of what varies from robot to robot.
+    """Joint distribution of the parameters that vary between robots.
 
     Args:
         document: the content of ``ranges.json``.
@@ -44,16 +45,16 @@ class Ranges:
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> Ranges:
-        """From a file; by default the one beside this."""
+        """Load a file; by default the one in the folder of this file."""
         path = path or Path(__file__).with_name("ranges.json")
         return cls(json.loads(Path(path).read_text(encoding="utf-8")))
 
     def draw(self, count: int, seed: int | None = None) -> dict[str, np.ndarray]:
-        """Robots: name -> (count, ...) values in SI units.
+        """Draw robots; return name -> (count, ...) values in SI units.
 
         Args:
-            count: robots.
-            seed: of the random numbers.
+            count: number of robots.
+            seed: seed of the random numbers.
         """
         random = np.random.default_rng(seed)
         normal = random.standard_normal((count, len(self.coordinates))) @ self._root.T
@@ -66,13 +67,13 @@ class Ranges:
         return found
 
     def noise(self, samples: int, seed: int | None = None) -> dict[str, np.ndarray]:
-        """Joint -> (samples,) noise of its encoder, rad or m, new for each sample."""
+        """Draw encoder noise; return joint -> (samples,) independent values, rad or m."""
         random = np.random.default_rng(seed)
         return {one["joint"]: one["std"] * random.standard_normal(samples)
                 for one in self.document["noise"]}  # fmt: skip
 
     def mujoco_fields(self, robots: dict[str, np.ndarray]) -> dict[str, dict[int, np.ndarray]]:
-        """Field of an ``mjModel`` -> index -> (count, ...) values, for the model that was checked.
+        """Return field of an ``mjModel`` -> index -> (count, ...) values, for the checked model.
 
         After writing them the model needs ``mj_setConst`` (or its counterpart in a simulator).
         """
@@ -94,7 +95,7 @@ class Ranges:
 
 
 def _values(one: dict, normal: np.ndarray) -> np.ndarray:
-    """Of the normal law, or of the one that is cut off at zero."""
+    """Values of the normal distribution, or of the normal distribution truncated at zero."""
     mean, std = one["mean"], one["std"]
     if one["law"] == "normal" or mean > NEVER_NEGATIVE * std:
         return mean + std * normal
@@ -104,7 +105,7 @@ def _values(one: dict, normal: np.ndarray) -> np.ndarray:
 
 
 def _body(body: dict, inertial: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """Mass, centre and inertia: pseudo-inertia R (A + S) R^T, without eigenvalues of no body."""
+    """Mass, centre and inertia of the pseudo-inertia R (A + S) R^T, with eigenvalues limited."""
     x = np.zeros((count, 10))
     for name, index in zip(body["coordinates"], body["index"], strict=True):
         x[:, index] = inertial[name]
@@ -126,7 +127,7 @@ def _body(body: dict, inertial: dict[str, np.ndarray], count: int) -> dict[str, 
 
 
 def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) moments, none larger than the sum of the other two, and (n, 3, 3) axes."""
+    """(n, 3) principal moments, none larger than the sum of the others, and (n, 3, 3) axes."""
     half = 0.5 * np.trace(inertia, axis1=1, axis2=2)
     second, axes = np.linalg.eigh(half[:, None, None] * np.eye(3) - inertia)
     second = second.clip(0.0)
@@ -135,8 +136,10 @@ def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    """(n, 4) w x y z of (n, 3, 3) rotations: eigenvectors of the largest eigenvalue (Bar-Itzhack,
-    Journal of Guidance, Control, and Dynamics 23, 2000).
+    """(n, 4) quaternions w x y z of (n, 3, 3) rotation matrices.
+
+    They are eigenvectors of the largest eigenvalue (Bar-Itzhack, Journal of
+    Guidance, Control, and Dynamics 23, 2000).
     """
     r = rotation
     k = np.zeros((len(r), 4, 4))
