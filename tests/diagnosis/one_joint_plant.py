@@ -45,7 +45,7 @@ def references(seconds: float, count: int) -> np.ndarray:
     return out * np.minimum(t / 0.5, 1.0)
 
 
-def swing(hidden: Hidden, seconds: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+def simulate(hidden: Hidden, seconds: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Simulate: (commands, recordings) commands and (states, recordings) positions, rad."""
     command = references(seconds, count)
     state = np.zeros((2, count))
@@ -75,7 +75,7 @@ def record(folder: Path, hidden: Hidden, seconds: float = 8.0, count: int = 5) -
     """Write a model and recordings into a folder; the last two are held out."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(MJCF)
-    command, position = swing(hidden, seconds, count)
+    command, position = simulate(hidden, seconds, count)
     position = position + NOISE * np.random.default_rng(7).standard_normal(position.shape)
     paths = []
     for k in range(count):

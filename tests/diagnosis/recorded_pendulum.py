@@ -1,7 +1,7 @@
-"""Reality for the tests: one pendulum with a servo, and a logger that does what loggers do.
+"""Simulated reality for the tests: one pendulum with a servo, and its logger.
 
-Nothing here comes from the package but the writer of recordings. The equation is integrated at
-10 kHz; the model that is diagnosed steps at 1 ms.
+The equation of motion is integrated at 10 kHz; the diagnosed model has a time step of 1 ms. Only
+the writer of recordings comes from the package.
 """
 
 from __future__ import annotations
@@ -33,19 +33,21 @@ MOTOR = '<motor name="a1" joint="j1"/>'
 
 @dataclass(frozen=True)
 class Reality:
-    """What the cell does; by default what the model says.
+    """Properties of the robot and its logger; by default those of the model.
 
     Attributes:
-        between: what the controller does between two logged commands.
-        command_period, state_period: s, of the log.
-        delay, lag: s, of the command and of the torque.
-        stiffness, damping, dry: of the servo and the joint, times the model's.
-        play: rad, half the dead zone of the servo's error.
-        effort: what the log has as effort: nothing, the torque that a sensor measures, or the one
-            that the controller demands.
-        effort_late: s by which the logged effort is older than its stamp.
-        velocity: the sensor's, differences of the logged positions, or these through a filter.
-        filtered: s, time constant of that filter.
+        between: how the controller interpolates between two logged commands.
+        command_period, state_period: sampling periods of the log, s.
+        delay, lag: of the command and of the torque, s.
+        stiffness, damping, dry: servo gains and dry friction, times those of the model.
+        viscous: additional viscous friction, N*m*s/rad.
+        play: half the dead zone of the servo's position error, rad.
+        effort: logged effort: none, the measured torque, or the torque that the controller demands.
+        effort_late: age of the logged effort at its stamp, s.
+        velocity: logged velocity: none, that of a sensor, or differences of the logged positions.
+        filtered: time constant of a low-pass filter on these differences, s; 0 for no filter.
+        noise: standard deviation of the logged positions, rad.
+        driven: whether the commands are efforts instead of positions.
     """
 
     between: Literal["held", "interpolated", "ramped"] = "held"
@@ -67,7 +69,7 @@ class Reality:
 
 
 def wanted(seed: int, time: np.ndarray) -> np.ndarray:
-    """(n,) rad: four sines, or moves at 3 rad/s between rests where the seed is odd."""
+    """(n,) setpoints, rad: four sines; with an odd seed, moves at 3 rad/s with rests between."""
     rng = np.random.default_rng(seed)
     if seed % 2:
         begins = np.arange(0.2, time[-1], 0.6)
@@ -85,7 +87,7 @@ def wanted(seed: int, time: np.ndarray) -> np.ndarray:
 
 
 def commanded(seed: int, reality: Reality, time: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Stamps and values of the logged commands, and what the controller follows at each time."""
+    """Stamps and values of the logged commands, and the setpoints at each time."""
     period = reality.command_period
     stamps = np.arange(0.0, time[-1] + period, period)
     values = wanted(seed, stamps)
@@ -102,8 +104,8 @@ def commanded(seed: int, reality: Reality, time: np.ndarray) -> tuple[np.ndarray
     return stamps, values, follows
 
 
-def swing(seed: int, reality: Reality, seconds: float) -> dict[str, np.ndarray]:
-    """The motion at every step: time, position, velocity, demand and torque."""
+def simulate(seed: int, reality: Reality, seconds: float) -> dict[str, np.ndarray]:
+    """Simulate the motion: time, position, velocity, demanded and actual torque at every step."""
     time = np.arange(0.0, seconds, STEP)
     stamps, values, follows = commanded(seed, reality, time)
     late = round(reality.delay / STEP)
@@ -125,7 +127,7 @@ def swing(seed: int, reality: Reality, seconds: float) -> dict[str, np.ndarray]:
         pull = torque + MASS * GRAVITY * LENGTH * np.sin(q) - (DAMPING + reality.viscous) * v
         level = DRY * reality.dry
         moved = v + STEP * pull / inertia
-        # Dry friction stops the joint, and never turns it round.
+        # Dry friction stops the joint, and does not reverse it.
         v = np.sign(moved) * max(abs(moved) - STEP * level / inertia, 0.0)
         q += STEP * v
     return {
@@ -141,16 +143,16 @@ def record(
     """Write a recording.
 
     Args:
-        path: of the MCAP file.
+        path: the MCAP file.
         seed: of motion and noise.
-        reality: what the cell does.
-        role: of the recording.
-        seconds: of motion.
-        late_stamp_ns: by how much one command stamp in the middle is late.
+        reality: properties of robot and logger.
+        role: role of the recording.
+        seconds: duration, s.
+        late_stamp_ns: error of one command stamp in the middle, ns.
     """
-    motion = swing(seed, reality, seconds)
+    motion = simulate(seed, reality, seconds)
     rng = np.random.default_rng(1000 + seed)
-    # A sample in the middle of a period meets no command on its way.
+    # States are sampled within a command period, not at the time of a command.
     first = 0.37 * reality.state_period
     stamp = np.arange(first, seconds - 2 * STEP, reality.state_period)
 
@@ -190,7 +192,7 @@ def record(
 def cell(
     folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3), seconds: float = 2.5
 ) -> tuple[Path, list[Path]]:
-    """The model and recordings, the last of them held out."""
+    """Write the model and recordings; the last one is held out."""
     folder.mkdir(parents=True, exist_ok=True)
     model = folder / "model.xml"
     model.write_text(MODEL.format(actuator=MOTOR if reality.driven else SERVO), "utf-8")

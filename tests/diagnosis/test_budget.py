@@ -1,4 +1,4 @@
-"""One budget for a whole diagnosis: when it is spent, the best so far is the result."""
+"""One budget of time and simulations for a diagnosis, which returns its best result at the end."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LEFT = JOINTS[:1]
 
 
 class Clock:
-    """Time that goes on by one second whenever it is read."""
+    """A clock that advances by 1 s at every reading."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -37,7 +37,7 @@ class Clock:
 
 
 @pytest.fixture
-def braked(tmp_path: Path) -> tuple[Realization, TrialSet]:
+def with_friction(tmp_path: Path) -> tuple[Realization, TrialSet]:
     """One joint with more viscous friction than its model."""
     (tmp_path / "model.xml").write_text(mjcf(LEFT))
     files = [record(tmp_path / f"{seed}.mcap", seed, joints=LEFT, viscous=0.1) for seed in range(3)]
@@ -46,16 +46,18 @@ def braked(tmp_path: Path) -> tuple[Realization, TrialSet]:
     return loaded.realization, trials
 
 
-@pytest.mark.parametrize("accepted", [0, 1], ids=["before its first step", "after an effect"])
-def test_a_search_that_is_stopped_ends_with_the_best_so_far(
-    braked: tuple[Realization, TrialSet], accepted: int
+@pytest.mark.parametrize(
+    "accepted", [0, 1], ids=["before the first step", "after the first effect"]
+)
+def test_a_stopped_search_returns_the_best_result_so_far(
+    with_friction: tuple[Realization, TrialSet], accepted: int
 ) -> None:
-    """Effects whose alternatives were not simulated are no surer than 80 %."""
+    """Effects whose alternatives were not simulated have a confidence of at most 80 %."""
     budget = Budget()
     run = Run(budget, Trace(lambda step: budget.stop() if step.decision == "accepted" else None))
     if not accepted:
         budget.stop()
-    found = diagnose(*braked, threads=1, run=run)
+    found = diagnose(*with_friction, threads=1, run=run)
     assert found.verdict in ("unexplained", "improved", "explained")
     assert set(found.errors) == {"left"}
     (note,) = [n for n in found.notes if n.startswith("the search ended early")]
@@ -65,7 +67,7 @@ def test_a_search_that_is_stopped_ends_with_the_best_so_far(
     assert all(f.parameters and f.held_out_gain > 0.5 for f in found.explained.findings)
 
 
-def test_the_search_ends_a_fifth_before_the_time_is_over() -> None:
+def test_the_search_ends_when_a_fifth_of_the_time_remains() -> None:
     clock = Clock()
     budget = Budget(seconds=100.0, clock=clock)
     clock.now = 100.0 * (1.0 - RESERVED) - 2.0
@@ -79,7 +81,7 @@ def test_the_search_ends_a_fifth_before_the_time_is_over() -> None:
     check()
 
 
-def test_a_search_leaves_time_for_the_comparison_with_other_sets() -> None:
+def test_the_search_leaves_time_for_the_comparison_with_other_sets_of_effects() -> None:
     clock = Clock()
     budget = Budget(seconds=100.0, clock=clock)
     clock.now = 100.0 * (1.0 - RESERVED - COMPARED) + 2.0
@@ -90,7 +92,7 @@ def test_a_search_leaves_time_for_the_comparison_with_other_sets() -> None:
     assert budget.was_short_of_time
 
 
-def test_no_bound_of_time_is_for_as_long_as_it_takes() -> None:
+def test_a_time_limit_of_zero_is_no_limit() -> None:
     clock = Clock()
     budget = Budget(seconds=0.0, clock=clock)
     clock.now = 1e9
@@ -98,8 +100,8 @@ def test_no_bound_of_time_is_for_as_long_as_it_takes() -> None:
     assert budget.left == np.inf
 
 
-def test_time_that_other_programs_take_is_not_counted_if_asked() -> None:
-    """Up to five times the time by the clock on the wall."""
+def test_time_that_other_programs_use_is_not_counted_on_request() -> None:
+    """The wall-clock time is still at most five times the time limit."""
     clock = Clock()
     strict, lenient = (Budget(100.0, clock=clock, own_time=own) for own in (False, True))
     clock.now += 200.0
@@ -109,8 +111,10 @@ def test_time_that_other_programs_take_is_not_counted_if_asked() -> None:
     assert lenient.is_out_of_time
 
 
-def test_work_is_shared_by_all_searches(braked: tuple[Realization, TrialSet]) -> None:
-    realization, trials = braked
+def test_all_searches_share_one_limit_of_simulations(
+    with_friction: tuple[Realization, TrialSet],
+) -> None:
+    realization, trials = with_friction
     problem = prepare(realization, trials.fit, (), threads=1).problem
     run = Run(Budget(simulations=20.0))
     run.budget.add(problem)
@@ -119,16 +123,18 @@ def test_work_is_shared_by_all_searches(braked: tuple[Realization, TrialSet]) ->
     assert not first.is_spent([])
     while run.budget.work <= 20.0:
         problem.residuals([first.nominal.hypothesis] * 10, problem.fit)
-    assert ModelComparison(problem, run).is_spent([]), "a second search has no budget of its own"
+    assert ModelComparison(problem, run).is_spent([]), (
+        "a second search must not have its own budget"
+    )
     assert run.attempt("more", lambda: "more", "the best so far") == "the best so far"
     (note,) = not_tried(run)
     assert "its 20 simulations of all data were used. Not tried: more" in note
 
 
-def test_no_effect_is_sure_whose_set_was_not_compared_with_others(
-    braked: tuple[Realization, TrialSet],
+def test_effects_of_a_set_that_was_not_compared_with_others_have_at_most_80_percent_confidence(
+    with_friction: tuple[Realization, TrialSet],
 ) -> None:
-    realization, trials = braked
+    realization, trials = with_friction
     prepared = prepare(realization, trials.fit, (), threads=1)
     found = search(prepared, trials, StepwiseSelection(prepared.problem, Run()))
     (term,) = found.selected.best.hypothesis.terms
@@ -138,13 +144,15 @@ def test_no_effect_is_sure_whose_set_was_not_compared_with_others(
     assert unsure.selected.best is found.selected.best
 
 
-def test_simulations_are_counted_in_the_result(braked: tuple[Realization, TrialSet]) -> None:
-    found = diagnose(*braked, threads=1)
+def test_the_result_contains_the_number_of_simulations_and_the_search_trace(
+    with_friction: tuple[Realization, TrialSet],
+) -> None:
+    found = diagnose(*with_friction, threads=1)
     assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
-    said = found.to_json(realization="realization/")
-    assert 10.0 < said["cost"]["simulations"] < 1200.0
-    steps = said["search_trace"]["steps"]
-    assert said["search_trace"]["left_out"] == 0
+    result = found.to_json(realization="realization/")
+    assert 10.0 < result["cost"]["simulations"] < 1200.0
+    steps = result["search_trace"]["steps"]
+    assert result["search_trace"]["left_out"] == 0
     taken = [s for s in steps if s["decision"] == "accepted"]
     assert taken
     assert taken[-1]["proposed"] == ["viscous_friction at left"]
@@ -154,7 +162,7 @@ def test_simulations_are_counted_in_the_result(braked: tuple[Realization, TrialS
     assert min(gains) > 5.0
 
 
-def test_a_trace_is_bounded_and_says_what_it_leaves_out() -> None:
+def test_a_trace_has_a_maximum_length_and_counts_the_omitted_steps() -> None:
     trace = Trace()
     step = Step("stage", "addition", (), None, (), None, "rejected", "why", 0.0, 0.0)
     for _ in range(MOST_STEPS + 7):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_behind_gears import fitted, with_true
+from test_elastic_transmissions import scored_model, single_effect
 from test_first_order import ELBOW, SHOULDER, problem_of
 
 from pytest_twin.arrays import FloatArray
@@ -32,7 +32,7 @@ def test_a_model_is_fitted_again_if_its_discretization_error_changes_its_predict
     problem: Problem, monkeypatch: pytest.MonkeyPatch, floors: float, fitted_again: bool
 ) -> None:
     comparison = ModelComparison(problem)
-    inaccurate = fitted(comparison, with_true(problem, DRAG, {"coefficient": 0.15}))
+    inaccurate = scored_model(comparison, single_effect(problem, DRAG, {"coefficient": 0.15}))
     first = int(problem.fit[0])
     shape = problem.simulator.segments[first].position.shape
     by = floors * problem.signal_floor[: shape[1]]
@@ -62,9 +62,9 @@ def test_only_models_with_similar_evidence_get_their_own_discretization_error(
 
     monkeypatch.setattr(ModelComparison, "fit_with_own_correction", record_model)
     weights = comparison.weights(comparison.nominal)
-    right = with_true(problem, DRAG, {"coefficient": 0.15})
+    right = single_effect(problem, DRAG, {"coefficient": 0.15})
     more = right.with_term(ELSEWHERE, np.array([1e-4]))
-    far = with_true(problem, DRY, {"coulomb": 0.2})
+    far = single_effect(problem, DRY, {"coulomb": 0.2})
     found = comparison.race([right, more, far], weights, comparison.nominal)
     assert sorted(corrected) == sorted([right.terms, more.terms])
     assert found[0].hypothesis.terms == right.terms

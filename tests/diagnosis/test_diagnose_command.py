@@ -1,4 +1,4 @@
-"""pytest-twin diagnose, end to end, on a reality that shares no code with it."""
+"""pytest-twin diagnose, end to end, on recordings of an independent simulation."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from pytest_twin.formats.schema import load_schema
 
 
 @pytest.fixture(scope="module")
-def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a diagnosis where one joint's commands come 20 ms late."""
-    folder = tmp_path_factory.mktemp("late")
+def delayed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a diagnosis of recordings with a command delay of 20 ms at one joint."""
+    folder = tmp_path_factory.mktemp("delayed")
     arguments = ["diagnose", "--seconds", "0", *case(folder, delay=0.02, joint=1)]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -32,13 +32,15 @@ def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def said(folder: Path) -> dict[str, Any]:
+def read_diagnosis(folder: Path) -> dict[str, Any]:
     loaded: dict[str, Any] = json.loads((folder / "out" / "diagnosis.json").read_text())
     return loaded
 
 
-def test_a_late_command_is_named_on_its_joint_with_the_delay_in_the_interval(late: Path) -> None:
-    found = said(late)
+def test_a_command_delay_is_found_at_its_joint_and_the_interval_contains_the_true_value(
+    delayed: Path,
+) -> None:
+    found = read_diagnosis(delayed)
     assert (found["schema"], found["verdict"]) == (1, "explained")
     (finding,) = found["findings"]
     assert (finding["effect"], finding["joint"]) == ("command_delay", "right")
@@ -54,12 +56,12 @@ def test_a_late_command_is_named_on_its_joint_with_the_delay_in_the_interval(lat
     assert isinstance(finding["next_test"], str)
 
 
-def test_the_result_fits_its_schema(late: Path) -> None:
-    jsonschema.validate(said(late), load_schema("results/diagnosis.schema.json"))
+def test_the_diagnosis_result_is_valid_against_its_schema(delayed: Path) -> None:
+    jsonschema.validate(read_diagnosis(delayed), load_schema("results/diagnosis.schema.json"))
 
 
-def test_errors_are_of_the_recording_that_no_fit_saw(late: Path) -> None:
-    found = said(late)
+def test_errors_are_those_of_the_held_out_recording(delayed: Path) -> None:
+    found = read_diagnosis(delayed)
     assert set(found["held_out"]) == set(JOINTS)
     right, left = found["held_out"]["right"], found["held_out"]["left"]
     assert right["unit"] == "rad"
@@ -69,38 +71,40 @@ def test_errors_are_of_the_recording_that_no_fit_saw(late: Path) -> None:
     assert found["trials"]["held_out"] == ["held_out3.mcap"]
 
 
-def test_the_patched_model_is_plain_mjcf_and_the_asset_stays(late: Path) -> None:
-    folder = late / "out" / said(late)["realization"]
+def test_the_patched_model_is_plain_mjcf_and_the_nominal_model_is_not_changed(
+    delayed: Path,
+) -> None:
+    folder = delayed / "out" / read_diagnosis(delayed)["realization"]
     model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
-    delay = said(late)["findings"][0]["parameters"]["delay"]["value"]
+    delay = read_diagnosis(delayed)["findings"][0]["parameters"]["delay"]["value"]
     assert model.actuator_delay.tolist() == pytest.approx([0.0, delay], rel=1e-5)
     data = mujoco.MjData(model)
     data.ctrl[:] = 0.3
     for _ in range(500):
         mujoco.mj_step(model, data)
     assert np.isfinite(data.qpos).all()
-    nominal = mujoco.MjModel.from_xml_path(str(late / "model.xml"))
+    nominal = mujoco.MjModel.from_xml_path(str(delayed / "model.xml"))
     assert nominal.actuator_delay.tolist() == [0.0, 0.0]
 
 
-def test_replay_of_the_folder_is_what_the_diagnosis_predicted(late: Path) -> None:
-    out = late / "predicted.mcap"
-    assert cli.main(["replay", str(late / "out"), str(late / "held_out3.mcap"),
+def test_a_replay_of_the_patched_model_has_the_reported_error(delayed: Path) -> None:
+    out = delayed / "predicted.mcap"
+    assert cli.main(["replay", str(delayed / "out"), str(delayed / "held_out3.mcap"),
                      "--out", str(out)]) == 0  # fmt: skip
     position = read_recording(out).series["state"].position
-    measured = read_recording(late / "held_out3.mcap").series["state"].position
+    measured = read_recording(delayed / "held_out3.mcap").series["state"].position
     assert position is not None
     assert measured is not None
     rms = np.sqrt(np.mean((position - measured) ** 2, axis=0))
     for joint, value in zip(JOINTS, rms, strict=True):
-        error = said(late)["held_out"][joint]
+        error = read_diagnosis(delayed)["held_out"][joint]
         assert abs(value - error["rms_after"]) < 0.02 * error["floor"]
 
 
-def test_the_report_needs_nothing_but_itself(late: Path) -> None:
-    page = (late / "out" / "report.html").read_text()
+def test_the_diagnosis_report_is_one_page_without_external_files(delayed: Path) -> None:
+    page = (delayed / "out" / "report.html").read_text()
     assert "command delay at joint right" in page
-    responses = said(late)["frequency_response"]
+    responses = read_diagnosis(delayed)["frequency_response"]
     assert {one["joint"] for one in responses} == set(JOINTS)
     assert page.count("data:image/svg+xml;base64,") == 2 + len(responses)
     assert not re.search(r"(src|href)=\"(?!data:)", page)
@@ -108,40 +112,40 @@ def test_the_report_needs_nothing_but_itself(late: Path) -> None:
     assert page.index("Explained") < page.index("Findings")
 
 
-def test_nothing_else_is_left_where_the_user_stands(late: Path) -> None:
-    found = {p.name for p in late.iterdir() if p.stem != "predicted"}
+def test_the_command_writes_no_file_outside_its_output_folder(delayed: Path) -> None:
+    found = {p.name for p in delayed.iterdir() if p.stem != "predicted"}
     assert found == {"model.xml", "fit1.mcap", "fit2.mcap", "held_out3.mcap", "out"}
 
 
-def test_diagnosing_the_patched_model_finds_nothing_more(
-    late: Path, capsys: pytest.CaptureFixture[str]
+def test_a_diagnosis_of_the_patched_model_finds_no_further_effect(
+    delayed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = [
         "diagnose",
         "--seconds",
         "0",
-        str(late / "out"),
-        str(late / "fit1.mcap"),
-        str(late / "held_out3.mcap"),
+        str(delayed / "out"),
+        str(delayed / "fit1.mcap"),
+        str(delayed / "held_out3.mcap"),
     ]
-    assert cli.main([*words, "--out", str(late / "again")]) == 0
-    found = json.loads((late / "again" / "diagnosis.json").read_text())
+    assert cli.main([*words, "--out", str(delayed / "again")]) == 0
+    found = json.loads((delayed / "again" / "diagnosis.json").read_text())
     assert found["verdict"] == "no_mismatch"
-    kept = json.loads((late / "again" / "realization" / "effects.json").read_text())
+    kept = json.loads((delayed / "again" / "realization" / "effects.json").read_text())
     assert [(e["effect"], e["joint"]) for e in kept["effects"]] == [("command_delay", "right")]
     assert "No mismatch" in capsys.readouterr().out
-    for path in (late / "again").rglob("*"):
+    for path in (delayed / "again").rglob("*"):
         if path.is_file():
             path.unlink()
-    for folder in sorted((late / "again").rglob("*"), reverse=True):
+    for folder in sorted((delayed / "again").rglob("*"), reverse=True):
         folder.rmdir()
-    (late / "again").rmdir()
+    (delayed / "again").rmdir()
 
 
-def test_viscous_friction_is_named_with_its_coefficient(tmp_path: Path) -> None:
+def test_viscous_friction_is_found_with_its_coefficient(tmp_path: Path) -> None:
     arguments = case(tmp_path, joints=("left",), viscous=0.12)
     assert cli.main(["diagnose", "--seconds", "0", *arguments, "--out", str(tmp_path / "out")]) == 0
-    (finding,) = said(tmp_path)["findings"]
+    (finding,) = read_diagnosis(tmp_path)["findings"]
     assert (finding["effect"], finding["joint"]) == ("viscous_friction", "left")
     coefficient = finding["parameters"]["coefficient"]
     assert coefficient["unit"] == "N*m*s/rad"
@@ -150,14 +154,14 @@ def test_viscous_friction_is_named_with_its_coefficient(tmp_path: Path) -> None:
     assert model.dof_damping[0] == pytest.approx(0.05 + coefficient["value"], rel=1e-4)
 
 
-def test_nothing_hidden_is_no_mismatch(tmp_path: Path) -> None:
+def test_recordings_of_the_nominal_model_have_no_mismatch(tmp_path: Path) -> None:
     arguments = case(tmp_path, joints=("left",))
     assert cli.main(["diagnose", "--seconds", "0", *arguments, "--out", str(tmp_path / "out")]) == 0
-    found = said(tmp_path)
+    found = read_diagnosis(tmp_path)
     assert (found["verdict"], found["findings"], found["unexplained"]) == ("no_mismatch", [], {})
 
 
-def test_one_recording_alone_is_said_to_be_untested(tmp_path: Path) -> None:
+def test_a_note_says_that_findings_of_a_single_recording_are_not_tested(tmp_path: Path) -> None:
     (tmp_path / "model.xml").write_text(case(tmp_path, joints=("left",)) and (
         tmp_path / "model.xml").read_text())  # fmt: skip
     only = record(tmp_path / "only.mcap", 5, joints=("left",), viscous=0.12)
@@ -171,7 +175,7 @@ def test_one_recording_alone_is_said_to_be_untested(tmp_path: Path) -> None:
     assert any("those of the fitted recordings" in note for note in found.notes)
 
 
-def test_the_result_for_programs_is_the_file_that_is_written(
+def test_the_json_output_equals_the_written_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = case(tmp_path, joints=("left",))
@@ -191,5 +195,5 @@ def test_the_result_for_programs_is_the_file_that_is_written(
         == 0
     )
     out, err = capsys.readouterr()
-    assert json.loads(out) == said(tmp_path)
+    assert json.loads(out) == read_diagnosis(tmp_path)
     assert "No mismatch" in err

@@ -1,4 +1,4 @@
-"""A golden that fails against its recording says what it looks like; the patched model passes."""
+"""Diagnosis of goldens that fail against their recordings; with the patched model they pass."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ tolerance: {{angle_rms: 3 mrad}}
 
 
 def run(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """pytest in a twin's folder, as a user starts it."""
+    """Run pytest in the folder of a twin, as a user does."""
     hidden = ("CI", "TWIN_SIGNING_KEY", "PYTEST_ADDOPTS")
     environment = {k: v for k, v in os.environ.items() if k not in hidden}
     return subprocess.run(
@@ -38,7 +38,7 @@ def run(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def twin(root: Path, **hidden: float) -> Path:
-    """A twin of one joint with three recordings of its reality and a golden for each of two."""
+    """Write a twin with one joint and three recordings of its robot; two of them have a golden."""
     recordings = root / "recordings"
     case(recordings, joints=JOINTS, **hidden)
     (recordings / "model.xml").rename(root / "model.xml")
@@ -53,22 +53,22 @@ def twin(root: Path, **hidden: float) -> Path:
 
 
 @pytest.fixture(scope="module")
-def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A twin whose commands arrive 20 ms late in reality."""
-    return twin(tmp_path_factory.mktemp("late") / "arm", delay=0.02)
+def delayed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A twin of a robot with a command delay of 20 ms."""
+    return twin(tmp_path_factory.mktemp("delayed") / "arm", delay=0.02)
 
 
-def quick(text: str) -> list[str]:
+def quick_diagnoses(text: str) -> list[str]:
     return re.findall(r"^  diagnosis \(quick\): (.*)$", text, re.MULTILINE)
 
 
-def test_a_failure_says_in_one_line_what_it_looks_like(late: Path) -> None:
-    result = run(late)
+def test_a_failed_replay_names_the_likely_effect_in_one_line(delayed: Path) -> None:
+    result = run(delayed)
     assert result.returncode == 1
-    lines = quick(result.stdout)
+    lines = quick_diagnoses(result.stdout)
     assert len(lines) == 2
     for line in lines:
-        # How sure it is depends on the recording: alone at 90 % at most, or with its alternative.
+        # The confidence depends on the recording: at most 90 % alone, or with an alternative.
         found = re.fullmatch(
             r"(?:probably command delay at joint elbow: command delay about (\d+) ms; "
             r"confidence (\d+) %; correcting it"
@@ -82,29 +82,31 @@ def test_a_failure_says_in_one_line_what_it_looks_like(late: Path) -> None:
         assert int(alone or hedged) in (19, 20, 21)
         assert alone is None or 50 <= int(confidence) <= 90
         assert int(removed) >= 95
-    page = (late / ".twin" / "report.html").read_text()
+    page = (delayed / ".twin" / "report.html").read_text()
     named = re.findall(
         r"Diagnosis \(quick\): (?:probably|could be) command delay at joint elbow", page
     )
     assert len(named) == 2
-    assert not (late / ".twin" / "diagnosis").exists()
+    assert not (delayed / ".twin" / "diagnosis").exists()
 
 
-def test_friction_is_named_and_what_passes_says_nothing(tmp_path: Path) -> None:
+def test_friction_is_named_for_the_failed_golden_only(tmp_path: Path) -> None:
     root = twin(tmp_path / "arm", viscous=0.05)
     golden = root / "golden" / "replay" / "fit1.yaml"
     golden.write_text(golden.read_text().replace("3 mrad", "3000 mrad"))
     result = run(root)
     assert "1 failed, 1 passed" in result.stdout
-    (line,) = quick(result.stdout)
+    (line,) = quick_diagnoses(result.stdout)
     assert line.startswith("could be viscous friction at joint elbow (viscous friction about 0.0")
     assert "or controller gain at joint elbow;" in line
 
 
-def test_a_look_that_fails_stays_one_line(late: Path, tmp_path: Path) -> None:
+def test_a_quick_diagnosis_that_raises_an_error_prints_one_line(
+    delayed: Path, tmp_path: Path
+) -> None:
     root = tmp_path / "arm"
-    shutil.copytree(late, root)
-    (root / "broken_look.py").write_text(
+    shutil.copytree(delayed, root)
+    (root / "broken_diagnosis.py").write_text(
         "from pytest_twin.gate.runner import Runner\n"
         "call = Runner._call\n"
         "def other(self, function, *rest, **more):\n"
@@ -112,32 +114,32 @@ def test_a_look_that_fails_stays_one_line(late: Path, tmp_path: Path) -> None:
         "    return call(self, name, *rest, **more)\n"
         "Runner._call = other\n"
     )
-    result = run(root, "-p", "broken_look")
+    result = run(root, "-p", "broken_diagnosis")
     assert "2 failed" in result.stdout
-    for line in quick(result.stdout):
+    for line in quick_diagnoses(result.stdout):
         assert line.startswith("could not be made: ")
         assert "no_such" in line
 
 
-def diagnosed_copy(late: Path, folder: Path, *arguments: str) -> tuple[Path, str]:
-    """A copy of the twin after a full diagnosis, and what the run said."""
+def diagnosed_copy(delayed: Path, folder: Path, *arguments: str) -> tuple[Path, str]:
+    """A copy of the twin after a full diagnosis, and the output of the run."""
     root = folder / "arm"
-    shutil.copytree(late, root)
+    shutil.copytree(delayed, root)
     shutil.rmtree(root / ".twin", ignore_errors=True)
     return root, run(root, "--twin-diagnose", *arguments).stdout
 
 
 @pytest.fixture(scope="module")
-def diagnosed(late: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    return diagnosed_copy(late, tmp_path_factory.mktemp("diagnosed"))
+def diagnosed(delayed: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    return diagnosed_copy(delayed, tmp_path_factory.mktemp("diagnosed"))
 
 
 def assert_attached(root: Path, text: str) -> None:
     assert "2 failed" in text
     folder = root / ".twin" / "diagnosis" / "mujoco"
-    said = json.loads((folder / "diagnosis.json").read_text())
-    assert [f["effect"] for f in said["findings"]] == ["command_delay"]
-    assert said["trials"] == {
+    diagnosis = json.loads((folder / "diagnosis.json").read_text())
+    assert [f["effect"] for f in diagnosis["findings"]] == ["command_delay"]
+    assert diagnosis["trials"] == {
         "fit": ["fit1.mcap"],
         "validation": [],
         "held_out": ["held_out3.mcap"],
@@ -153,15 +155,15 @@ def assert_attached(root: Path, text: str) -> None:
     assert page.count('<a href="diagnosis/mujoco/report.html">Full diagnosis</a>') == 2
 
 
-def test_the_full_diagnosis_is_attached(diagnosed: tuple[Path, str]) -> None:
+def test_the_full_diagnosis_is_attached_to_the_failures(diagnosed: tuple[Path, str]) -> None:
     assert_attached(*diagnosed)
 
 
-def test_with_xdist_the_controller_diagnoses(late: Path, tmp_path: Path) -> None:
-    assert_attached(*diagnosed_copy(late, tmp_path, "-n", "2"))
+def test_with_xdist_the_controller_makes_the_diagnosis(delayed: Path, tmp_path: Path) -> None:
+    assert_attached(*diagnosed_copy(delayed, tmp_path, "-n", "2"))
 
 
-def test_the_patched_model_passes_where_the_model_failed(
+def test_the_patched_model_passes_where_the_nominal_model_failed(
     diagnosed: tuple[Path, str], tmp_path: Path
 ) -> None:
     root = tmp_path / "arm"
@@ -179,7 +181,7 @@ def test_the_patched_model_passes_where_the_model_failed(
         assert not (line.startswith("FAILED") and "patched" in line)
 
 
-def test_a_twin_stands_on_the_patched_model_and_feels_its_effects(
+def test_goldens_of_a_patched_model_are_stale_when_its_effects_change(
     diagnosed: tuple[Path, str], tmp_path: Path
 ) -> None:
     root = tmp_path / "arm"
@@ -193,7 +195,7 @@ def test_a_twin_stands_on_the_patched_model_and_feels_its_effects(
     effects.write_text(effects.read_text().replace('"delay": 0.0', '"delay": 0.01'))
     text = run(root).stdout
     assert "2 stale" in text, text
-    assert "2 passed" in text, "the MJCF holds the delay, this file only says so"
+    assert "2 passed" in text, "the MJCF contains the delay, and effects.json only documents it"
     model = root / "why" / "realization" / "model.xml"
     delayed, count = re.subn(r' delay="0\.0[^"]*"', ' delay="0.01"', model.read_text())
     assert count == 1

@@ -21,7 +21,7 @@ from two_pendulums import (
     mjcf,
     record,
     reference,
-    swing,
+    simulate,
     write,
 )
 
@@ -43,7 +43,7 @@ class Bench:
         (folder / "model.xml").write_text(mjcf())
         self.loaded = load_model(folder / "model.xml")
         wanted = reference(7, 1.5, 2)
-        moved = swing(wanted)
+        moved = simulate(wanted)
         at, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
         noise = 1e-4 * np.random.default_rng(0).standard_normal((len(seen), 2))
         self.sent_at, self.sent = at * STEP, wanted[at]
@@ -201,7 +201,7 @@ def test_a_servo_that_nobody_commands_is_no_mismatch(bench: Bench) -> None:
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
         wanted = reference(seed, 4.0, 2)
         wanted[:, 1] = 0.4
-        moved = swing(wanted)
+        moved = simulate(wanted)
         settled = round(2.0 / STEP)
         wanted, moved = wanted[settled:], moved[settled:]
         sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
@@ -232,7 +232,7 @@ def test_a_recording_may_begin_amid_a_motion(bench: Bench, late: float) -> None:
     files = []
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
         wanted = reference(seed, 3.0, 2)
-        moved = swing(wanted)
+        moved = simulate(wanted)
         begun = round(1.0 / STEP)
         wanted, moved = wanted[begun:], moved[begun:]
         sent, seen = np.arange(round(late / STEP), len(wanted), 100), np.arange(0, len(wanted), 50)
@@ -455,10 +455,10 @@ def test_a_recording_on_which_the_model_diverges_is_left_out(tmp_path: Path) -> 
         "model: model.xml\ncontrollers: {usual: {}, wild: {left: {kp: 1.0e+9, kv: 0}}}\n"
     )
     usual = [
-        record(tmp_path / f"{k}.mcap", k, viscous=0.12, told={"controller": "usual"})
+        record(tmp_path / f"{k}.mcap", k, viscous=0.12, metadata={"controller": "usual"})
         for k in range(2)
     ]
-    odd = record(tmp_path / "odd.mcap", 2, told={"controller": "wild"})
+    odd = record(tmp_path / "odd.mcap", 2, metadata={"controller": "wild"})
     loaded = load_model(tmp_path / "twin.yaml")
 
     def trials(*fit: Path) -> TrialSet:

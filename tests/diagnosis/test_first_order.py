@@ -258,7 +258,7 @@ def test_a_push_that_outlasts_the_recording_answers_once() -> None:
     assert len(each) == len(term.parameters[1].starts)
 
 
-def look(problem: Problem) -> NormalEquations:
+def normal_equations(problem: Problem) -> NormalEquations:
     """Every candidate of the catalogue, around the model as it came."""
     answers, left = sensitivities(problem, candidates(problem), problem.fit)
     lengths = bins(problem, problem.fit).lengths
@@ -282,12 +282,12 @@ def test_one_effect_comes_first_and_starts_near_the_truth(
 ) -> None:
     hidden = {term: values}
     problem = problem_of(mode, hidden)
-    lens = look(problem)
-    level = np.sqrt(np.mean(lens.view.residual**2, axis=0)) / lens.view.floor
+    equations = normal_equations(problem)
+    level = np.sqrt(np.mean(equations.view.residual**2, axis=0)) / equations.view.floor
     assert level.max() > 10.0, "too small to be found by more than luck"
-    children = [lens.structure(chosen) for chosen in lens.children(lens.bare, 12)]
+    children = [equations.structure(chosen) for chosen in equations.children(equations.bare, 12)]
     ahead: list[Term] = []
-    for structure in lens.compared(lens.bare, children):
+    for structure in equations.compared(equations.bare, children):
         ((found, start),) = structure.starts.items()
         if found == term:
             assert_near(problem, term, start, hidden)
@@ -308,8 +308,8 @@ def test_a_push_is_found_when_it_was() -> None:
     term = Term("external_force", SHOULDER)
     mode, _, values = next(a for a in ALONE if a[1] == term)
     problem = problem_of(mode, {term: values})
-    lens = look(problem)
-    first = lens.structure(lens.children(lens.bare, 1)[0])
+    equations = normal_equations(problem)
+    first = equations.structure(equations.children(equations.bare, 1)[0])
     for p, found in zip(term.parameters, first.starts[term], strict=True):
         if p.neutral is None:
             truth = values[p.name] / problem.scales.value(p, term.joint)
@@ -321,9 +321,9 @@ def test_a_push_is_found_when_it_was() -> None:
 def test_friction_that_varies_over_the_turn_has_its_period(harmonic: float) -> None:
     term = Term("position_dependent_friction", SHOULDER)
     hidden = {term: {"mean": 0.5, "sine": 0.2, "cosine": 0.3, "harmonic": harmonic}}
-    lens = look(problem_of("position", hidden))
-    children = [lens.structure(chosen) for chosen in lens.children(lens.bare, 12)]
-    ((first, start),) = lens.compared(lens.bare, children)[0].starts.items()
+    equations = normal_equations(problem_of("position", hidden))
+    children = [equations.structure(chosen) for chosen in equations.children(equations.bare, 12)]
+    ((first, start),) = equations.compared(equations.bare, children)[0].starts.items()
     assert first == term
     assert start[3] == harmonic
 
@@ -349,21 +349,21 @@ PAIRS: list[tuple[str, dict[Term, dict[str, float]]]] = [
 @pytest.mark.parametrize(("mode", "hidden"), PAIRS, ids=[m for m, _ in PAIRS])
 def test_two_effects_are_found_together(mode: str, hidden: dict[Term, dict[str, float]]) -> None:
     problem = problem_of(mode, hidden)
-    lens = look(problem)
+    equations = normal_equations(problem)
 
     def worth(before: FloatArray, after: FloatArray) -> bool:
         return bool((after < 0.9 * before).any())
 
-    levels = BeamSearch(width=6, most=2, earns=5.0, worth=worth).levels(lens)
+    levels = BeamSearch(width=6, most=2, earns=5.0, worth=worth).levels(equations)
     pairs = [s for level in levels for s in level if len(s.starts) == 2]
     at = next(i for i, s in enumerate(pairs) if set(s.starts) == set(hidden))
     allowed = {*hidden, *(held for t in hidden for held in held_by(problem, t))}
     assert all(set(s.starts) <= allowed for s in pairs[:at])
     for term, start in pairs[at].starts.items():
         assert_near(problem, term, start, hidden)
-    ones: list[Structure] = [lens.structure(c) for c in lens.children(lens.bare, 6)]
-    best = lens.compared(lens.bare, ones)[0]
-    assert lens.compared(best, [pairs[at]])[0].evidence > 20.0
+    ones: list[Structure] = [equations.structure(c) for c in equations.children(equations.bare, 6)]
+    best = equations.compared(equations.bare, ones)[0]
+    assert equations.compared(best, [pairs[at]])[0].evidence > 20.0
 
 
 # -- the equation of small deviations

@@ -1,4 +1,4 @@
-"""Where motors behind gears that give start is free under velocity servos, which keep it."""
+"""Free initial positions of motors behind elastic transmissions with velocity servos."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pytest_twin.effects.segment import Segment
 JOINTS = ("wheel",)
 STIFFNESS, DAMPING_TIME, GAP = 6.0, 0.02, 0.05
 SHIFT = 0.1
-"""rad by which the motor starts elsewhere than the model has it."""
+"""Shift of the initial motor position from that of the model, rad."""
 NOISE, SECONDS = 1e-4, 4.0
 EFFORT = 0.5
 SCALES = Scales({"one": np.ones(1), "compliance": np.ones(1), "position": np.ones(1),
@@ -34,13 +34,13 @@ WHEEL = """
   <actuator><velocity name="wheel" joint="wheel" kv="5"/></actuator>
 </mujoco>
 """
-SOFT = Hypothesis((Term("joint_elasticity", 0),), np.array([1.0 / STIFFNESS, DAMPING_TIME]))
+ELASTICITY = Hypothesis((Term("joint_elasticity", 0),), np.array([1.0 / STIFFNESS, DAMPING_TIME]))
 
-PLAY = Hypothesis((Term("backlash", 0),), np.array([GAP, 0.01]))
+BACKLASH = Hypothesis((Term("backlash", 0),), np.array([GAP, 0.01]))
 
 
-def resting(seconds: float = SECONDS) -> Segment:
-    """The wheel is told to rest, then to turn to and fro."""
+def segment_from_rest(seconds: float = SECONDS) -> Segment:
+    """A segment in which the wheel is commanded to rest for 1 s, then to oscillate."""
     time = 0.005 * np.arange(round(seconds / 0.005), dtype=np.float64)
     command = np.where(time < 1.0, 0.0, np.sin(2.0 * np.pi * time))[:, None]
     return Segment(
@@ -55,92 +55,102 @@ def position(segment: Segment, hypothesis: Hypothesis) -> FloatArray:
     return BatchSimulator([segment], JOINTS, threads=1).simulate(np.array([0]), values)[0].position
 
 
-def test_a_link_follows_its_motor_to_where_that_starts() -> None:
-    segment = resting()
-    moved = position(replace(segment, motor_shift=np.full(1, SHIFT)), SOFT)
-    there = position(segment, SOFT)
-    # The servo resists at 5 N m s/rad: most of what the gear is stretched by moves the link, and
-    # that turns with sqrt(k / J), damped.
-    early = (moved - there)[segment.time > 0.0][0, 0]
+def test_a_link_moves_to_the_shifted_initial_position_of_its_motor() -> None:
+    segment = segment_from_rest()
+    shifted = position(replace(segment, motor_shift=np.full(1, SHIFT)), ELASTICITY)
+    unshifted = position(segment, ELASTICITY)
+    # The servo damps the motor with 5 N m s/rad, so the deflected transmission moves mainly the
+    # link, in a damped oscillation with sqrt(k / J).
+    early = (shifted - unshifted)[segment.time > 0.0][0, 0]
     assert abs(early) < 0.1 * SHIFT
-    late = (moved - there)[-1, 0]
-    # No force acts from outside: momentum ends where it began, so that what the motor's drive did,
-    # kv times its way, is nothing: the motor is back where it was put, and the link with it.
+    late = (shifted - unshifted)[-1, 0]
+    # Without external forces, the final momentum equals the initial one. The impulse of the servo,
+    # kv times the motor's travel, is therefore zero: motor and link end at the shifted position.
     assert late == pytest.approx(SHIFT, rel=1e-2)
     assert position(segment, EMPTY)[-1, 0] == pytest.approx(
         position(replace(segment, motor_shift=np.full(1, SHIFT)), EMPTY)[-1, 0], abs=1e-12
-    ), "without a gear that gives the motor is where the link is"
+    ), "a shift must have no influence with a rigid transmission"
 
 
 def recorded(segment: Segment, hypothesis: Hypothesis, shift: float, seed: int = 3) -> Segment:
-    """What the sensor reads where the motor starts shifted."""
-    there = position(replace(segment, motor_shift=np.full(1, shift)), hypothesis)
-    noise = NOISE * np.random.default_rng(seed).standard_normal(there.shape)
-    return replace(segment, position=there + noise)
+    """The segment with noisy positions of a motion whose motor starts with a shift, rad."""
+    unshifted = position(replace(segment, motor_shift=np.full(1, shift)), hypothesis)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(unshifted.shape)
+    return replace(segment, position=unshifted + noise)
 
 
-def starts(segment: Segment, hypothesis: Hypothesis) -> FreeInitialStates:
+def estimated_starts(segment: Segment, hypothesis: Hypothesis) -> FreeInitialStates:
     return free_initial_states([segment], JOINTS, np.full(1, NOISE), 1, hypothesis, SCALES)
 
 
-def left(segment: Segment, around: FreeInitialStates, hypothesis: Hypothesis) -> float:
-    """In deviations of a sample."""
-    predicted = position(replace(segment, motor_shift=around.motor_shifts.get(0)), hypothesis)
-    off = around.free[0].freed(segment.position - predicted)
-    return float(np.sqrt(np.mean(off**2))) / NOISE
+def residual_in_floors(
+    segment: Segment, free_starts: FreeInitialStates, hypothesis: Hypothesis
+) -> float:
+    """RMS residual with the free initial state, in standard deviations of the noise."""
+    predicted = position(replace(segment, motor_shift=free_starts.motor_shifts.get(0)), hypothesis)
+    residual = free_starts.free[0].freed(segment.position - predicted)
+    return float(np.sqrt(np.mean(residual**2))) / NOISE
 
 
-@pytest.mark.parametrize("hypothesis", [SOFT, PLAY], ids=["soft", "play"])
+@pytest.mark.parametrize(
+    "hypothesis", [ELASTICITY, BACKLASH], ids=["elastic transmission", "backlash"]
+)
 @pytest.mark.parametrize("share", [-0.8, 0.3, 0.8])
-def test_a_motor_is_found_where_it_started(hypothesis: Hypothesis, share: float) -> None:
-    segment = resting()
-    shift = share * (EFFORT / STIFFNESS if hypothesis is SOFT else 0.5 * GAP)
+def test_the_initial_position_of_a_motor_is_estimated(hypothesis: Hypothesis, share: float) -> None:
+    segment = segment_from_rest()
+    shift = share * (EFFORT / STIFFNESS if hypothesis is ELASTICITY else 0.5 * GAP)
     segment = recorded(segment, hypothesis, shift)
-    around = starts(segment, hypothesis)
-    # A flank is met in one step or the next.
-    assert left(segment, around, hypothesis) < 1.5
-    assert around.motor_shifts[0] == pytest.approx(shift, abs=2e-3)
-    links = starts(segment, EMPTY)
-    assert not links.motor_shifts
-    assert left(segment, links, hypothesis) > 30.0, "links alone do not explain it"
+    free_starts = estimated_starts(segment, hypothesis)
+    # Contact of the teeth begins at a time step, so the residual is not exactly noise.
+    assert residual_in_floors(segment, free_starts, hypothesis) < 1.5
+    assert free_starts.motor_shifts[0] == pytest.approx(shift, abs=2e-3)
+    link_only = estimated_starts(segment, EMPTY)
+    assert not link_only.motor_shifts
+    assert residual_in_floors(segment, link_only, hypothesis) > 30.0, (
+        "a free position of the link alone must not explain the motion"
+    )
 
 
-def test_every_start_is_known_as_well_as_its_own_samples_say() -> None:
-    """Recordings of one set may be of different rates."""
-    slow = resting()
+def test_the_initial_state_of_a_segment_does_not_depend_on_the_sampling_rate_of_others() -> None:
+    """Recordings of one set may have different sampling rates."""
+    slow = segment_from_rest()
     fast = replace(
         slow, time=slow.time / 10.0, position=slow.position[:, :1], command_time=slow.time / 10.0
     )
     together = free_initial_states([slow, fast], JOINTS, np.full(1, NOISE), 1, EMPTY, SCALES).free
     for k, segment in enumerate((slow, fast)):
-        (alone,) = starts(segment, EMPTY).free.values()
+        (alone,) = estimated_starts(segment, EMPTY).free.values()
         assert together[k].solve == pytest.approx(alone.solve)
 
 
-def test_an_effect_under_every_hypothesis_frees_starts_as_one_of_it() -> None:
-    segment = recorded(resting(), SOFT, 0.5 * EFFORT / STIFFNESS)
-    fixed = effect_values([SOFT], 1, SCALES)
+def test_an_inherited_transmission_frees_the_initial_state_like_one_of_the_hypothesis() -> None:
+    segment = recorded(segment_from_rest(), ELASTICITY, 0.5 * EFFORT / STIFFNESS)
+    fixed = effect_values([ELASTICITY], 1, SCALES)
     noise = np.full(1, NOISE)
-    beside = free_initial_states([segment], JOINTS, noise, 1, EMPTY, SCALES, fixed)
-    named = starts(segment, SOFT)
-    assert beside.motor_shifts[0] == pytest.approx(named.motor_shifts[0], rel=1e-9)
-    assert beside.free[0].response == pytest.approx(named.free[0].response, rel=1e-9)
+    inherited = free_initial_states([segment], JOINTS, noise, 1, EMPTY, SCALES, fixed)
+    searched = estimated_starts(segment, ELASTICITY)
+    assert inherited.motor_shifts[0] == pytest.approx(searched.motor_shifts[0], rel=1e-9)
+    assert inherited.free[0].response == pytest.approx(searched.free[0].response, rel=1e-9)
 
 
-def test_a_motor_starts_within_a_few_stretches_of_its_gear() -> None:
+def test_the_initial_shift_of_a_motor_is_at_most_three_deflections_of_its_transmission() -> None:
     far = 40.0 * EFFORT / STIFFNESS
-    found = starts(recorded(resting(), SOFT, far), SOFT).motor_shifts[0]
+    found = estimated_starts(
+        recorded(segment_from_rest(), ELASTICITY, far), ELASTICITY
+    ).motor_shifts[0]
     assert found == pytest.approx(3.0 * EFFORT / STIFFNESS, rel=0.01)
 
 
-def test_play_counts_by_half_of_it_and_position_servos_hold_their_motors() -> None:
-    segment = resting(0.5)
+def test_backlash_deflects_by_half_its_gap_and_position_servos_have_no_free_motor() -> None:
+    segment = segment_from_rest(0.5)
     simulator = BatchSimulator([segment], JOINTS, threads=1)
     stretch = simulator.gear_stretch(
-        np.array([0]), effect_values([PLAY], 1, SCALES), np.full(1, EFFORT)
+        np.array([0]), effect_values([BACKLASH], 1, SCALES), np.full(1, EFFORT)
     )
     assert stretch[0, 0] == pytest.approx(0.5 * GAP + 0.01 * EFFORT)
-    free = starts(segment, PLAY).free[0]
-    assert free.response.shape == (len(segment.time), 2), "the link's position and the motor's"
+    free = estimated_starts(segment, BACKLASH).free[0]
+    assert free.response.shape == (len(segment.time), 2), (
+        "the positions of link and motor must be free"
+    )
     servo = replace(segment, mode="position", command=np.zeros_like(segment.command))
-    assert not starts(servo, PLAY).free
+    assert not estimated_starts(servo, BACKLASH).free

@@ -1,4 +1,4 @@
-"""Dry friction that creeps: an arm that MuJoCo stepped is what its own model says."""
+"""Dry friction that creeps at rest, as in recordings of a MuJoCo simulation."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ARM = """
 
 
 def recorded(folder: Path, seed: int, role: str, *, delay: float, holds: bool) -> Path:
-    """The arm as MuJoCo steps it, ten times finer."""
+    """Record the arm in MuJoCo, with a tenth of the time step of the model."""
     model = mujoco.MjModel.from_xml_string(ARM)
     model.opt.timestep = STEP
     if holds:
@@ -62,20 +62,20 @@ def recorded(folder: Path, seed: int, role: str, *, delay: float, holds: bool) -
         data.ctrl[:] = sent[max(round((at - delay) / STEP), 0), 0], sent[k, 1]
         mujoco.mj_step(model, data)
     start = 1_700_000_000_000_000_000
-    seen, told = np.arange(0, len(time), 25), np.arange(0, len(time), 50)
-    stamps = [start + np.rint(time[k] * 1e9).astype(np.int64) for k in (seen, told)]
+    seen, sent_at = np.arange(0, len(time), 25), np.arange(0, len(time), 50)
+    stamps = [start + np.rint(time[k] * 1e9).astype(np.int64) for k in (seen, sent_at)]
     noisy = position[seen] + NOISE * random.standard_normal((len(seen), 2))
     names = ("lift", "bend")
     series = [
         JointSeries("/joint_states", names, stamps[0], stamps[0], noisy, None, None),
-        JointSeries("/joint_commands", names, stamps[1], stamps[1], sent[told], None, None),
+        JointSeries("/joint_commands", names, stamps[1], stamps[1], sent[sent_at], None, None),
     ]
     path = folder / f"{role}{seed}.mcap"
     write_recording(path, series, {"role": role})
     return path
 
 
-def given_by(folder: Path, *, delay: float, holds: bool) -> tuple[Realization, TrialSet]:
+def arm_case(folder: Path, *, delay: float, holds: bool) -> tuple[Realization, TrialSet]:
     (folder / "model.xml").write_text(ARM)
     loaded = load_model(folder / "model.xml")
     files = [
@@ -88,13 +88,15 @@ def given_by(folder: Path, *, delay: float, holds: bool) -> tuple[Realization, T
 def diagnosed(
     folder: Path, *, delay: float = 0.0, holds: bool = False
 ) -> tuple[Realization, Diagnosis]:
-    realization, trials = given_by(folder, delay=delay, holds=holds)
+    realization, trials = arm_case(folder, delay=delay, holds=holds)
     return realization, diagnose(realization, trials, threads=1)
 
 
 @pytest.mark.parametrize("holds", [False, True], ids=["creeps", "holds"])
-def test_an_arm_as_its_model_says_shows_nothing(tmp_path: Path, holds: bool) -> None:
-    """Whichever way its dry friction is stepped."""
+def test_the_exact_model_has_no_mismatch_with_either_friction_constraint(
+    tmp_path: Path, holds: bool
+) -> None:
+    """The joints creep under dry friction, or hold at rest."""
     _, found = diagnosed(tmp_path, holds=holds)
     assert found.verdict == "no_mismatch"
     assert (CREEPS in found.notes) is not holds
@@ -102,8 +104,8 @@ def test_an_arm_as_its_model_says_shows_nothing(tmp_path: Path, holds: bool) -> 
         assert error.before < 1.5 * error.floor
 
 
-def test_what_is_hidden_is_found_and_friction_told_from_what_is_left(tmp_path: Path) -> None:
-    """The mismatch is a hundred times what creeping makes of it."""
+def test_a_hidden_delay_is_found_and_creep_is_detected_from_the_residual(tmp_path: Path) -> None:
+    """The mismatch is a hundred times the influence of creep."""
     realization, found = diagnosed(tmp_path, delay=0.012)
     assert found.verdict == "explained"
     assert [(f.effect, f.joint) for f in found.explained.findings] == [("command_delay", "lift")]
@@ -118,13 +120,13 @@ def test_what_is_hidden_is_found_and_friction_told_from_what_is_left(tmp_path: P
     write_realization(folder, realization, problem, hypothesis)
     model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
     np.testing.assert_allclose(model.dof_solref, [[0.02, 1.0]] * 2)
-    again = load_model(find_model(tmp_path))
-    assert again.patched is not None
-    assert again.patched.has_friction_creep
+    reloaded = load_model(find_model(tmp_path))
+    assert reloaded.patched is not None
+    assert reloaded.patched.has_friction_creep
     (trial,) = found.roles.test
-    (predicted,) = replay_patched(again.realization, again.patched, [trial], threads=1)
-    off = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
-    assert (off < 1.5 * problem.floor).all()
+    (predicted,) = replay_patched(reloaded.realization, reloaded.patched, [trial], threads=1)
+    rms_error = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
+    assert (rms_error < 1.5 * problem.floor).all()
 
     effects = json.loads((folder / "effects.json").read_text())
     (folder / "effects.json").write_text(json.dumps({**effects, "dry_friction": "melts"}))
@@ -133,16 +135,18 @@ def test_what_is_hidden_is_found_and_friction_told_from_what_is_left(tmp_path: P
 
 
 @pytest.mark.parametrize("holds", [False, True], ids=["creeps", "holds"])
-def test_a_search_goes_on_the_way_that_it_sees(tmp_path: Path, holds: bool) -> None:
-    """As soon as something was found: what creeping makes is not searched for names."""
-    realization, trials = given_by(tmp_path, delay=0.012, holds=holds)
+def test_the_search_adds_no_effect_with_the_wrong_friction_constraint(
+    tmp_path: Path, holds: bool
+) -> None:
+    """After the first effect, the friction constraint is selected before further effects."""
+    realization, trials = arm_case(tmp_path, delay=0.012, holds=holds)
     given = ModelSetup.of(realization, None, threads=1)
     prepared, trials = build_problem(given, trials, [])
     run = Run()
     stepped, found = search_as_friction_acts(given, prepared, trials, run, EMPTY)
     assert stepped.has_friction_creep is not holds
     assert [t.effect for t in found.explained.hypothesis.terms] == ["command_delay"]
-    # Nothing that was left in the one way was held against more names.
+    # The residual of the wrong constraint led to no further effect.
     added = [
         step for step in run.trace.steps if (step.move, step.decision) == ("addition", "accepted")
     ]
@@ -151,14 +155,14 @@ def test_a_search_goes_on_the_way_that_it_sees(tmp_path: Path, holds: bool) -> N
     assert found.verdict == "explained"
 
 
-def test_a_model_that_sets_its_friction_constraint_is_taken_at_its_word() -> None:
+def test_a_friction_constraint_that_the_model_sets_is_kept() -> None:
     level = 'frictionloss="1.2"'
     own = ARM.replace(level, f'{level} solreffriction="0.01 0.8"')
     model = mujoco.MjModel.from_xml_string(own)
     hold(model, [0, 1], 0.002)
     np.testing.assert_allclose(model.dof_solref[0], [0.01, 0.8])
     np.testing.assert_allclose(model.dof_solref[1], [0.004, 1.0])
-    # What is as stiff as a step allows is so at a finer one.
+    # The stiffest constraint that a time step allows is stiffer with a shorter time step.
     model.opt.timestep = 0.0005
     hold(model, [0, 1], 0.002)
     np.testing.assert_allclose(model.dof_solref, [[0.01, 0.8], [0.001, 1.0]])

@@ -1,4 +1,4 @@
-"""Recordings that a simulation made, with the error of its step in them."""
+"""Recordings that a simulation made, which contain its discretization error."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pytest_twin.gate.diagnosis_folder import write_diagnosis
 STEP, SECONDS, NOISE = 0.002, 2.5, 2e-5
 BACKLASH, DAMPING = Term("backlash", 1), Term("viscous_friction", 1)
 HIDDEN = 0.8
-"""N*m*s/rad that the elbow has more than its model."""
+"""Additional viscous friction of the elbow, N*m*s/rad."""
 ARM = """
 <mujoco model="arm"><compiler angle="radian"/>
   <option timestep="{step}"/>
@@ -46,7 +46,7 @@ ARM = """
 
 
 def recorded(folder: Path, seed: int, role: str, *, substeps: int, damping: float) -> Path:
-    """The arm as MuJoCo steps it, in so many substeps of the model's."""
+    """Record the arm in MuJoCo, with ``substeps`` steps in each time step of the model."""
     model = mujoco.MjModel.from_xml_string(ARM.format(step=STEP / substeps, damping=damping))
     data = mujoco.MjData(model)
     random = np.random.default_rng(seed)
@@ -74,72 +74,76 @@ def recorded(folder: Path, seed: int, role: str, *, substeps: int, damping: floa
     return path
 
 
-def posed(folder: Path, substeps: int, more: float) -> tuple:
+def arm_case(folder: Path, substeps: int, added_damping: float) -> tuple:
     (folder / "model.xml").write_text(ARM.format(step=STEP, damping=0.3))
     loaded = load_model(folder / "model.xml")
     files = [
-        recorded(folder, seed, role, substeps=substeps, damping=0.3 + more)
+        recorded(folder, seed, role, substeps=substeps, damping=0.3 + added_damping)
         for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
     ]
     return loaded.realization, read_trials(files, (), loaded.topics, loaded.realization.structure)
 
 
-def said_so(found: Diagnosis) -> bool:
+def is_detected(found: Diagnosis) -> bool:
     return any("the recordings come from a simulation" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 4, 5, 40])
-def test_the_model_itself_at_any_step_shows_nothing(tmp_path: Path, substeps: int) -> None:
-    """The error of its step is 80 times the noise; of a fortieth of it nothing is seen."""
-    found = diagnose(*posed(tmp_path, substeps, 0.0), threads=1)
+def test_the_exact_model_has_no_mismatch_for_any_time_step_of_the_recorded_simulation(
+    tmp_path: Path, substeps: int
+) -> None:
+    """The discretization error is 80 times the noise, and below it with 40 substeps."""
+    found = diagnose(*arm_case(tmp_path, substeps, 0.0), threads=1)
     assert found.verdict == "no_mismatch"
     assert found.explained.findings == ()
-    assert said_so(found) is (substeps < 40)
+    assert is_detected(found) is (substeps < 40)
     if substeps < 40:
         assert all(e.after < 1.2 * NOISE for e in found.errors.values())
 
 
-def test_what_is_hidden_is_found_to_the_noise_of_the_simulation(tmp_path: Path) -> None:
-    """With the step's error taken out damping and inertia would be found at the shoulder too."""
-    realization, trials = posed(tmp_path, 1, HIDDEN)
+def test_a_hidden_effect_in_recordings_of_a_simulation_is_found_exactly(tmp_path: Path) -> None:
+    """With the usual correction of the prediction, wrong damping and inertia would be found."""
+    realization, trials = arm_case(tmp_path, 1, HIDDEN)
     folder = tmp_path / "out"
     folder.mkdir()
     write_diagnosis(folder, realization, trials, model="arm", progress=lambda _: None)
-    said = json.loads((folder / "diagnosis.json").read_text())
-    assert said["verdict"] == "explained"
-    assert any("with a time step of 2 ms" in note for note in said["notes"])
-    (finding,) = said["findings"]
+    diagnosis = json.loads((folder / "diagnosis.json").read_text())
+    assert diagnosis["verdict"] == "explained"
+    assert any("with a time step of 2 ms" in note for note in diagnosis["notes"])
+    (finding,) = diagnosis["findings"]
     assert (finding["effect"], finding["joint"]) == ("viscous_friction", "elbow")
     assert finding["parameters"]["coefficient"]["value"] == pytest.approx(HIDDEN, rel=1e-3)
 
-    again = load_model(find_model(folder))
-    assert again.patched is not None
-    assert again.patched.substeps == 1
+    reloaded = load_model(find_model(folder))
+    assert reloaded.patched is not None
+    assert reloaded.patched.substeps == 1
     (trial,) = trials.held_out
-    (predicted,) = replay_patched(again.realization, again.patched, [trial], threads=1)
-    off = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
-    assert (off < 1.2 * NOISE).all()
+    (predicted,) = replay_patched(reloaded.realization, reloaded.patched, [trial], threads=1)
+    rms_error = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
+    assert (rms_error < 1.2 * NOISE).all()
 
-    # What was found on a simulation's recordings is held against a robot's as a robot's.
+    # Recordings of a robot have no discretization error, also with findings from a simulation.
     for substeps, simulated in ((1, True), (40, False)):
         other = tmp_path / str(substeps)
         other.mkdir()
-        _, trials = posed(other, substeps, HIDDEN)
-        found = diagnose(again.realization, trials, inherited=again.patched, threads=1)
+        _, trials = arm_case(other, substeps, HIDDEN)
+        found = diagnose(reloaded.realization, trials, inherited=reloaded.patched, threads=1)
         assert found.verdict == "no_mismatch"
-        assert said_so(found) is simulated
+        assert is_detected(found) is simulated
 
     effects = folder / "realization/effects.json"
-    kept = json.loads(effects.read_text())
+    written = json.loads(effects.read_text())
     for wrong in (-1, 1000, "one", True):
-        effects.write_text(json.dumps({**kept, "simulated_in_substeps": wrong}))
+        effects.write_text(json.dumps({**written, "simulated_in_substeps": wrong}))
         with pytest.raises(SpecError, match=r"simulated_in_substeps.*an integer from 0 to 100"):
             load_model(find_model(folder))
 
 
-def test_of_a_gear_that_was_found_nothing_is_asked(tmp_path: Path) -> None:
-    """A motor apart from its link is stepped in another way than one with it."""
-    realization, trials = posed(tmp_path, 1, HIDDEN)
+def test_a_simulation_is_not_searched_for_if_the_findings_contain_an_elastic_transmission(
+    tmp_path: Path,
+) -> None:
+    """With a transmission, the motor has its own integration step, unlike in the simulation."""
+    realization, trials = arm_case(tmp_path, 1, HIDDEN)
     given = ModelSetup.of(realization, None, 1)
     prepared, trials = build_problem(given, trials, [])
     selection = StepwiseSelection(prepared.problem)

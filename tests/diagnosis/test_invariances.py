@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from two_pendulums import STEP, mjcf, reference, swing, write
+from two_pendulums import STEP, mjcf, reference, simulate, write
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
@@ -41,7 +41,7 @@ def recorded(
     for seed in SEEDS:
         # Motion and noise of a joint do not depend on its index in a message.
         wanted = reference(seed, 2.2, 2)[:, : len(joints)]
-        moved = swing(wanted, dry=DRY)
+        moved = simulate(wanted, dry=DRY)
         noise = NOISE * np.random.default_rng([seed, 1]).standard_normal((len(seen), 2))
         measured = moved[seen] + noise[:, : len(joints)]
         path = folder / f"{seed}.mcap"

@@ -1,4 +1,4 @@
-"""Laws that bend, at sizes of their own, and laws that come to simpler ones."""
+"""Limits of drives at sizes outside the starting grid, and laws with simpler special cases."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.effects import catalogue
 
 
-def test_a_limit_between_two_of_its_grid_answers_at_its_own_size() -> None:
-    """A rate that no starting size has, on a joint that is far off because of it."""
+def test_a_limit_between_two_starting_sizes_is_refined_to_its_own_size() -> None:
+    """The rate limit is between two starting sizes and causes a large residual."""
     hidden = 1.0 / 0.75
     problem = problem_of("position", {Term("rate_limit", ELBOW): rate(inverse_rate=hidden)})
     linear = linearize(problem, problem.fit, EMPTY)
@@ -37,8 +37,8 @@ def test_a_limit_between_two_of_its_grid_answers_at_its_own_size() -> None:
     left = linear.residual(residual)
     view = ResidualView(left, np.zeros((*left.shape, 0)), problem.signal_floor, binned.lengths)
     found = linear.sensitivities(candidates(problem))
-    sharp = refine_limits(linear, view, CandidateSensitivities(found), EMPTY)
-    (mine,) = [r for r in sharp if r.term == Term("rate_limit", ELBOW)]
+    refined = refine_limits(linear, view, CandidateSensitivities(found), EMPTY)
+    (mine,) = [r for r in refined if r.term == Term("rate_limit", ELBOW)]
     scale = problem.scales.value(mine.term.parameters[0], ELBOW)
     assert mine.start[0] * scale == pytest.approx(hidden, rel=0.02)
     grid = CandidateSensitivities([r for r in found if r.term == mine.term])
@@ -50,7 +50,7 @@ def test_a_limit_between_two_of_its_grid_answers_at_its_own_size() -> None:
     assert own < 0.2 * best
 
 
-def test_nothing_is_sharpened_where_nothing_is_far_off() -> None:
+def test_no_limit_is_refined_for_a_small_residual() -> None:
     problem = problem_of("position", {Term("viscous_friction", SHOULDER): {"coefficient": 1e-4}})
     linear = linearize(problem, problem.fit, EMPTY)
     assert linear is not None
@@ -75,21 +75,21 @@ def test_special_cases_are_laws_of_the_catalogue_with_fewer_fitted_parameters() 
     assert some >= 6
 
 
-def test_a_curve_without_a_slope_is_a_saturation() -> None:
-    """A torque-speed limit far beyond every speed takes one parameter more to say the same."""
+def test_a_torque_speed_limit_without_slope_is_simplified_to_a_saturation() -> None:
+    """If the limit does not depend on speed, its second parameter has no influence."""
     problem = problem_of("position", {Term("torque_saturation", SHOULDER): {"inverse_limit": 0.25}})
     curve, flat = Term("torque_speed_limit", SHOULDER), Term("torque_saturation", SHOULDER)
     stall = 4.0 / problem.scales.value(curve.parameters[1], SHOULDER)
     selection = StepwiseSelection(problem)
     general = Hypothesis((curve,), np.array([1e-4, stall]))
-    rival = selection.comparison.rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
-    found = selection.eliminate(rival).hypothesis
+    model = selection.comparison.rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
+    found = selection.eliminate(model).hypothesis
     assert found.terms == (flat,)
     limit = 1.0 / (found.theta[0] * problem.scales.value(flat.parameters[0], SHOULDER))
     assert limit == pytest.approx(4.0, rel=0.02)
 
 
-def test_a_choice_is_no_parameter_of_a_fit() -> None:
+def test_a_fit_does_not_change_a_categorical_parameter() -> None:
     term = Term("encoder_bias", SHOULDER)
     assert term.movable(np.array([0.01, 1.0])).tolist() == [True, False]
     problem = problem_of("position", {term: {"bias": 0.05, "in_loop": 1.0}})
@@ -100,8 +100,8 @@ def test_a_choice_is_no_parameter_of_a_fit() -> None:
     assert bias == pytest.approx(0.05, rel=0.1)
 
 
-def test_rounding_moves_no_choice() -> None:
-    """A mass is fitted by its moment, there and back by rounded numbers, and weighs much."""
+def test_rounding_errors_do_not_change_a_categorical_parameter() -> None:
+    """The fit transforms a mass into its moment and back, with rounding errors."""
     term = Term("encoder_bias", SHOULDER)
     h = EMPTY.with_term(Term("payload", -1), np.array([-0.1, 0.7, 0.0, 0.0, 0.0]))
     h = h.with_term(term, np.array([0.3, 0.5]))
@@ -111,24 +111,24 @@ def test_rounding_moves_no_choice() -> None:
     moved = propose(h, residual, jacobian, np.ones(1), 1e-4)
     assert moved.theta[6] == 0.5
     assert moved.theta[5] != 0.3
-    # Nor what the form of a law lacks.
+    # Parameters that this form of the payload does not have stay at zero.
     assert not moved.theta[2:5].any()
 
 
 @pytest.mark.parametrize(
-    ("needles", "limited", "near"),
+    ("narrow", "limited", "is_found"),
     [
-        pytest.param(1e9, 2, True, id="drives that are far off are scanned for limits"),
-        pytest.param(100.0, 0, True, id="everything is where so much is left"),
-        pytest.param(1e9, 0, False, id="not scanned"),
+        pytest.param(1e9, 2, True, id="drives with large residuals are scanned for limits"),
+        pytest.param(100.0, 0, True, id="all effects are scanned for a large residual"),
+        pytest.param(1e9, 0, False, id="no scan"),
     ],
 )
-def test_a_needle_is_found_beyond_the_grid(
-    needles: float, limited: int, near: bool, monkeypatch: pytest.MonkeyPatch
+def test_a_narrow_minimum_outside_the_starting_grid_is_found(
+    narrow: float, limited: int, is_found: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A drive that hardly follows: twice the greatest starting size, and a few per cent decide."""
+    """The limit is twice the largest starting size, and its minimum a few per cent wide."""
     monkeypatch.setattr(
-        simulation_shortlist, "SHORTLIST", ShortlistSettings(narrow=needles, limits=limited)
+        simulation_shortlist, "SHORTLIST", ShortlistSettings(narrow=narrow, limits=limited)
     )
     monkeypatch.setattr(drive_limits, "_LIMITED", limited)
     term = Term("rate_limit", ELBOW)
@@ -137,24 +137,24 @@ def test_a_needle_is_found_beyond_the_grid(
     scale = problem_of("position", {}).scales.value(parameter, ELBOW)
     problem = problem_of("position", {term: rate(inverse_rate=hidden * scale)})
     hidden *= scale / problem.scales.value(parameter, ELBOW)
-    rival = ModelComparison(problem).rivals([EMPTY], np.ones(2), 0, slopes=True)[0]
-    look = linearize_around(problem, rival)
+    model = ModelComparison(problem).rivals([EMPTY], np.ones(2), 0, slopes=True)[0]
+    linearized = linearize_around(problem, model)
     alone = EMPTY.with_term(term, np.array([parameter.starts[0], 0.0, 0.0]))
-    left = np.mean(rival.fitted.residual**2, axis=0)
+    left = np.mean(model.fitted.residual**2, axis=0)
     starts = simulation_shortlist.simulation_shortlist(
-        problem, rival, look, LinearizedShortlist([], left, [alone])
+        problem, model, linearized, LinearizedShortlist([], left, [alone])
     )
     (mine,) = [h for h in starts if h.terms == (term,)]
-    assert bool(abs(mine.theta[0] / hidden - 1.0) < 0.02) is near
+    assert bool(abs(mine.theta[0] / hidden - 1.0) < 0.02) is is_found
 
 
-def test_sizes_beyond_a_grid_end_at_the_physical_bound() -> None:
+def test_sizes_above_the_starting_grid_end_at_the_physical_bound() -> None:
     for law in catalogue().values():
         for size in drive_limits.sizes_up_to_bound(Term(law.id, 0)):
             lone = Term(law.id, 0).lone(size)
             assert lone is not None
             assert law.parameters[lone].starts[-1] < size[lone] <= law.parameters[lone].upper
     limit = drive_limits.sizes_up_to_bound(Term("rate_limit", 0))
-    # As many of the setpoint's rate as of the effort's.
+    # Limits of the setpoint rate and of the effort rate have the same number of sizes.
     assert [s[2] for s in limit] == [0.0] * (len(limit) // 2) + [1.0] * (len(limit) // 2)
     assert len(limit) >= 12

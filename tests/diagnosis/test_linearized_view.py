@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from test_behind_gears import fitted, with_true
+from test_elastic_transmissions import scored_model, single_effect
 from test_first_order import ELBOW, SHOULDER, problem_of
 
 from pytest_twin.diagnosis.first_order.beam_search import candidates
@@ -27,7 +27,7 @@ def test_sensitivities_around_a_similar_fit_are_reused_instead_of_computed_again
 ) -> None:
     comparison = ModelComparison(problem)
     before = linearize_around(problem, comparison.nominal)
-    best = fitted(comparison, with_true(problem, DRAG, HIDDEN[DRAG]))
+    best = scored_model(comparison, single_effect(problem, DRAG, HIDDEN[DRAG]))
     fresh = linearize_around(problem, best)
     computed: list[Term] = []
     monkeypatch.setattr(Linear, "sensitivities", lambda self, terms: computed.extend(terms) or [])

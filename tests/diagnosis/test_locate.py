@@ -1,4 +1,4 @@
-"""Where an error is: the joint whose force is missing, the stretch, the regime."""
+"""Location of an error: joint of the missing force, time windows, regime and frequency."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_derivatives_of_a_cubic_are_exact_at_irregular_stamps() -> None:
         assert np.allclose(found[inside, 0], exact[inside], rtol=2e-3, atol=2e-3)
 
 
-def test_windows_hold_the_blame_and_little_else() -> None:
+def test_windows_contain_the_times_of_large_error_and_little_else() -> None:
     time = np.arange(0.0, 10.0, 0.01)
     blame = 0.01 + np.exp(-(((time - 3.0) / 0.2) ** 2)) + np.exp(-(((time - 7.0) / 0.3) ** 2))
     (first, second) = blame_windows(time, blame)
@@ -64,10 +64,10 @@ def test_windows_hold_the_blame_and_little_else() -> None:
     assert blame_windows(time, np.zeros_like(time)) == []
 
 
-def test_a_recording_that_was_cut_has_the_windows_of_the_whole() -> None:
+def test_a_recording_in_pieces_has_the_same_error_windows_as_the_whole() -> None:
     time = np.arange(0.0, 12.0, 0.01)
     whole = motion(time, np.sin(1.3 * time))
-    # Some noise everywhere, and a push that is over after a second.
+    # Noise throughout, and a large error for one second.
     blame = np.random.default_rng(0).uniform(0.0, 0.02, len(time))
     blame[(time > 4.3) & (time < 5.3)] += 1.0
     pieces = [motion(part, np.sin(1.3 * part)) for part in np.split(time, 24)]
@@ -77,44 +77,46 @@ def test_a_recording_that_was_cut_has_the_windows_of_the_whole() -> None:
     assert 4.2 < start < end < 5.4
 
 
-def test_the_regime_is_the_slice_that_holds_more_blame_than_time() -> None:
+def test_the_regime_has_a_larger_share_of_the_error_than_of_the_time() -> None:
     time = np.arange(0.0, 12.0, 0.005)
-    swing = motion(time, 0.8 * np.sin(1.3 * time) + 0.3 * np.sin(4.7 * time + 1.0))
-    speed = np.abs(swing.velocity[:, 0])
-    fast = place_of([swing], np.where(speed > np.quantile(speed, 0.75), 1.0, 0.0), 0, "rad")
+    moving = motion(time, 0.8 * np.sin(1.3 * time) + 0.3 * np.sin(4.7 * time + 1.0))
+    speed = np.abs(moving.velocity[:, 0])
+    fast = place_of([moving], np.where(speed > np.quantile(speed, 0.75), 1.0, 0.0), 0, "rad")
     assert fast.summary.startswith("fast, |velocity| > ")
     assert "rad/s" in fast.summary
-    patch = np.abs(swing.position[:, 0] - 0.3) < 0.05
-    spot = place_of([swing], patch.astype(float), 0, "m").summary
-    low, high = (float(x) for x in spot.split(" m (")[0].split()[1::2])
+    patch = np.abs(moving.position[:, 0] - 0.3) < 0.05
+    region = place_of([moving], patch.astype(float), 0, "m").summary
+    low, high = (float(x) for x in region.split(" m (")[0].split()[1::2])
     assert 0.2 < low < 0.3 < high < 0.4
-    assert place_of([swing], np.ones_like(time), 0, "rad").summary == "throughout the motion"
+    assert place_of([moving], np.ones_like(time), 0, "rad").summary == "throughout the motion"
     assert set(fast.windows) == {"a.mcap"}
 
 
-def test_a_joint_that_mostly_rests_is_slow_and_fast_while_it_moves() -> None:
-    """Out at 4 s, back at 7 s, at rest between: of a millionth of a radian its sensor is made."""
+def test_velocity_regimes_of_a_joint_that_mostly_rests_follow_from_its_motion() -> None:
+    """It moves out at 4 s and back at 7 s, and rests otherwise."""
     time = np.arange(0.0, 10.0, 0.01)
     out = 0.5 * (1.0 + np.tanh((time - 4.0) / 0.1)) - 0.5 * (1.0 + np.tanh((time - 7.0) / 0.1))
-    rested = motion(time, out + 1e-9 * np.sin(300.0 * time))
-    found = dict(regimes([rested], 0, "rad"))
+    mostly_at_rest = motion(time, out + 1e-9 * np.sin(300.0 * time))
+    found = dict(regimes([mostly_at_rest], 0, "rad"))
     (slow,) = [text for text in found if text.startswith("slow")]
     (fast,) = [text for text in found if text.startswith("fast")]
-    top = np.abs(rested.velocity).max()
+    top = np.abs(mostly_at_rest.velocity).max()
     assert float(slow.split("<")[1].split()[0]) == pytest.approx(0.02 * top, rel=0.1)
     assert float(fast.split(">")[1].split()[0]) > 0.1 * top
     (hard,) = [text for text in found if text.startswith("accelerating")]
-    assert float(hard.split(">")[1].split()[0]) > 0.02 * np.abs(rested.acceleration).max()
+    assert float(hard.split(">")[1].split()[0]) > 0.02 * np.abs(mostly_at_rest.acceleration).max()
     (turns,) = [mask for text, mask in found.items() if text.startswith("reversals")]
-    # It turns once: where it stops and where it starts again.
+    # It reverses once, between its stop and its restart.
     assert time[turns].min() > 4.0
     assert time[turns].max() < 7.0
     assert not turns[(time > 5.0) & (time < 6.0)].any()
 
 
-@pytest.mark.parametrize("cause", [0, 1])
-def test_a_push_is_located_at_the_joint_that_is_pushed(tmp_path: Path, cause: int) -> None:
-    """Both joints move when one is pushed; the force that is missing is on one of them."""
+@pytest.mark.parametrize("cause", [0, 1], ids=["shoulder", "elbow"])
+def test_an_external_force_is_located_at_the_joint_on_which_it_acts(
+    tmp_path: Path, cause: int
+) -> None:
+    """The force at one joint moves both joints."""
     model = mujoco.MjModel.from_xml_string(CHAIN)
     model.opt.timestep = 2e-4
     data = mujoco.MjData(model)
@@ -145,7 +147,7 @@ def test_a_push_is_located_at_the_joint_that_is_pushed(tmp_path: Path, cause: in
     problem = prepare(realization, [trial], []).problem
     residual = problem.residuals([EMPTY], np.array([0]))[0]
     shown = np.sqrt(np.mean(residual**2, axis=0)) / problem.floor
-    assert shown.min() > 3.0, "both joints show it, or there is nothing to tell apart"
+    assert shown.min() > 3.0, "both joints must have a residual above the noise floor"
     found = missing_force(problem, residual, np.full(2, 1e-4))
     other = 1 - cause
     assert found.strength[cause] > 3.0 * found.strength[other]
@@ -154,8 +156,8 @@ def test_a_push_is_located_at_the_joint_that_is_pushed(tmp_path: Path, cause: in
     assert np.abs(np.median(found.force[pushed, other])) < 0.25
 
 
-def test_recordings_are_sliced_by_what_they_say_of_themselves() -> None:
-    """Blame in the warm ones is called so; what all have in common, or each alone, is no slice."""
+def test_recordings_are_grouped_by_their_metadata() -> None:
+    """A value that all recordings have, or only one, forms no group."""
     time = np.arange(0.0, 4.0, 0.01)
     paths = [
         replace(
@@ -165,8 +167,8 @@ def test_recordings_are_sliced_by_what_they_say_of_themselves() -> None:
         for k in range(8)
     ]
     slices = {text: mask for text, mask in regimes(paths, 0, "rad") if " within " not in text}
-    told = {text for text in slices if text.startswith(("temperature", "robot", "run"))}
-    assert told == {"temperature cold", "temperature warm"}
+    labels = {text for text in slices if text.startswith(("temperature", "robot", "run"))}
+    assert labels == {"temperature cold", "temperature warm"}
     warm = np.concatenate([np.full(len(time), k % 2 == 0) for k in range(8)])
     assert (slices["temperature warm"] == warm).all()
     assert place_of(paths, 0.01 + warm, 0, "rad").summary == (
@@ -174,19 +176,19 @@ def test_recordings_are_sliced_by_what_they_say_of_themselves() -> None:
     )
 
 
-def test_measured_conditions_are_told_in_four_digits_where_these_tell_them_apart() -> None:
+def test_measured_conditions_are_rounded_if_they_remain_distinguishable() -> None:
     time = np.arange(0.0, 4.0, 0.01)
     said = ({"volts": "7.28959306204136", "run": "1.00001"}, {"volts": "7.4", "run": "1.00002"})
     paths = [
         replace(motion(time, 0.2 * np.sin(5.0 * time + k), f"{k}.mcap"), conditions=conditions)
         for k, conditions in enumerate(said)
     ]
-    told = {text for text, _ in regimes(paths, 0, "rad") if text.startswith(("volts", "run"))}
-    assert told == {"volts 7.29", "volts 7.4", "run 1.00001", "run 1.00002"}
+    labels = {text for text, _ in regimes(paths, 0, "rad") if text.startswith(("volts", "run"))}
+    assert labels == {"volts 7.29", "volts 7.4", "run 1.00001", "run 1.00002"}
 
 
-def test_of_many_measured_temperatures_the_colder_half_is_a_slice() -> None:
-    """One for each recording: each alone would be the name of that recording."""
+def test_many_measured_temperatures_are_grouped_into_a_colder_and_a_warmer_half() -> None:
+    """Each recording has its own temperature, so a single value would only identify it."""
     time = np.arange(0.0, 4.0, 0.01)
     measured = [f"{20.0 + 1.25 * k:.2f} C" for k in (6, 0, 3, 7, 1, 5, 2, 4)]
     paths = [
@@ -197,8 +199,8 @@ def test_of_many_measured_temperatures_the_colder_half_is_a_slice() -> None:
         for k, said in enumerate(measured)
     ]
     slices = dict(regimes(paths, 0, "rad"))
-    told = {text for text in slices if text.startswith(("temperature", "hall"))}
-    assert told == {"temperature up to 23.75 C", "temperature from 25.00 C"}
+    labels = {text for text in slices if text.startswith(("temperature", "hall"))}
+    assert labels == {"temperature up to 23.75 C", "temperature from 25.00 C"}
     cold = np.concatenate([np.full(len(time), float(m[:5]) < 24.0) for m in measured])
     assert (slices["temperature up to 23.75 C"] == cold).all()
     assert place_of(paths, 0.01 + cold, 0, "rad").summary == (
@@ -206,17 +208,17 @@ def test_of_many_measured_temperatures_the_colder_half_is_a_slice() -> None:
     )
 
 
-@pytest.mark.parametrize("irregular", [False, True])
-def test_what_is_left_at_one_frequency_is_said_to_be_there(irregular: bool) -> None:
+@pytest.mark.parametrize("irregular", [False, True], ids=["regular stamps", "irregular stamps"])
+def test_a_residual_at_one_frequency_is_reported_with_its_frequency_band(irregular: bool) -> None:
     rng = np.random.default_rng(1)
-    paths, left = [], []
+    paths, residuals = [], []
     for k in range(3):
         time = np.arange(0.0, 6.0 + k, 0.01)
         time = np.sort(time + 0.003 * irregular * rng.uniform(-1.0, 1.0, len(time)))
         paths.append(motion(time, 0.4 * np.sin(2 * np.pi * 0.7 * time + k), f"{k}.mcap"))
-        ring = np.sin(2 * np.pi * 9.0 * time + k)
-        left.append(1e-3 * ring + 2e-4 * rng.standard_normal(len(time)))
-    text = frequencies(paths, np.concatenate(left), 0)
+        oscillation = np.sin(2 * np.pi * 9.0 * time + k)
+        residuals.append(1e-3 * oscillation + 2e-4 * rng.standard_normal(len(time)))
+    text = frequencies(paths, np.concatenate(residuals), 0)
     assert text is not None
     band = r"([\d.]+) to ([\d.]+) Hz \((\d+) % of the residual, 0 % of the motion\)"
     found = re.match(band, text)
@@ -226,7 +228,7 @@ def test_what_is_left_at_one_frequency_is_said_to_be_there(irregular: bool) -> N
     assert share > 80
 
 
-def test_what_is_left_as_the_motion_goes_has_no_band() -> None:
+def test_a_residual_in_proportion_to_the_motion_has_no_frequency_band() -> None:
     time = np.arange(0.0, 6.0, 0.01)
     wave = 0.4 * np.sin(2 * np.pi * 0.7 * time)
     assert frequencies([motion(time, wave)], 0.01 * wave, 0) is None

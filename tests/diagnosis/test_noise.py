@@ -1,4 +1,4 @@
-"""How loud sensors are, told from their samples alone."""
+"""Noise of sensors and jitter of time stamps, estimated from the samples alone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pytest_twin.effects.segment import Predicted, Segment
 SAMPLES, INTERVAL, COUNT = 1200, 0.01, 2.0 * np.pi / 4096
 
 
-def swing(time: FloatArray, amplitude: float) -> FloatArray:
+def sine_motion(time: FloatArray, amplitude: float) -> FloatArray:
     return np.asarray(amplitude * np.sin(2.0 * np.pi * 0.7 * time))
 
 
@@ -26,18 +26,20 @@ def swing(time: FloatArray, amplitude: float) -> FloatArray:
     jitter=st.floats(0.0, 0.2),
     seed=st.integers(0, 1000),
 )
-def test_noise_and_counts_add_up(noise: float, amplitude: float, jitter: float, seed: int) -> None:
-    """A coarse encoder, irregular sampling, slow and fast motion: the deviation stays the same."""
+def test_the_noise_contains_sensor_noise_and_quantization(
+    noise: float, amplitude: float, jitter: float, seed: int
+) -> None:
+    """For coarse encoders, irregular sampling, slow and fast motion."""
     random = np.random.default_rng(seed)
     time = INTERVAL * (np.arange(SAMPLES) + jitter * random.uniform(-0.5, 0.5, SAMPLES))
-    read = swing(time, amplitude) + noise * random.standard_normal(SAMPLES)
+    read = sine_motion(time, amplitude) + noise * random.standard_normal(SAMPLES)
     counted = COUNT * np.round(read / COUNT)
-    truth = float(np.sqrt(np.mean((counted - swing(time, amplitude)) ** 2)))
+    truth = float(np.sqrt(np.mean((counted - sine_motion(time, amplitude)) ** 2)))
     assert sensor_noise(time, counted[:, None])[0] == pytest.approx(truth, rel=0.25)
 
 
-def test_what_moves_fast_is_not_noise() -> None:
-    """A motion that no cubic follows over fifteen samples: third differences still do."""
+def test_fast_motion_is_not_counted_as_noise() -> None:
+    """No cubic fits this motion over fifteen samples, but its third differences stay small."""
     random = np.random.default_rng(0)
     time = INTERVAL * np.arange(SAMPLES)
     fast = np.sin(2.0 * np.pi * 4.0 * time) + 1e-3 * random.standard_normal(SAMPLES)
@@ -48,8 +50,10 @@ def test_what_moves_fast_is_not_noise() -> None:
 @pytest.mark.parametrize(
     ("rate", "lost"), [(50.0, 0.0), (50.0, 0.2), (100.0, 0.2), (250.0, 0.2)], ids=str
 )
-def test_noise_at_low_rates_with_samples_lost(rate: float, lost: float, noise: float) -> None:
-    """Three sines of up to 1.6 Hz, as a drive follows them: what moves is no noise."""
+def test_noise_is_right_at_low_sampling_rates_with_lost_samples(
+    rate: float, lost: float, noise: float
+) -> None:
+    """Three sines of up to 1.6 Hz, as a drive follows them."""
     found = []
     for seed in range(8):
         random = np.random.default_rng(seed)
@@ -63,21 +67,21 @@ def test_noise_at_low_rates_with_samples_lost(rate: float, lost: float, noise: f
     assert max(found) < 1.6
 
 
-def test_too_few_samples_have_a_noise_too() -> None:
+def test_twenty_samples_are_enough_for_a_noise_estimate() -> None:
     random = np.random.default_rng(1)
     time = INTERVAL * np.arange(20)
     few = 1e-3 * random.standard_normal((20, 1))
     assert 3e-4 < sensor_noise(time, few)[0] < 3e-3
 
 
-def test_windows_begin_where_nothing_jumps() -> None:
-    """A kink of the motion in the middle of where a window would begin."""
+def test_windows_begin_away_from_jumps() -> None:
+    """A jump at the time at which a window would begin."""
     time = INTERVAL * np.arange(301)
     random = np.random.default_rng(2)
-    off = 1e-4 * random.standard_normal((301, 1))
-    beside = np.abs(time - 0.5) < 0.06
-    off[beside] += 1e-2
-    edges = edges_of(time, off, 0.5)
+    deviation = 1e-4 * random.standard_normal((301, 1))
+    near_jump = np.abs(time - 0.5) < 0.06
+    deviation[near_jump] += 1e-2
+    edges = edges_of(time, deviation, 0.5)
     assert len(edges) == 7
     assert (np.diff(edges) > 0.2).all()
     assert abs(edges[1] - 0.5) > 0.06
@@ -85,40 +89,40 @@ def test_windows_begin_where_nothing_jumps() -> None:
     assert edges[-1] == pytest.approx(time[-1])
 
 
-def test_an_effort_sensor_is_as_loud_as_in_most_trials() -> None:
-    """Efforts of a stiff servo jump at every command in two of five trials: no louder sensor."""
+def test_the_noise_of_an_effort_sensor_is_that_of_most_trials() -> None:
+    """In two of five trials, the effort of a stiff servo jumps at every command."""
     random = np.random.default_rng(3)
     time = INTERVAL * np.arange(400)
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
-    still = np.zeros((400, 1))
+    at_rest = np.zeros((400, 1))
     segments, nominal = [], []
     for trial in range(5):
-        jumps = random.standard_normal((400, 1)) if trial < 2 else still
+        jumps = random.standard_normal((400, 1)) if trial < 2 else at_rest
         effort = jumps + 0.05 * random.standard_normal((400, 1))
         segments.append(
-            Segment(trial, model, "position", 0.0, time, still, None, effort, time, still,
-                    still[0], still[0])
+            Segment(trial, model, "position", 0.0, time, at_rest, None, effort, time, at_rest,
+                    at_rest[0], at_rest[0])
         )  # fmt: skip
-        nominal.append(Predicted(still, still, still))
+        nominal.append(Predicted(at_rest, at_rest, at_rest))
     assert effort_noise(segments, nominal, range(5)) == pytest.approx(0.05, rel=0.2)
 
 
 @pytest.mark.parametrize("noise", [2e-5, 1e-3])
 @pytest.mark.parametrize("jitter", [0.0, 3e-4, 1e-3])
-def test_jitter_of_stamps_is_told_from_noise(noise: float, jitter: float) -> None:
-    """Samples at times that their stamps miss: noise that grows with speed, and no other."""
+def test_timing_jitter_is_distinguished_from_sensor_noise(noise: float, jitter: float) -> None:
+    """Sampling times differ from their stamps, which causes noise in proportion to velocity."""
     rng = np.random.default_rng(3)
     time = 0.005 * np.arange(2400)
-    taken = time + jitter * rng.standard_normal(len(time))
+    sampled = time + jitter * rng.standard_normal(len(time))
     waves = rng.uniform(0.3, 1.8, (2, 3, 3))
-    turns = (2 * np.pi * np.outer(taken, f) + p for f, p in zip(*waves, strict=True))
-    moved = 0.3 * np.sum([np.sin(turn) for turn in turns], axis=0)
-    found = timing_jitter(time, moved + noise * rng.standard_normal(moved.shape))
-    # Noise of 1 mrad, at some rad/s, may pass for a tenth of a millisecond.
+    phases = (2 * np.pi * np.outer(sampled, f) + p for f, p in zip(*waves, strict=True))
+    position = 0.3 * np.sum([np.sin(turn) for turn in phases], axis=0)
+    found = timing_jitter(time, position + noise * rng.standard_normal(position.shape))
+    # At some rad/s, a noise of 1 mrad may count as 0.1 ms of jitter.
     assert found == pytest.approx(jitter, rel=0.1, abs=0.1 * noise)
 
 
-def test_short_and_resting_recordings_tell_no_jitter() -> None:
+def test_short_recordings_and_recordings_at_rest_give_no_jitter() -> None:
     time = 0.005 * np.arange(2400)
     assert timing_jitter(time[:60], np.zeros((60, 2))) == 0.0
     assert timing_jitter(time, np.zeros((2400, 2))) == 0.0

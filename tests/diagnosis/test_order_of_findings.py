@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_behind_gears import with_true
+from test_elastic_transmissions import single_effect
 from test_first_order import ELBOW, problem_of
 
 from pytest_twin.diagnosis import findings
@@ -19,7 +19,7 @@ SOON = 0.25
 def test_under_effort_commands_only_the_beginning_of_a_window_ranks_findings() -> None:
     """Later the open-loop motion diverges after any change."""
     problem = problem_of("effort", {WEAK: {"relative_error": 0.3}})
-    weak = with_true(problem, WEAK, {"relative_error": 0.3})
+    weak = single_effect(problem, WEAK, {"relative_error": 0.3})
     (height,) = _heights(problem, [weak, EMPTY])
     with_it, without = problem.predict([weak, EMPTY], problem.tested)
     difference = [a.position - b.position for a, b in zip(with_it, without, strict=True)]
@@ -34,7 +34,7 @@ def test_under_effort_commands_only_the_beginning_of_a_window_ranks_findings() -
 
 def test_under_position_commands_all_samples_rank_findings() -> None:
     problem = problem_of("position", {DRAG: {"coefficient": 0.3}})
-    drag = with_true(problem, DRAG, {"coefficient": 0.3})
+    drag = single_effect(problem, DRAG, {"coefficient": 0.3})
     (height,) = _heights(problem, [drag, EMPTY])
     with_it, without = problem.predict([drag, EMPTY], problem.tested)
     difference = np.concatenate(
@@ -58,8 +58,8 @@ def test_findings_are_ordered_by_their_influence_on_whole_motions(
 ) -> None:
     """If a prediction diverges, the order in the windows is kept."""
     problem = problem_of("position", {DRAG: {"coefficient": 0.3}})
-    both = with_true(problem, DRAG, {"coefficient": 0.3})
-    slight = with_true(problem, WEAK, {"relative_error": 0.01})
+    both = single_effect(problem, DRAG, {"coefficient": 0.3})
+    slight = single_effect(problem, WEAK, {"relative_error": 0.01})
     both = both.with_term_of(slight, WEAK)
     wrong = (finding_of(WEAK, problem.joints), finding_of(DRAG, problem.joints))
     explained = Explained(wrong, both)
@@ -75,8 +75,8 @@ def test_findings_are_ordered_by_their_influence_on_whole_motions(
 def test_a_finding_that_changes_whole_motions_less_than_the_residual_keeps_its_rank() -> None:
     """Such motions have diverged, and their differences carry no information."""
     problem = problem_of("position", {})
-    far = with_true(problem, WEAK, {"relative_error": -0.3})
-    slight = with_true(problem, DRAG, {"coefficient": 0.001})
+    far = single_effect(problem, WEAK, {"relative_error": -0.3})
+    slight = single_effect(problem, DRAG, {"coefficient": 0.001})
     both = far.with_term_of(slight, DRAG)
     order = (finding_of(DRAG, problem.joints), finding_of(WEAK, problem.joints))
     found = by_whole_motions(Explained(order, both), problem).findings

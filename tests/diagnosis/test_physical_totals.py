@@ -1,4 +1,4 @@
-"""Model and corrections together stay possible, and shapes lie where the recordings show them."""
+"""Corrected parameters stay physically possible, and shape parameters identifiable."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CONSTANT = Term("torque_constant", 0)
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    """A pendulum: damping 0.2, dry friction 0.1, armature 0.02, no spring; 3 s at 100 Hz."""
+    """A pendulum with damping 0.2, dry friction 0.1, armature 0.02 and no spring; 3 s at 100 Hz."""
     return problem_of(PENDULUM.format(drive=SERVO), "position", {DELAY: {"delay": 0.02}})
 
 
@@ -56,7 +56,9 @@ def test_a_correction_that_removes_all_of_the_models_friction_is_possible(
     assert total.value == pytest.approx(0.0, abs=1e-12)
 
 
-def test_corrections_of_one_quantity_are_added_before_they_are_judged(problem: Problem) -> None:
+def test_corrections_of_one_quantity_are_added_before_the_total_is_checked(
+    problem: Problem,
+) -> None:
     both = with_values(problem, {DRY: {"coulomb": -0.15}, STRIBECK: {"coulomb": 0.1}})
     assert not impossible(problem, both)
     assert set(impossible(problem, both.without(STRIBECK))) == {DRY}
@@ -70,7 +72,7 @@ def test_corrections_of_one_quantity_are_added_before_they_are_judged(problem: P
         (COGGING, {"sine": 0.1, "harmonic": 190.0}, "190 periods a turn"),
     ],
 )
-def test_a_shape_that_the_recordings_cannot_show_is_refused(
+def test_a_shape_parameter_outside_the_identifiable_range_is_rejected(
     problem: Problem, term: Term, values: dict[str, float], why: str
 ) -> None:
     h = with_values(problem, {term: values})
@@ -86,26 +88,26 @@ def test_a_shape_that_the_recordings_cannot_show_is_refused(
         (COGGING, {"sine": 0.1, "harmonic": 6.0}),
     ],
 )
-def test_a_shape_within_the_recordings_is_not(
+def test_a_shape_parameter_within_the_identifiable_range_is_accepted(
     problem: Problem, term: Term, values: dict[str, float]
 ) -> None:
     assert not not_shown(problem, with_values(problem, {term: values}))
 
 
-def test_no_candidate_starts_where_the_recordings_cannot_show_it(problem: Problem) -> None:
-    look = linearize_around(problem, ModelComparison(problem).nominal)
+def test_no_starting_value_is_outside_the_identifiable_range(problem: Problem) -> None:
+    linearized = linearize_around(problem, ModelComparison(problem).nominal)
     p = next(p for p in WARM_UP.parameters if p.name == "warm_up_time")
     k = WARM_UP.parameters.index(p)
     starts = [
         float(r.start[k]) * problem.scales.value(p, 0)
-        for r in look.candidate_sensitivities.responses
+        for r in linearized.candidate_sensitivities.responses
         if r.term == WARM_UP
     ]
     assert starts
-    assert max(starts) <= 9.0, "three times the 3 s of a recording"
+    assert max(starts) <= 9.0, "at most three times the 3 s of a recording"
 
 
-def test_what_is_within_the_usual_accuracy_of_a_model_is_a_small_correction(
+def test_a_correction_within_the_usual_accuracy_of_models_is_small(
     problem: Problem,
 ) -> None:
     values = {
@@ -119,13 +121,13 @@ def test_what_is_within_the_usual_accuracy_of_a_model_is_a_small_correction(
     assert set(found) == {DELAY, CONSTANT, DRAG}
 
 
-def test_what_changes_a_tenth_of_the_error_is_small_beside_what_explains_it(
+def test_an_effect_that_changes_less_than_a_tenth_of_the_error_is_small_if_others_explain_it(
     problem: Problem,
 ) -> None:
     h = with_values(problem, {DELAY: {"delay": 0.02}, DRY: {"coulomb": 0.05}})
     before = np.array([0.1])
-    slight = small_corrections(problem, h, np.array([[0.1], [0.005]]), before)
-    assert set(slight) == {DRY}
-    # Alone it is what there is to find.
+    small = small_corrections(problem, h, np.array([[0.1], [0.005]]), before)
+    assert set(small) == {DRY}
+    # Without another effect, it is the finding.
     alone = h.without(DELAY)
     assert not small_corrections(problem, alone, np.array([[0.005]]), before)

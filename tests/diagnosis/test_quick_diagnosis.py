@@ -1,4 +1,4 @@
-"""A first look explains the joints that failed, whatever else is off."""
+"""A quick diagnosis explains the joints that failed, also if other joints have larger errors."""
 
 from __future__ import annotations
 
@@ -14,55 +14,59 @@ from pytest_twin.formats.mcap import read_recording
 from pytest_twin.realization import Realization, load
 from pytest_twin.trial import Trial, make_trial
 
-TOO_MUCH = 0.1
-"""N*m*s/rad that the model damps the right joint more than its reality does."""
+EXCESS = 0.1
+"""Excess of the model's damping at the right joint, N*m*s/rad."""
 
 
 @pytest.fixture(scope="module")
-def both_off(tmp_path_factory: pytest.TempPathFactory) -> tuple[Realization, Trial]:
-    """Too much damping on the right, which is most of the error; late commands on the left."""
+def two_errors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Realization, Trial]:
+    """The right joint has excess damping, the larger error; the left one has a command delay."""
     folder = tmp_path_factory.mktemp("both")
     right = f'name="right" axis="0 1 0" damping="{DAMPING}"'
     text = mjcf()
     assert right in text
     model = folder / "model.xml"
-    model.write_text(text.replace(right, right.replace(f"{DAMPING}", f"{DAMPING + TOO_MUCH}")))
+    model.write_text(text.replace(right, right.replace(f"{DAMPING}", f"{DAMPING + EXCESS}")))
     path = record(folder / "seen.mcap", 1, delay=0.02)
     return load(model), make_trial(read_recording(path))
 
 
-def suspect(both_off: tuple[Realization, Trial], *failed: str) -> LikelyEffect:
-    seen = quick_diagnosis(*both_off, failed=failed)
+def first_suspect(two_errors: tuple[Realization, Trial], *failed: str) -> LikelyEffect:
+    seen = quick_diagnosis(*two_errors, failed=failed)
     return seen.suspects[0]
 
 
-def test_the_joint_that_failed_is_explained(both_off: tuple[Realization, Trial]) -> None:
-    found = suspect(both_off, "right")
+def test_the_failed_joint_is_explained(two_errors: tuple[Realization, Trial]) -> None:
+    found = first_suspect(two_errors, "right")
     assert (found.place, found.of) == (("viscous_friction", ("right",)), ("right",))
     value, unit = found.values["coefficient"]
     assert unit == "N*m*s/rad"
-    assert value == pytest.approx(-TOO_MUCH, rel=0.15)
+    assert value == pytest.approx(-EXCESS, rel=0.15)
     assert found.removed > 0.95
 
 
-def test_so_is_one_whose_error_is_the_smaller(both_off: tuple[Realization, Trial]) -> None:
-    found = suspect(both_off, "left")
+def test_a_failed_joint_with_the_smaller_error_is_explained(
+    two_errors: tuple[Realization, Trial],
+) -> None:
+    found = first_suspect(two_errors, "left")
     assert (found.place, found.of) == (("command_delay", ("left",)), ("left",))
     assert found.values["delay"][0] == pytest.approx(0.02, abs=0.002)
 
 
-@pytest.mark.parametrize("failed", [("left", "right"), ("tcp",), ()])
-def test_where_no_joint_is_told_from_others_all_count(
-    both_off: tuple[Realization, Trial], failed: tuple[str, ...]
+@pytest.mark.parametrize(
+    "failed", [("left", "right"), ("tcp",), ()], ids=["both joints", "no joint but the TCP", "none"]
+)
+def test_without_a_single_failed_joint_the_largest_error_is_explained(
+    two_errors: tuple[Realization, Trial], failed: tuple[str, ...]
 ) -> None:
-    found = suspect(both_off, *failed)
+    found = first_suspect(two_errors, *failed)
     assert (found.place, found.of) == (("viscous_friction", ("right",)), ())
 
 
 def test_each_joint_that_failed_is_explained_by_its_own_cause(
-    both_off: tuple[Realization, Trial],
+    two_errors: tuple[Realization, Trial],
 ) -> None:
-    seen = quick_diagnosis(*both_off, failed=("left", "right"))
+    seen = quick_diagnosis(*two_errors, failed=("left", "right"))
     assert [(s.place, s.of) for s in seen.suspects] == [
         (("viscous_friction", ("right",)), ()),
         (("command_delay", ("left",)), ("left",)),
@@ -70,8 +74,8 @@ def test_each_joint_that_failed_is_explained_by_its_own_cause(
     assert seen.unexplained == ()
 
 
-def looked_at(folder: Path, text: str, **hidden: float) -> LikelyEffect:
-    """The only suspect of a recording whose left joint failed, on the model in ``text``."""
+def only_suspect(folder: Path, text: str, **hidden: float) -> LikelyEffect:
+    """The only likely effect of a recording whose left joint failed; ``text`` is its model."""
     (folder / "model.xml").write_text(text)
     trial = make_trial(read_recording(record(folder / "seen.mcap", 1, **hidden)))
     (found,) = quick_diagnosis(load(folder / "model.xml"), trial, failed=("left",)).suspects
@@ -90,30 +94,32 @@ LIGHTER = mjcf().replace(f'mass="{MASS}"', f'mass="{0.7 * MASS}"', 1)
         (mjcf(), {"dry": 0.1}, "coulomb_friction"),
         (LIGHTER, {}, "inertial_parameters"),
     ],
+    ids=["delay", "lag of 20 ms", "lag of 50 ms", "dry friction", "heavier link"],
 )
-def test_a_cause_that_others_explain_clearly_worse_is_named_alone(
+def test_an_effect_is_named_alone_if_the_others_explain_clearly_less(
     tmp_path: Path, text: str, hidden: dict[str, float], effect: str
 ) -> None:
-    found = looked_at(tmp_path, text, **hidden)
+    found = only_suspect(tmp_path, text, **hidden)
     assert (found.place, found.rivals) == ((effect, ("left",)), ())
     assert found.removed > 0.95
 
 
-def test_a_delay_too_short_to_part_from_a_lag_is_named_beside_it(tmp_path: Path) -> None:
-    found = looked_at(tmp_path, mjcf(), delay=0.008)
+def test_a_delay_too_short_to_distinguish_from_a_lag_is_named_with_it(tmp_path: Path) -> None:
+    found = only_suspect(tmp_path, mjcf(), delay=0.008)
     named = {found.place, *found.rivals}
     assert {("command_delay", ("left",)), ("actuator_lag", ("left",))} <= named
 
 
-def test_of_a_long_recording_it_looks_where_what_failed_is_worst(tmp_path: Path) -> None:
+def test_a_long_recording_is_cut_to_the_largest_error_of_the_failed_joint(tmp_path: Path) -> None:
     path = record(tmp_path / "long.mcap", 1, seconds=45.0)
     (tmp_path / "model.xml").write_text(mjcf())
     trial = make_trial(read_recording(path))
     read = trial.position.copy()
-    # All that the left joint is off by is early; the right one, never right, is knocked late.
+    # The left joint has its error at 5 s. The right joint has an error throughout, and its largest
+    # one at 38 s.
     for column, start in ((0, 5.0), (1, 38.0)):
-        knocked = (trial.time > start) & (trial.time < start + 0.5)
-        read[knocked, column] += 0.2 * np.sin(2 * np.pi * (trial.time[knocked] - start)) ** 2
+        disturbed = (trial.time > start) & (trial.time < start + 0.5)
+        read[disturbed, column] += 0.2 * np.sin(2 * np.pi * (trial.time[disturbed] - start)) ** 2
     read[:, 1] += 0.01 * np.sin(3.0 * trial.time)
     seen = quick_diagnosis(
         load(tmp_path / "model.xml"), replace(trial, position=read), failed=("right",)

@@ -1,4 +1,4 @@
-"""What logged velocities and efforts are."""
+"""Detection of what logged velocities and efforts are: measured, derived or demanded."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ RATE = np.array([3.0, 7.0, 13.0])
 SIZE = np.array([0.4, 0.1, 0.03])
 
 
-def position(late: float = 0.0) -> np.ndarray:
-    return (SIZE[:, None] * np.sin(RATE[:, None] * (TIME - late))).sum(axis=0)
+def position(lag: float = 0.0) -> np.ndarray:
+    return (SIZE[:, None] * np.sin(RATE[:, None] * (TIME - lag))).sum(axis=0)
 
 
-def speed(late: float = 0.0) -> np.ndarray:
-    return ((SIZE * RATE)[:, None] * np.cos(RATE[:, None] * (TIME - late))).sum(axis=0)
+def speed(lag: float = 0.0) -> np.ndarray:
+    return ((SIZE * RATE)[:, None] * np.cos(RATE[:, None] * (TIME - lag))).sum(axis=0)
 
 
 def noisy(values: np.ndarray, deviation: float, seed: int = 1) -> np.ndarray:
     return values + deviation * np.random.default_rng(seed).standard_normal(len(values))
 
 
-def test_a_velocity_of_its_own_sensor_is_as_old_as_the_position() -> None:
+def test_the_velocity_of_a_sensor_has_no_lag_to_the_position() -> None:
     fact = velocity_fact(TIME, noisy(position(), 1e-4), noisy(speed(), 2e-3, 2))
     assert fact.value == "sensor"
     assert abs(fact.numbers["lag"][0]) < 2e-4
 
 
-@pytest.mark.parametrize("late", [0.003, -0.003, 0.02])
-def test_a_velocity_of_another_instant_is_found_with_its_age(late: float) -> None:
-    fact = velocity_fact(TIME, noisy(position(), 1e-4), noisy(speed(late), 2e-3, 2))
+@pytest.mark.parametrize("lag", [0.003, -0.003, 0.02])
+def test_the_lag_of_a_late_velocity_is_found(lag: float) -> None:
+    fact = velocity_fact(TIME, noisy(position(), 1e-4), noisy(speed(lag), 2e-3, 2))
     assert fact.value == "late"
-    assert fact.numbers["lag"][0] == pytest.approx(late, abs=max(3e-4, 0.05 * abs(late)))
+    assert fact.numbers["lag"][0] == pytest.approx(lag, abs=max(3e-4, 0.05 * abs(lag)))
 
 
-def test_differences_of_the_logged_positions_are_half_a_sample_old() -> None:
+def test_backward_differences_of_positions_lag_by_half_a_sample() -> None:
     q = noisy(position(), 1e-4)
     found = velocity_signal(TIME, q, np.diff(q, prepend=q[0]) / PERIOD)
     assert found is not None
@@ -54,14 +54,14 @@ def test_differences_of_the_logged_positions_are_half_a_sample_old() -> None:
     assert found.lag == pytest.approx(PERIOD / 2, rel=0.02)
 
 
-def test_central_differences_are_not_old() -> None:
+def test_central_differences_of_positions_have_no_lag() -> None:
     q = noisy(position(), 1e-4)
     found = velocity_signal(TIME, q, np.gradient(q, TIME))
     assert found is not None
     assert (found.kind, found.lag) == ("differenced", 0.0)
 
 
-def test_a_filter_behind_the_differences_is_found_with_its_bandwidth() -> None:
+def test_the_bandwidth_of_a_filter_on_position_differences_is_found() -> None:
     q = noisy(position(), 1e-4)
     v = np.diff(q, prepend=q[0]) / PERIOD
     keep = np.exp(-PERIOD / 0.01)
@@ -73,7 +73,7 @@ def test_a_filter_behind_the_differences_is_found_with_its_bandwidth() -> None:
     assert found.bandwidth == pytest.approx(1.0 / (2.0 * np.pi * 0.01), rel=0.02)
 
 
-def test_a_joint_at_rest_tells_nothing_of_its_velocity() -> None:
+def test_a_joint_at_rest_does_not_determine_the_source_of_its_velocity() -> None:
     assert velocity_fact(TIME, np.zeros(len(TIME)), np.zeros(len(TIME))).value is None
 
 
@@ -86,7 +86,7 @@ def settled(folder: Path, reality: Reality) -> tuple[Settled, tuple]:
 
 
 @pytest.mark.parametrize("hidden", [{"lag": 0.012}, {"play": 0.01}], ids=["lag", "dead zone"])
-def test_an_effort_that_shows_nothing_of_the_drive_is_demanded(
+def test_an_effort_without_drive_dynamics_is_the_demanded_effort(
     tmp_path: Path, hidden: dict[str, float]
 ) -> None:
     found, used = settled(tmp_path, Reality(effort="demanded", velocity="sensor", **hidden))
@@ -95,7 +95,7 @@ def test_an_effort_that_shows_nothing_of_the_drive_is_demanded(
 
 
 @pytest.mark.parametrize("hidden", [{"lag": 0.012}, {"play": 0.01}], ids=["lag", "dead zone"])
-def test_an_effort_that_shows_the_drive_is_measured(
+def test_an_effort_with_drive_dynamics_is_measured(
     tmp_path: Path, hidden: dict[str, float]
 ) -> None:
     found, used = settled(tmp_path, Reality(effort="measured", velocity="sensor", **hidden))
@@ -103,32 +103,34 @@ def test_an_effort_that_shows_the_drive_is_measured(
     assert used[0].effort is not None
 
 
-def test_behind_a_perfect_drive_both_are_the_same_and_nothing_is_claimed(tmp_path: Path) -> None:
+def test_with_an_ideal_drive_demanded_and_measured_effort_cannot_be_distinguished(
+    tmp_path: Path,
+) -> None:
     found, used = settled(tmp_path, Reality(effort="measured", velocity="sensor"))
     assert found.effort["j1"].value is None
     assert used[0].effort is not None
 
 
-def test_an_effort_that_is_older_than_its_stamp_is_no_sensors_evidence(tmp_path: Path) -> None:
+def test_an_effort_older_than_its_stamp_is_not_used_as_a_measurement(tmp_path: Path) -> None:
     reality = Reality(effort="measured", effort_late=0.003, velocity="sensor")
     found, used = settled(tmp_path, reality)
     assert found.effort["j1"].numbers["lag"][0] == pytest.approx(0.003, abs=5e-4)
     assert used[0].effort is None
 
 
-def test_a_velocity_that_the_driver_made_is_no_initial_velocity(tmp_path: Path) -> None:
+def test_a_velocity_derived_from_positions_is_not_used_as_a_measurement(tmp_path: Path) -> None:
     found, used = settled(tmp_path, Reality(velocity="differenced", filtered=0.01))
     assert found.velocity["j1"].value == "filtered"
     assert used[0].velocity is None
 
 
-def test_an_offset_that_one_possible_setpoint_does_not_need_is_not_claimed() -> None:
+def test_an_effort_lag_is_reported_only_if_every_possible_setpoint_needs_it() -> None:
     needs, does_not = Law(0.0100, 0.002, 0.05), Law(0.0105, 0.0, 0.0105)
     assert effort_fact(1.0, [needs, does_not], [], PERIOD).numbers["lag"][0] == 0.0
     assert effort_fact(1.0, [needs], [], PERIOD).numbers["lag"][0] == 0.002
 
 
-def test_efforts_that_no_law_explains_tell_nothing() -> None:
+def test_efforts_that_no_servo_law_explains_have_no_determined_source() -> None:
     fact = effort_fact(1.0, [Law(0.5, 0.0, 0.5)], [Law(0.6, 0.0, 0.6)], PERIOD)
     assert fact.value is None
     assert "does not explain" in fact.evidence
@@ -142,8 +144,9 @@ def test_efforts_that_no_law_explains_tell_nothing() -> None:
         (1.0, 0.2, 0.0, False),
         (1.0, 0.0, 0.02, False),
     ],
+    ids=["equal", "other gain", "offset", "lag"],
 )
-def test_efforts_equal_to_an_effort_drives_commands_are_no_sensors_evidence(
+def test_efforts_that_repeat_the_effort_commands_are_detected(
     gain: float, offset: float, lag: float, repeats: bool
 ) -> None:
     grid = np.arange(TIME[0], TIME[-1], PERIOD / 20)

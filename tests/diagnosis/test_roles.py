@@ -1,4 +1,4 @@
-"""Effects are chosen without the test recordings, which are opened once, at the end."""
+"""Effects are selected without the test recordings, which are used once, at the end."""
 
 from __future__ import annotations
 
@@ -21,23 +21,27 @@ def read(folder: Path, fit: list[Path], held_out: list[Path]) -> TrialSet:
     return read_trials(fit, held_out, loaded.topics, loaded.realization.structure)
 
 
-def put(folder: Path, name: str, seed: int, seconds: float = 2.2, **told: str) -> Path:
+def record_pendulum(
+    folder: Path, name: str, seed: int, seconds: float = 2.2, **metadata: str
+) -> Path:
     (folder / "model.xml").write_text(mjcf(LEFT))
-    return record(folder / name, seed, joints=LEFT, seconds=seconds, told=told, viscous=0.1)
+    return record(folder / name, seed, joints=LEFT, seconds=seconds, metadata=metadata, viscous=0.1)
 
 
-def validated(roles: Roles) -> set[str]:
+def validation_names(roles: Roles) -> set[str]:
     return {t.path.name for t in roles.validation}
 
 
-@pytest.mark.parametrize("count", [2, 5], ids=["none validates", "one validates"])
-def test_a_search_without_the_test_recordings_on_disk_finds_the_same(
+@pytest.mark.parametrize(
+    "count", [2, 5], ids=["no validation recording", "one validation recording"]
+)
+def test_a_search_without_the_test_recordings_on_disk_has_the_same_findings(
     tmp_path: Path, count: int
 ) -> None:
-    """The held-out recording has more friction and moves further: a search that saw it would
-    differ.
+    """The test recording has more friction and a larger motion, so a search that used it would have
+    another result.
     """
-    fit = [put(tmp_path, f"{seed}.mcap", seed) for seed in range(count)]
+    fit = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(count)]
     test = record(tmp_path / "test.mcap", 9, joints=LEFT, seconds=3.0, viscous=0.14, noise=3e-4)
     realization = load_model(tmp_path / "model.xml").realization
 
@@ -60,12 +64,12 @@ def test_a_search_without_the_test_recordings_on_disk_finds_the_same(
         opened.explained.hypothesis.theta, absent.explained.hypothesis.theta
     )
     (gain,) = (f.held_out_gain for f in opened.explained.findings)
-    assert gain < 0.97, "of the recording with more friction than was fitted"
+    assert gain < 0.97, "the gain must be that of the test recording, which has more friction"
 
 
 def test_parameters_are_fitted_to_fit_and_validation_recordings(tmp_path: Path) -> None:
-    fit = [put(tmp_path, f"{seed}.mcap", seed) for seed in range(4)]
-    test = put(tmp_path, "test.mcap", 9)
+    fit = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(4)]
+    test = record_pendulum(tmp_path, "test.mcap", 9)
     realization = load_model(tmp_path / "model.xml").realization
     found = diagnose(realization, read(tmp_path, fit, [test]), threads=1)
     assert len(found.roles.validation) == 1
@@ -76,68 +80,75 @@ def test_parameters_are_fitted_to_fit_and_validation_recordings(tmp_path: Path) 
     assert not len(found.prepared.problem.held_out)
 
 
-def test_a_finding_that_the_held_out_recordings_contradict_is_doubted(tmp_path: Path) -> None:
-    """Friction was higher than the model's while what is fitted was recorded, and lower later."""
-    fit = [put(tmp_path, f"{seed}.mcap", seed) for seed in range(2)]
+def test_a_finding_that_the_held_out_recordings_contradict_has_at_most_half_confidence(
+    tmp_path: Path,
+) -> None:
+    """Friction was above the model's value in the fitted recordings and below it later."""
+    fit = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(2)]
     test = record(tmp_path / "test.mcap", 9, joints=LEFT, viscous=-0.02)
     realization = load_model(tmp_path / "model.xml").realization
     found = diagnose(realization, read(tmp_path, fit, [test]), threads=1)
     (finding,) = found.explained.findings
     assert finding.held_out_gain < 0.0
     assert finding.confidence <= 0.5
-    said = (
+    expected = (
         "viscous_friction at left: it improves the fitted recordings and makes the held-out error"
     )
-    assert any(note.startswith(said) for note in found.notes)
+    assert any(note.startswith(expected) for note in found.notes)
 
 
-def test_a_fifth_to_a_third_of_the_time_validates_whatever_the_order(tmp_path: Path) -> None:
-    files = [put(tmp_path, f"{seed}.mcap", seed) for seed in range(8)]
+def test_validation_has_a_fifth_to_a_third_of_the_time_for_any_order_of_the_recordings(
+    tmp_path: Path,
+) -> None:
+    files = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(8)]
     roles = roles_of(read(tmp_path, files, files[7:]))
     seconds = [sum(t.duration for t in each) for each in (roles.fit, roles.validation)]
     assert 0.2 <= seconds[1] / sum(seconds) <= 1.0 / 3.0
-    backwards = roles_of(read(tmp_path, files[::-1], files[7:]))
-    assert validated(backwards) == validated(roles)
+    reversed_order = roles_of(read(tmp_path, files[::-1], files[7:]))
+    assert validation_names(reversed_order) == validation_names(roles)
     assert {t.path.name for t in roles.test} == {"7.mcap"}
     assert roles.of_search.held_out == roles.validation
 
 
-def test_every_controller_keeps_a_recording_to_fit(tmp_path: Path) -> None:
+def test_every_controller_has_a_recording_to_fit(tmp_path: Path) -> None:
     kinds = ["soft"] * 4 + ["stiff"] * 3
     files = [
-        put(tmp_path, f"{seed}.mcap", seed, controller=kind) for seed, kind in enumerate(kinds)
+        record_pendulum(tmp_path, f"{seed}.mcap", seed, controller=kind)
+        for seed, kind in enumerate(kinds)
     ]
-    test = put(tmp_path, "test.mcap", 9, controller="stiff")
+    test = record_pendulum(tmp_path, "test.mcap", 9, controller="stiff")
     roles = roles_of(read(tmp_path, files, [test]))
     assert {t.metadata["controller"] for t in roles.fit} == {"soft", "stiff"}
     assert {t.metadata["controller"] for t in roles.validation} == {"soft", "stiff"}
 
-    # What shows under a controller of one recording alone could not be validated.
-    odd = put(tmp_path, "odd.mcap", 8, controller="odd")
+    # An effect under a controller with a single recording could not be validated.
+    odd = record_pendulum(tmp_path, "odd.mcap", 8, controller="odd")
     roles = roles_of(read(tmp_path, [*files, odd], [test]))
     assert not roles.validation
     assert "too few to validate under every controller" in roles.note
 
 
-def test_the_recording_that_moves_furthest_is_fitted(tmp_path: Path) -> None:
-    files = [put(tmp_path, f"{seed}.mcap", 1, seconds=1.0 + 0.2 * seed) for seed in range(5)]
+def test_the_recording_with_the_largest_motion_is_fitted(tmp_path: Path) -> None:
+    files = [
+        record_pendulum(tmp_path, f"{seed}.mcap", 1, seconds=1.0 + 0.2 * seed) for seed in range(5)
+    ]
     roles = roles_of(read(tmp_path, files, files[:1]))
     reach = {t.path.name: float(np.ptp(t.position)) for t in (*roles.fit, *roles.validation)}
-    assert max(reach, key=lambda name: reach[name]) not in validated(roles)
+    assert max(reach, key=lambda name: reach[name]) not in validation_names(roles)
 
 
-def test_of_few_recordings_none_validates_and_a_note_says_so(tmp_path: Path) -> None:
-    files = [put(tmp_path, f"{seed}.mcap", seed) for seed in range(3)]
-    test = put(tmp_path, "test.mcap", 9)
+def test_with_few_recordings_none_is_for_validation_and_a_note_says_so(tmp_path: Path) -> None:
+    files = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(3)]
+    test = record_pendulum(tmp_path, "test.mcap", 9)
     roles = roles_of(read(tmp_path, files, [test]))
     assert not roles.validation
     assert len(roles.fit) == 3
     assert roles.note.startswith("3 recordings to fit, too few to set one aside for validation")
 
 
-def test_what_is_held_out_has_no_influence_on_how_the_others_are_read(tmp_path: Path) -> None:
-    """It has another joint than they do, and is left out itself."""
-    files = [put(tmp_path, f"{seed}.mcap", seed) for seed in range(2)]
+def test_held_out_recordings_do_not_change_how_the_others_are_read(tmp_path: Path) -> None:
+    """The held-out recordings lack a joint of the others."""
+    files = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(2)]
     (tmp_path / "model.xml").write_text(mjcf())
     both = [record(tmp_path / f"both{seed}.mcap", seed) for seed in range(2)]
     fit = [trial.joints for trial in read(tmp_path, both, files).fit]

@@ -1,4 +1,4 @@
-"""Windows under effort commands in which dry friction turns around: how far they are trusted."""
+"""Weights of windows under effort commands in which dry friction reverses."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ FINE, NOISE = 1e-5, 5e-5
 MOTOR = '<motor name="j" joint="j"/>'
 
 
-def drive(friction: float) -> str:
-    """The pendulum with dry friction, stiff enough not to creep."""
+def pendulum_with_friction(friction: float) -> str:
+    """MJCF of the pendulum with dry friction in N*m, whose constraint hardly creeps."""
     stiff = 'solreffriction="0.004 1" solimpfriction="0.99 0.999 0.001"'
     given = f'damping="{DAMPING}" frictionloss="{friction}" {stiff}'
     return mjcf(MOTOR).replace(f'damping="{DAMPING}"', given)
 
 
-def bristles(command: FloatArray, distance: float) -> tuple[FloatArray, FloatArray]:
-    """Stamps, s, and positions, rad, of a pendulum whose dry friction is Dahl's (1968): it has all
-    of its level some ``distance``, rad, after a turn.
+def simulate_dahl_friction(command: FloatArray, distance: float) -> tuple[FloatArray, FloatArray]:
+    """Stamps in s and positions in rad of a pendulum with the dry friction of Dahl (1968).
+
+    After a reversal, the friction reaches its level over about ``distance`` in rad.
     """
     q = v = z = 0.0
     each = round(TICK / FINE)
@@ -47,12 +48,12 @@ def bristles(command: FloatArray, distance: float) -> tuple[FloatArray, FloatArr
 
 
 def recorded(folder: Path, friction: float, distance: float) -> Trial:
-    """Of bristles, beside a model with so much dry friction."""
+    """Record a pendulum with presliding ``distance``; its model has dry friction ``friction``."""
     sent = TICK * np.arange(400)
     command = 0.9 * np.sin(2 * np.pi * 0.8 * sent) + 0.5 * np.sin(2 * np.pi * 1.7 * sent)
-    time, position = bristles(command, distance)
+    time, position = simulate_dahl_friction(command, distance)
     position += NOISE * np.random.default_rng(0).standard_normal(len(position))
-    (folder / "model.xml").write_text(drive(friction))
+    (folder / "model.xml").write_text(pendulum_with_friction(friction))
 
     def series(topic: str, at: FloatArray, **fields: FloatArray) -> JointSeries:
         stamps = START_NS + np.rint(at * 1e9).astype(np.int64)
@@ -68,25 +69,23 @@ def recorded(folder: Path, friction: float, distance: float) -> Trial:
     return make_trial(read_recording(folder / "a.mcap"))
 
 
-def test_dry_friction_that_yields_a_little_is_no_mismatch(tmp_path: Path) -> None:
+def test_small_presliding_is_no_mismatch(tmp_path: Path) -> None:
     problem = prepared(tmp_path, recorded(tmp_path, DRY, 2e-4)).problem
     everywhere = problem.everywhere
-    (as_it_is,), (weigh_efforts,) = (
+    (unweighted,), (weighted,) = (
         f([EMPTY], everywhere) for f in (problem.errors, problem.residuals)
     )
-    floors = [
-        np.sqrt(np.mean((r[:, 0] / problem.floor[0]) ** 2)) for r in (as_it_is, weigh_efforts)
-    ]
-    assert floors[0] > 2.0 * VERDICT.at_floor, "or there is nothing to distrust"
+    floors = [np.sqrt(np.mean((r[:, 0] / problem.floor[0]) ** 2)) for r in (unweighted, weighted)]
+    assert floors[0] > 2.0 * VERDICT.at_floor, "the unweighted error must be above the noise floor"
     assert floors[1] < VERDICT.at_floor
-    assert problem.floor[0] < 3.0 * NOISE, "and not for a floor that would hide anything"
+    assert problem.floor[0] < 3.0 * NOISE, "the noise floor must stay near the sensor noise"
     weights = np.array(list(problem.position_weights.values()))[:, 0]
     assert np.mean(weights**2) == pytest.approx(1.0)
     (line,) = _half_trusted(problem)
     assert line.startswith(f"joint 'j': {(weights < 0.5 * weights.max()).sum()} of {len(weights)}")
 
 
-def test_friction_that_the_model_lacks_is_not_excused(tmp_path: Path) -> None:
+def test_dry_friction_that_the_model_lacks_keeps_its_full_weight(tmp_path: Path) -> None:
     problem = prepared(tmp_path, recorded(tmp_path, 0.0, 2e-4)).problem
     assert problem.position_weights == {}
     assert _half_trusted(problem) == []
@@ -94,7 +93,7 @@ def test_friction_that_the_model_lacks_is_not_excused(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(left[:, 0] ** 2)) > 30.0 * problem.floor[0]
 
 
-def test_much_more_yielding_than_that_stands_out(tmp_path: Path) -> None:
+def test_large_presliding_leaves_a_residual_above_the_noise_floor(tmp_path: Path) -> None:
     problem = prepared(tmp_path, recorded(tmp_path, DRY, 5e-3)).problem
     (left,) = problem.residuals([EMPTY], problem.everywhere)
     assert np.sqrt(np.mean(left[:, 0] ** 2)) > 2.0 * VERDICT.at_floor * problem.floor[0]

@@ -1,4 +1,4 @@
-"""The search that proposes, races and accepts."""
+"""Structure search: proposals, their comparison and acceptance."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pytest_twin.diagnosis.trials import read_trials
 
 
 def problem_of(folder: Path, **hidden: float) -> Problem:
-    """One pendulum in which something is hidden."""
+    """The problem of one pendulum with hidden effects."""
     model = folder / "model.xml"
     model.write_text(mjcf(("left",)))
     loaded = load_model(model)
@@ -47,9 +47,9 @@ def problem_of(folder: Path, **hidden: float) -> Problem:
         ({"viscous": 0.03, "delay": 0.02}, {"viscous_friction", "command_delay"}),
         ({}, set()),
     ],
-    ids=["one effect", "two effects", "nothing"],
+    ids=["one effect", "two effects", "no effect"],
 )
-def test_what_is_hidden_is_named_alone_and_cheaply(
+def test_exactly_the_hidden_effects_are_found_with_less_than_150_simulations(
     tmp_path: Path, hidden: dict[str, float], names: set[str]
 ) -> None:
     problem = problem_of(tmp_path, **hidden)
@@ -57,7 +57,7 @@ def test_what_is_hidden_is_named_alone_and_cheaply(
     run = Run()
     result = StructureSearch(problem, run).run()
     found = {t.effect for t in result.model.hypothesis.terms}
-    # One joint cannot tell a late command from a late sensor.
+    # With one joint, a command delay cannot be distinguished from a sensor delay.
     assert {"command_delay" if e == "sensor_delay" else e for e in found} == names
     assert (problem.stepped - before) / problem.simulator.steps.sum() < 150
     left = np.sqrt(result.model.mean_square) / problem.signal_floor
@@ -78,7 +78,7 @@ def test_when_time_runs_out_the_best_simulated_proposal_is_the_result(
     assert not result.is_complete
 
 
-def test_a_search_from_a_wrong_start_gives_its_effects_up(tmp_path: Path) -> None:
+def test_a_search_that_starts_with_a_wrong_effect_removes_it(tmp_path: Path) -> None:
     problem = problem_of(tmp_path, viscous=0.03)
     search = StructureSearch(problem)
     wrong = next(t for t in search.candidates if t.effect == "quadratic_drag")
@@ -87,7 +87,7 @@ def test_a_search_from_a_wrong_start_gives_its_effects_up(tmp_path: Path) -> Non
     assert {t.effect for t in found.terms} == {"viscous_friction"}
 
 
-def test_removals_are_none_each_pairs_and_all_of_a_joint(tmp_path: Path) -> None:
+def test_removals_contain_the_empty_set_and_all_terms_of_a_joint(tmp_path: Path) -> None:
     terms = StructureSearch(problem_of(tmp_path)).candidates[:3]
     own = EMPTY
     for term in terms:
@@ -97,8 +97,8 @@ def test_removals_are_none_each_pairs_and_all_of_a_joint(tmp_path: Path) -> None
     assert sizes[-1] == len([t for t in terms if t.joint in (terms[0].joint, -1)])
 
 
-def test_the_best_of_each_number_of_effects_are_fitted_on() -> None:
-    """Sets of three that follow the residual a little better crowd out no single effect."""
+def test_the_best_proposals_with_each_number_of_effects_are_kept() -> None:
+    """Sets of three effects with slightly more gain do not displace single effects."""
     one, two = (Hypothesis((Term(e, 0),), np.zeros(1)) for e in ("armature", "viscous_friction"))
     three = one.with_term(Term("cogging", 0), np.zeros(3)).with_term(
         Term("encoder_bias", 0), np.zeros(2)
@@ -109,8 +109,8 @@ def test_the_best_of_each_number_of_effects_are_fitted_on() -> None:
     assert [p.gain for p in others] == [8.0, 6.0]
 
 
-def test_elastic_transmissions_take_no_place_of_other_effects() -> None:
-    """Along the measured motion they seem to explain nearly everything."""
+def test_elastic_transmissions_displace_no_other_effects() -> None:
+    """In the linearization along the measured motion they explain nearly every residual."""
     names = ("joint_elasticity", "backlash", "encoder_scale", "payload", "armature")
     models = [
         EMPTY.with_term(Term(n, -1 if n == "payload" else 0), np.zeros(len(Term(n, 0).parameters)))

@@ -1,4 +1,4 @@
-"""Trials that differ in temperature, by their metadata: friction that follows it."""
+"""Friction that depends on temperature, from trials with a temperature in their metadata."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ EXCESS = 0.1
 
 
 def diagnosed(folder: Path, hidden: str, excess: float) -> Path:
-    """A diagnosis of trials in the cold, where the left joint rubs, and in the warmth."""
+    """Diagnose cold trials with additional friction at the left joint, and warm ones without it."""
     (folder / "model.xml").write_text(mjcf())
     files = [
         record(
-            folder / f"{role}_{name}{seed}.mcap", seed, role=role, told={"temperature": name},
+            folder / f"{role}_{name}{seed}.mcap", seed, role=role, metadata={"temperature": name},
             **{hidden: level, "joint": 0},
         )
         for seed, (role, name, level) in enumerate(
@@ -46,14 +46,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return diagnosed(tmp_path_factory.mktemp("cold"), "dry", EXCESS)
 
 
-def said(folder: Path) -> dict[str, Any]:
+def read_diagnosis(folder: Path) -> dict[str, Any]:
     loaded: dict[str, Any] = json.loads((folder / "out" / "diagnosis.json").read_text())
     return loaded
 
 
-def test_friction_of_the_cold_trials_is_named_with_their_temperature(folder: Path) -> None:
-    """A level for all trials would be wrong in each of them."""
-    found = said(folder)
+def test_dry_friction_in_cold_trials_only_is_found_as_temperature_dependent_friction(
+    folder: Path,
+) -> None:
+    """One friction level for all trials would be wrong in each of them."""
+    found = read_diagnosis(folder)
     (finding,) = found["findings"]
     assert (found["verdict"], finding["effect"], finding["joint"]) == (
         "explained", "thermal_friction", "left",
@@ -66,15 +68,17 @@ def test_friction_of_the_cold_trials_is_named_with_their_temperature(folder: Pat
     assert all("cold" in name for name in finding["where"]["windows"])
 
 
-def test_grease_that_is_stiff_in_the_cold_is_named(tmp_path: Path) -> None:
-    (finding,) = said(diagnosed(tmp_path, "viscous", 0.2))["findings"]
+def test_viscous_friction_in_cold_trials_only_is_found_as_temperature_dependent_friction(
+    tmp_path: Path,
+) -> None:
+    (finding,) = read_diagnosis(diagnosed(tmp_path, "viscous", 0.2))["findings"]
     assert (finding["effect"], finding["joint"]) == ("thermal_friction", "left")
     low, high = finding["parameters"]["viscous_excess"]["ci95"]
     assert low <= 0.2 <= high
     assert finding["parameters"]["viscous_excess"]["value"] == pytest.approx(0.2, rel=0.03)
 
 
-def test_the_folder_is_replayed_at_the_temperature_of_the_recording(folder: Path) -> None:
+def test_a_patched_model_is_replayed_at_the_temperature_of_the_recording(folder: Path) -> None:
     for name, seed in (("cold", 4), ("warm", 5)):
         recording = folder / f"held_out_{name}{seed}.mcap"
         out = folder / f"{name}.mcap"
@@ -82,12 +86,12 @@ def test_the_folder_is_replayed_at_the_temperature_of_the_recording(folder: Path
         predicted, measured = (read_recording(p).series["state"].position for p in (out, recording))
         assert predicted is not None
         assert measured is not None
-        error = said(folder)["held_out"]["left"]
+        error = read_diagnosis(folder)["held_out"]["left"]
         rms = float(np.sqrt(np.mean((predicted - measured)[:, 0] ** 2)))
         assert rms < 2.0 * error["floor"] < 0.1 * error["rms_before"]
 
 
-def test_a_replay_without_a_temperature_is_refused_with_what_is_known(
+def test_a_replay_without_temperature_is_refused_and_the_known_temperatures_are_named(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     silent = record(folder / "silent.mcap", 9)
@@ -105,7 +109,7 @@ def test_a_replay_without_a_temperature_is_refused_with_what_is_known(
     [({"cold": "very"}, "a finite number"), ([1.0], "a table"),
      ({"a": 0.5, "b": 0.5}, "temperatures that differ")],
 )  # fmt: skip
-def test_a_list_of_effects_with_other_temperatures_is_refused(
+def test_invalid_temperatures_in_the_effects_file_are_refused(
     folder: Path, tmp_path: Path, cold_fraction: object, expected: str
 ) -> None:
     listed = json.loads((folder / "out" / "realization" / EFFECTS_FILE).read_text())
@@ -118,8 +122,8 @@ def test_a_list_of_effects_with_other_temperatures_is_refused(
 
 def trial(tmp_path: Path, name: str, temperature: str | None) -> Trial:
     (tmp_path / "model.xml").write_text(mjcf())
-    told = None if temperature is None else {"temperature": temperature}
-    path = record(tmp_path / name, 0, seconds=0.3, told=told)
+    metadata = None if temperature is None else {"temperature": temperature}
+    path = record(tmp_path / name, 0, seconds=0.3, metadata=metadata)
     return make_trial(
         read_recording(path), load_model(tmp_path / "model.xml").realization.structure
     )
@@ -132,7 +136,7 @@ def trial(tmp_path: Path, name: str, temperature: str | None) -> Trial:
         (["20 C", "40 °C"], {"20 C": 1.0, "40 °C": 0.0}),
         (["293.15 K", "283.15 K"], {"283.15 K": 1.0, "293.15 K": 0.0}),
         (["warm", "cold"], {"cold": 1.0, "warm": 0.0}),
-        # No order, no difference, not all of them told: nothing is known.
+        # Three names, two units, equal or missing temperatures have no order.
         (["a", "b", "c"], {}),
         (["20 C", "300 K", "40 C"], {}),
         (["20", "20.0"], {}),
@@ -140,14 +144,14 @@ def trial(tmp_path: Path, name: str, temperature: str | None) -> Trial:
         ([None, None], {}),
     ],
 )
-def test_temperatures_are_ordered_where_they_can_be(
+def test_cold_fractions_are_known_for_numbers_of_one_unit_and_for_two_names(
     tmp_path: Path, names: list[str | None], cold_fraction: dict[str, float]
 ) -> None:
     trials = [trial(tmp_path, f"{i}.mcap", name) for i, name in enumerate(names)]
     assert cold_fractions_of(trials) == pytest.approx(cold_fraction)
 
 
-def test_a_temperature_in_between_or_beyond_is_on_the_same_line(tmp_path: Path) -> None:
+def test_the_cold_fraction_is_linear_in_temperature_and_not_negative(tmp_path: Path) -> None:
     known = {"20 C": 1.0, "40 C": 0.0}
     for name, share in (("25 C", 0.75), ("10 C", 1.5), ("60 C", 0.0), ("40 C", 0.0)):
         assert cold_fraction_of_trial(known, trial(tmp_path, "t.mcap", name)) == pytest.approx(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_behind_gears import fitted, with_true
+from test_elastic_transmissions import scored_model, single_effect
 from test_first_order import ELBOW, ROBOT, SHOULDER, carried, problem_of
 
 from pytest_twin.diagnosis.first_order.sensitivities import grid
@@ -80,7 +80,7 @@ def test_two_that_hold_each_other_up_give_way_to_the_one_in_their_place(loaded: 
     assert one.removed == (SPRING, REFLECTED)
     assert one.evidence > 0.0
     assert one.hypothesis.terms == (one.new,)
-    true = with_true(loaded, MASS, CARRIED)
+    true = single_effect(loaded, MASS, CARRIED)
     assert np.prod(as_load(loaded, one).theta[:2]) == pytest.approx(
         np.prod(true.theta[:2]), rel=0.1
     )
@@ -91,7 +91,7 @@ def test_a_term_that_stands_among_the_wrong_ones_starts_anew_in_their_place(
 ) -> None:
     """A payload that takes off what a heavier link has too much, in the place of both."""
     comparison = ModelComparison(loaded)
-    wrong = with_true(loaded, MASS, carried(-0.05, 0.05))
+    wrong = single_effect(loaded, MASS, carried(-0.05, 0.05))
     (best,) = comparison.rivals(
         [wrong.with_term(BODY, np.array([0.6, 0.0, 0.0, 0.0, 0.0, 0.0]))],
         comparison.weights(comparison.nominal), 0, slopes=True,
@@ -108,10 +108,10 @@ def test_a_term_that_stands_among_the_wrong_ones_starts_anew_in_their_place(
 def test_what_a_name_does_alone_is_lost_without_it() -> None:
     problem = problem_of("position", BRAKED)
     comparison = ModelComparison(problem)
-    both = with_true(problem, DRAG, BRAKED[DRAG]).with_term(
-        DRY, with_true(problem, DRY, BRAKED[DRY]).theta
+    both = single_effect(problem, DRAG, BRAKED[DRAG]).with_term(
+        DRY, single_effect(problem, DRY, BRAKED[DRY]).theta
     )
-    found = around(problem, comparison, fitted(comparison, both))
+    found = around(problem, comparison, scored_model(comparison, both))
     bare = {x.removed: x.evidence for x in found if x.new is None}
     assert bare.keys() == {(DRAG,), (DRY,)}
     assert max(bare.values()) < -30.0
@@ -123,9 +123,9 @@ def test_a_rival_of_another_motion_is_judged_with_its_own_step(
     loaded: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     selection = StepwiseSelection(loaded)
-    best = fitted(selection.comparison, EMPTY)
+    best = scored_model(selection.comparison, EMPTY)
     # What the step costs differs between the two: the rival is worth what it is at its own.
-    rival = fitted(selection.comparison, with_true(loaded, MASS, CARRIED))
+    rival = scored_model(selection.comparison, single_effect(loaded, MASS, CARRIED))
     at: list[Hypothesis] = []
     monkeypatch.setattr(Problem, "refine_at", lambda self, h: at.append(h))
     for evidence in (-3.0, -1e5, 10.0):
@@ -167,7 +167,7 @@ def test_an_exchange_comes_from_two_wrong_names_to_the_right_one(loaded: Problem
     selected = SelectedModel(settled(comparison, SPRING, REFLECTED), comparison.nominal)
     assert selection.exchange_terms(selected)
     assert selected.best.hypothesis.terms == (MASS,)
-    true = with_true(loaded, MASS, CARRIED)
+    true = single_effect(loaded, MASS, CARRIED)
     moment, its = (np.prod(h.theta[:2]) for h in (selected.best.hypothesis, true))
     assert moment == pytest.approx(its, rel=0.1)
 
@@ -211,7 +211,7 @@ def test_what_is_better_beside_everything_is_tried_in_the_place_of_several() -> 
     limit, drag = Term("torque_saturation", ELBOW), Term("quadratic_drag", ELBOW)
     best = settled(comparison, limit, drag)
     look, price = linearize_around(problem, best), comparison.penalty_per_effect
-    true = with_true(problem, falls, hidden)
+    true = single_effect(problem, falls, hidden)
     both = best.hypothesis.with_term_of(true, falls)
     old = TermExchange((limit, drag), falls, EMPTY, -85.0, False)
     elsewhere = TermExchange((limit,), DRY, EMPTY, -4.0, False)
@@ -328,14 +328,14 @@ def test_rivals_that_hardly_lose_are_simulated(
 ) -> None:
     selection = StepwiseSelection(loaded)
     comparison = selection.comparison
-    best = fitted(comparison, with_true(loaded, MASS, CARRIED))
+    best = scored_model(comparison, single_effect(loaded, MASS, CARRIED))
     monkeypatch.setattr(comparison, "rivals", lambda starts, *rest: [best] * len(starts))
     removed = (MASS,)
 
     def simulated(lost: float, behind: float) -> list[Term | None]:
         found = [
             TermExchange(removed, None, EMPTY, lost, False),
-            TermExchange(removed, DRAG, with_true(loaded, DRAG, BRAKED[DRAG]), behind, False),
+            TermExchange(removed, DRAG, single_effect(loaded, DRAG, BRAKED[DRAG]), behind, False),
         ]
         return [x.new for x, _ in selection.simulated_exchanges(best, found, ())]
 
@@ -348,7 +348,7 @@ def test_rivals_that_hardly_lose_are_simulated(
     several = [
         TermExchange((MASS,), None, EMPTY, -5000.0, False),
         TermExchange((DRY,), None, EMPTY, -3.0, False),
-        TermExchange((MASS, DRY), DRAG, with_true(loaded, DRAG, BRAKED[DRAG]), -200.0, False),
+        TermExchange((MASS, DRY), DRAG, single_effect(loaded, DRAG, BRAKED[DRAG]), -200.0, False),
     ]
     assert [x.new for x, _ in selection.simulated_exchanges(best, several, ())] == [DRAG]
     assert selection.simulated_exchanges(best, several[1:], ()) == []
@@ -418,7 +418,7 @@ def test_a_law_that_has_another_in_it_is_clearly_ahead_or_gives_way() -> None:
 def test_of_two_under_the_floor_the_quieter_is_the_likelier(loaded: Problem) -> None:
     """A floor that was estimated too high hides from evidence what still tells two laws apart."""
     comparison = ModelComparison(loaded)
-    rival = fitted(comparison, with_true(loaded, MASS, CARRIED))
+    rival = scored_model(comparison, single_effect(loaded, MASS, CARRIED))
     floor = np.full(len(loaded.signal_floor), 1.0)
 
     def leaving(fit: float, unseen: float) -> ScoredModel:

@@ -1,4 +1,4 @@
-"""What stays unexplained is found where it acts, also where whole motions part from it."""
+"""An unexplained residual is located where its cause acts, also if whole motions diverge."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ ARM = """
  <joint name="lift" axis="0 1 0" damping="0.1"/></body></worldbody>
 <actuator><velocity name="lift" joint="lift" kv="3"/></actuator></mujoco>
 """
-TIGHT = 0.25
-"""rad from which a cable pulls back, 20 N*m/rad."""
+TAUT = 0.25
+"""Position in rad above which a cable pulls back with 20 N*m/rad."""
 
 
 def recorded(folder: Path, seed: int) -> Path:
-    """An arm under a velocity servo that is held back by a cable above an angle."""
+    """Record an arm with a velocity servo that a cable pulls back above ``TAUT``."""
     model = mujoco.MjModel.from_xml_string(ARM)
     model.opt.timestep = 2e-4
     data = mujoco.MjData(model)
@@ -43,7 +43,7 @@ def recorded(folder: Path, seed: int) -> Path:
     for k in range(len(time)):
         position[k], data.ctrl[:] = data.qpos, command[k]
         for _ in range(50):
-            data.qfrc_applied[0] = -20.0 * max(float(data.qpos[0]) - TIGHT, 0.0)
+            data.qfrc_applied[0] = -20.0 * max(float(data.qpos[0]) - TAUT, 0.0)
             mujoco.mj_step(model, data)
     stamp = 10**18 + np.rint(time * 1e9).astype(np.int64)
     noisy = position + 1e-4 * np.random.default_rng(seed).standard_normal(position.shape)
@@ -56,8 +56,8 @@ def recorded(folder: Path, seed: int) -> Path:
     return path
 
 
-def unnamed(prepared: Prepared, trials: TrialSet) -> SearchResult:
-    """A search that came to nothing."""
+def search_without_findings(prepared: Prepared, trials: TrialSet) -> SearchResult:
+    """The result of a search that found no effect."""
     problem = prepared.problem
     left = residuals_everywhere(problem, EMPTY)
     rms = float(np.sqrt(np.mean(left**2)))
@@ -77,14 +77,14 @@ def unnamed(prepared: Prepared, trials: TrialSet) -> SearchResult:
     )
 
 
-def share_in(windows: list[list[float]], time: np.ndarray, tight: np.ndarray) -> float:
-    """Share of the samples in windows in which the cable pulls."""
+def share_in(windows: list[list[float]], time: np.ndarray, taut: np.ndarray) -> float:
+    """Share of the samples in ``windows`` at which the cable pulls."""
     inside = np.any([(time >= a) & (time <= b) for a, b in windows], axis=0)
-    return float(np.mean(tight[inside]))
+    return float(np.mean(taut[inside]))
 
 
-def test_a_cable_under_a_velocity_servo_is_found_where_it_pulls(tmp_path: Path) -> None:
-    """An error of the speed adds up: most of it is late, wherever the cable pulls."""
+def test_a_cable_under_a_velocity_servo_is_located_where_it_pulls(tmp_path: Path) -> None:
+    """A velocity error accumulates, so whole motions have their largest error at another place."""
     (tmp_path / "arm.xml").write_text(ARM)
     realization = load(tmp_path / "arm.xml")
     recordings = [read_recording(recorded(tmp_path, seed)) for seed in (1, 2)]
@@ -92,19 +92,19 @@ def test_a_cable_under_a_velocity_servo_is_found_where_it_pulls(tmp_path: Path) 
     given = ModelSetup(realization, threads=1)
     whole, trials = build_problem(given, TrialSet((fit,), (held_out,), ()), [])
     cut, kept = build_problem(given, trials, [], window=0.5)
-    found = unnamed(whole, trials)
+    found = search_without_findings(whole, trials)
     place = unexplained(found, cut, kept)["lift"].where
     low, high = (float(x) for x in place.summary.split(" rad (")[0].split()[1::2])
-    assert TIGHT - 0.02 < low < high < TIGHT + 0.2
+    assert TAUT - 0.02 < low < high < TAUT + 0.2
     assert set(place.windows) == {"1.mcap", "2.mcap"}
-    adrift = unexplained(found, whole, trials)["lift"].where
+    of_whole_motions = unexplained(found, whole, trials)["lift"].where
     near, far = (
         [
-            share_in(where.windows[t.path.name], t.time, t.position[:, 0] > TIGHT)
+            share_in(where.windows[t.path.name], t.time, t.position[:, 0] > TAUT)
             for t in (fit, held_out)
             if t.path.name in where.windows
         ]
-        for where in (place, adrift)
+        for where in (place, of_whole_motions)
     )
     assert min(near) > 0.85
     assert min(near) > min(far) + 0.2

@@ -1,4 +1,4 @@
-"""Angles in degrees or counts, in states and commands alike, are told by the model itself."""
+"""Angles in degrees or encoder counts are detected by comparison with the model."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from two_pendulums import JOINTS, KP, KV, STEP, mjcf, reference, swing, write
+from two_pendulums import JOINTS, KP, KV, STEP, mjcf, reference, simulate, write
 
 from pytest_twin import cli
 from pytest_twin.commands.replay import LoadedModel, load_model
@@ -20,10 +20,10 @@ TURN = 2.0 * np.pi
 INERTIA, DAMPING = 0.02, 0.05
 
 
-def servos(path: Path, seed: int, scale: float = 1.0, slower: int = 1) -> Path:
-    """A recording of two pendulums, all of its angles times ``scale``."""
+def record_pendulums(path: Path, seed: int, scale: float = 1.0, slower: int = 1) -> Path:
+    """Record two pendulums with all angles times ``scale``, ``slower`` times as slow."""
     wanted = np.repeat(reference(seed, 2.0, 2)[: 20000 // slower], slower, axis=0)
-    moved = swing(wanted, viscous=0.02)
+    moved = simulate(wanted, viscous=0.02)
     sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
     noise = 1e-4 * np.random.default_rng(seed).standard_normal((len(seen), 2))
     write(
@@ -32,16 +32,16 @@ def servos(path: Path, seed: int, scale: float = 1.0, slower: int = 1) -> Path:
     return path
 
 
-def wheel(path: Path, mode: str, *, effort: float = 0.4, scale: float = 1.0) -> Path:
-    """One wheel, pushed to and fro, or led by a servo that is as strong as it needs to be."""
+def record_wheel(path: Path, mode: str, *, effort: float = 0.4, scale: float = 1.0) -> Path:
+    """Record one wheel under oscillating effort commands, or under a servo without a limit."""
     time = np.arange(round(2.0 / STEP)) * STEP
     held = (np.arange(len(time)) // 100) * 100
     u = (effort * np.sin(TURN * 0.7 * time))[held]
     q, v, out = 0.0, 0.0, np.empty(len(time))
     for k in range(len(time)):
         out[k] = q
-        asked = u[k] if mode == "effort" else KP * (40.0 * u[k] - q) - KV * v
-        v += STEP * (asked - DAMPING * v) / INERTIA
+        demand = u[k] if mode == "effort" else KP * (40.0 * u[k] - q) - KV * v
+        v += STEP * (demand - DAMPING * v) / INERTIA
         q += STEP * v
     sent, seen = np.arange(0, len(time), 100), np.arange(0, len(time), 50)
     commands = u[sent] if mode == "effort" else 40.0 * u[sent]
@@ -78,30 +78,30 @@ def read(loaded: LoadedModel, *paths: Path) -> TrialSet:
     [(np.degrees(1.0), "degrees"), (COUNTS, r"counts of \d+ a turn")],
     ids=["degrees", "counts"],
 )
-def test_states_and_commands_in_one_wrong_unit_are_refused_at_once(
+def test_states_and_commands_in_the_same_wrong_unit_are_refused(
     pendulums: LoadedModel,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     scale: float,
     unit: str,
 ) -> None:
-    files = [servos(tmp_path / f"{k}.mcap", k, scale) for k in range(2)]
+    files = [record_pendulums(tmp_path / f"{k}.mcap", k, scale) for k in range(2)]
     words = ["diagnose", "--seconds", "0", str(tmp_path / "model.xml"), *map(str, files), "--out"]
     assert cli.main([*words, str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
+    message = capsys.readouterr().err
     assert re.fullmatch(
         rf"pytest-twin diagnose: \S+0\.mcap: states and commands seem to be in {unit}: in this "
         r"unit the model follows them \(expected rad \(m for a sliding joint\); convert the "
         r"recording\)\n",
-        said,
-    ), said
+        message,
+    ), message
 
 
-def test_of_several_the_ones_in_degrees_are_left_out(
+def test_of_several_recordings_those_in_degrees_are_left_out(
     pendulums: LoadedModel, tmp_path: Path
 ) -> None:
-    good = [servos(tmp_path / f"good{k}.mcap", k) for k in range(3)]
-    odd = servos(tmp_path / "odd.mcap", 5, np.degrees(1.0))
+    good = [record_pendulums(tmp_path / f"good{k}.mcap", k) for k in range(3)]
+    odd = record_pendulums(tmp_path / "odd.mcap", 5, np.degrees(1.0))
     notes: list[str] = []
     found = drop_other_units(pendulums.realization, read(pendulums, odd, *good), notes)
     assert {t.path for t in (*found.fit, *found.held_out)} == set(good)
@@ -109,19 +109,21 @@ def test_of_several_the_ones_in_degrees_are_left_out(
     assert note.startswith(f"left out: {odd}: states and commands seem to be in degrees")
 
 
-def test_degrees_are_told_where_most_recordings_are_slow(
+def test_degrees_are_detected_if_most_recordings_are_slow(
     pendulums: LoadedModel, tmp_path: Path
 ) -> None:
-    """A slow motion a servo follows in any unit, if less well in a wrong one."""
-    slow = [servos(tmp_path / f"slow{k}.mcap", k, np.degrees(1.0), slower=2) for k in range(2)]
-    odd = read(pendulums, *slow, servos(tmp_path / "fast.mcap", 2, np.degrees(1.0)))
+    """A servo follows a slow motion in every unit, with a larger error in a wrong one."""
+    slow = [
+        record_pendulums(tmp_path / f"slow{k}.mcap", k, np.degrees(1.0), slower=2) for k in range(2)
+    ]
+    odd = read(pendulums, *slow, record_pendulums(tmp_path / "fast.mcap", 2, np.degrees(1.0)))
     with pytest.raises(RecordingError, match="states and commands seem to be in degrees"):
         drop_other_units(pendulums.realization, odd, [])
 
 
 def test_states_in_degrees_under_effort_commands_are_refused(tmp_path: Path) -> None:
     loaded = wheel_model(tmp_path, "motor")
-    odd = read(loaded, wheel(tmp_path / "a.mcap", "effort", scale=np.degrees(1.0)))
+    odd = read(loaded, record_wheel(tmp_path / "a.mcap", "effort", scale=np.degrees(1.0)))
     with pytest.raises(
         RecordingError, match="states seem to be in degrees: in this unit the model"
     ):
@@ -132,30 +134,33 @@ def test_states_in_degrees_under_effort_commands_are_refused(tmp_path: Path) -> 
     ("mode", "actuator"),
     [
         ("effort", "motor"),
-        # Far too weak: of a recording that is read in degrees it could do all that is asked.
+        # The servo is so weak that it could follow this recording only if it was in degrees.
         ("position", f'position kp="{KP}" kv="{KV}" forcerange="-0.2 0.2"'),
     ],
+    ids=["effort commands", "weak position servo"],
 )
-def test_a_wheel_that_turns_on_is_taken_at_its_word(
+def test_a_wheel_in_rad_that_turns_several_times_is_accepted(
     tmp_path: Path, mode: str, actuator: str
 ) -> None:
     loaded = wheel_model(tmp_path, actuator)
-    trials = read(loaded, wheel(tmp_path / "a.mcap", mode, effort=4.0))
+    trials = read(loaded, record_wheel(tmp_path / "a.mcap", mode, effort=4.0))
     assert np.ptp(trials.fit[0].position) > 4 * TURN
     assert drop_other_units(loaded.realization, trials, []) is trials
 
 
-@pytest.mark.parametrize("scale", [1.0, 8.0])
-def test_a_robot_in_rad_is_taken_at_its_word(
+@pytest.mark.parametrize("scale", [1.0, 8.0], ids=["in rad", "in an unknown unit"])
+def test_a_recording_that_the_model_follows_in_no_other_unit_is_accepted(
     pendulums: LoadedModel, tmp_path: Path, scale: float
 ) -> None:
-    """Also where the model does not follow it at all: in another unit it would not either."""
-    trials = read(pendulums, servos(tmp_path / "a.mcap", 3, scale))
+    """With the unknown unit, the model follows the recording in no unit."""
+    trials = read(pendulums, record_pendulums(tmp_path / "a.mcap", 3, scale))
     assert drop_other_units(pendulums.realization, trials, []) is trials
 
 
-def test_what_the_model_lacks_is_said_where_it_is_needed(tmp_path: Path) -> None:
-    """An actuator of another kind is no question of units."""
+def test_effort_commands_for_a_model_with_a_position_servo_are_no_unit_error(
+    tmp_path: Path,
+) -> None:
+    """The missing actuator is reported by a later step."""
     loaded = wheel_model(tmp_path, f'position kp="{KP}" kv="{KV}"')
-    trials = read(loaded, wheel(tmp_path / "a.mcap", "effort", effort=4.0))
+    trials = read(loaded, record_wheel(tmp_path / "a.mcap", "effort", effort=4.0))
     assert drop_other_units(loaded.realization, trials, []) is trials

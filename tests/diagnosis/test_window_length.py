@@ -1,4 +1,4 @@
-"""Where an arm parts from its model by as much as it moves, windows are cut shorter first."""
+"""Windows are shortened if the nominal model departs from the recordings within them."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ MODEL = f"""
 </mujoco>"""
 
 
-def upright(folder: Path, seed: int, role: str, load: float) -> Path:
-    """A recording of an arm that stands on its joint, balanced by a loop outside it, whose efforts
-    are the commands; ``load`` kg hang where its centre is.
+def record_inverted_pendulum(folder: Path, seed: int, role: str, load: float) -> Path:
+    """Record an inverted pendulum that an outer control loop balances with effort commands.
+
+    A payload of ``load`` kg is at its center of mass.
     """
     wanted = reference(seed, 4.0, 1)[:, 0]
     mass = MASS + load
@@ -54,20 +55,23 @@ def upright(folder: Path, seed: int, role: str, load: float) -> Path:
     return path
 
 
-def given_up(folder: Path, load: float) -> tuple[ModelSetup, SearchResult]:
-    """A search that found nothing."""
+def search_without_result(folder: Path, load: float) -> tuple[ModelSetup, SearchResult]:
+    """Model setup and the result of a search that accepts no effect."""
     model = folder / "model.xml"
     model.write_text(MODEL)
     loaded = load_model(model)
-    files = [upright(folder, s, r, load) for s, r in ((1, "fit"), (2, "fit"), (3, "held_out"))]
+    files = [
+        record_inverted_pendulum(folder, s, r, load)
+        for s, r in ((1, "fit"), (2, "fit"), (3, "held_out"))
+    ]
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
     given = ModelSetup.of(loaded.realization, None, 1)
     prepared, trials = build_problem(given, trials, [])
     return given, search(prepared, trials, StepwiseSelection(prepared.problem, share_left=0.0))
 
 
-def test_a_load_that_turns_the_arm_over_is_found_from_shorter_windows(tmp_path: Path) -> None:
-    given, found = given_up(tmp_path, load=1.2)
+def test_a_payload_that_makes_the_arm_diverge_is_found_in_shorter_windows(tmp_path: Path) -> None:
+    given, found = search_without_result(tmp_path, load=1.2)
     assert found.verdict == "unexplained"
     assert found.has_left_recordings
     run = Run()
@@ -76,19 +80,21 @@ def test_a_load_that_turns_the_arm_over_is_found_from_shorter_windows(tmp_path: 
     assert {t.law.family for t in better.explained.hypothesis.terms} == {"rigid_body"}
     shorter = run.budget.problems[0]
     lengths = [s.time[-1] - s.time[0] for s in shorter.simulator.segments]
-    assert max(lengths) < 0.3, "the model stays near within these"
+    assert max(lengths) < 0.3, "the model must follow the recordings within a window"
     usual = found.prepared.problem.simulator.segments
-    assert better.prepared.problem.simulator.segments is usual, "judged by the usual windows"
+    assert better.prepared.problem.simulator.segments is usual, (
+        "the result must be compared in the usual windows"
+    )
 
 
-def test_what_stays_near_is_searched_in_the_usual_windows_alone(tmp_path: Path) -> None:
-    _, found = given_up(tmp_path, load=0.02)
+def test_a_model_that_follows_the_recordings_needs_no_shorter_windows(tmp_path: Path) -> None:
+    _, found = search_without_result(tmp_path, load=0.02)
     assert found.verdict == "unexplained"
     assert not found.has_left_recordings
 
 
-def test_near_is_a_share_of_how_far_a_joint_moves(tmp_path: Path) -> None:
-    _, found = given_up(tmp_path, load=0.02)
+def test_a_model_follows_recordings_up_to_a_quarter_of_the_travel(tmp_path: Path) -> None:
+    _, found = search_without_result(tmp_path, load=0.02)
     problem = found.prepared.problem
     travel = np.array([np.ptp(s.position) for s in problem.simulator.segments])
     level = np.sqrt(np.mean(travel**2))
@@ -97,16 +103,16 @@ def test_near_is_a_share_of_how_far_a_joint_moves(tmp_path: Path) -> None:
     assert not model_follows_recordings(problem, 0.26 * level * left)
 
 
-def test_what_shorter_windows_do_not_better_stays(
+def test_the_result_is_kept_if_shorter_windows_find_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given, found = given_up(tmp_path, load=1.2)
-    from_where = []
+    given, found = search_without_result(tmp_path, load=1.2)
+    starts = []
 
-    def nothing(*problem: object) -> SearchResult:
-        from_where.append(problem[3:])
+    def search_that_finds_nothing(*problem: object) -> SearchResult:
+        starts.append(problem[3:])
         return found
 
-    monkeypatch.setattr("pytest_twin.diagnosis.search_recordings.search", nothing)
+    monkeypatch.setattr("pytest_twin.diagnosis.search_recordings.search", search_that_finds_nothing)
     assert search_shorter_windows(found, given, Run()) is found
-    assert from_where == [()], "what names nothing is no start"
+    assert starts == [()], "a search without findings must not start another one"

@@ -1,4 +1,4 @@
-"""Motions that do not do the same twice are predicted in windows that start from what was read."""
+"""Motions that are not repeatable are predicted in windows, each from its measured state."""
 
 from __future__ import annotations
 
@@ -25,13 +25,15 @@ from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.realization import Realization
 
 LAG, SHORT_LAG = 0.05, 0.01
-"""s, of a servo that is unstable and of one that is stable."""
-LAGS = Term("actuator_lag", 0)
+"""Lag of an unstable and of a stable servo, s."""
+ACTUATOR_LAG = Term("actuator_lag", 0)
 ONE = ("left",)
 
 
-def hunting(folder: Path, seconds: float = 4.0, **hidden: float) -> tuple[Realization, TrialSet]:
-    """A pendulum whose servo lags, and three recordings."""
+def one_pendulum(
+    folder: Path, seconds: float = 4.0, **hidden: float
+) -> tuple[Realization, TrialSet]:
+    """One pendulum and three recordings with hidden effects."""
     model = folder / "model.xml"
     model.write_text(mjcf(ONE))
     files = [
@@ -44,15 +46,15 @@ def hunting(folder: Path, seconds: float = 4.0, **hidden: float) -> tuple[Realiz
     return loaded.realization, read_trials(files, [], loaded.topics, loaded.realization.structure)
 
 
-def test_the_servo_of_this_test_hunts() -> None:
+def test_the_servo_with_the_long_lag_is_unstable() -> None:
     """Routh: ``lag I s^3 + I s^2 + (kv + d) s + (kp - m g l)`` is unstable for a long lag."""
     inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
     stiffness, damping = KP - MASS * 9.81 * LENGTH, KV + DAMPING
     assert inertia * damping < LAG * inertia * stiffness
 
 
-def test_a_lag_that_makes_a_servo_hunt_is_named_with_its_time(tmp_path: Path) -> None:
-    realization, trials = hunting(tmp_path, lag=LAG)
+def test_the_lag_of_an_unstable_servo_is_found_in_windows(tmp_path: Path) -> None:
+    realization, trials = one_pendulum(tmp_path, lag=LAG)
     found = diagnose(realization, trials, threads=1)
     assert found.verdict == "explained"
     (finding,) = found.explained.findings
@@ -64,56 +66,63 @@ def test_a_lag_that_makes_a_servo_hunt_is_named_with_its_time(tmp_path: Path) ->
     assert found.errors["left"].after < 3.0 * found.errors["left"].floor
 
 
-def test_a_motion_that_is_followed_whole_stays_whole(tmp_path: Path) -> None:
-    realization, trials = hunting(tmp_path, seconds=2.2, delay=0.02)
+def test_a_motion_that_is_explained_as_a_whole_is_not_cut_into_windows(tmp_path: Path) -> None:
+    realization, trials = one_pendulum(tmp_path, seconds=2.2, delay=0.02)
     found = diagnose(realization, trials, threads=1)
     assert [f.effect for f in found.explained.findings] == ["command_delay"]
     assert not any("windows" in note for note in found.notes)
 
 
 @pytest.fixture(scope="module")
-def lagging(
+def stable_lag(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> tuple[Realization, TrialSet, SearchResult]:
-    """A servo that lags and is stable, its recordings, and a search over whole motions."""
-    realization, trials = hunting(tmp_path_factory.mktemp("lagging"), lag=SHORT_LAG)
+    """A stable servo with a lag, its recordings, and the result of a search in whole motions."""
+    realization, trials = one_pendulum(tmp_path_factory.mktemp("stable_lag"), lag=SHORT_LAG)
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
     found = search(prepared, trials, StepwiseSelection(prepared.problem))
     return realization, trials, found
 
 
-def test_what_windows_name_is_fitted_over_whole_motions(
-    lagging: tuple[Realization, TrialSet, SearchResult],
+def test_effects_found_in_windows_are_fitted_to_whole_motions(
+    stable_lag: tuple[Realization, TrialSet, SearchResult],
 ) -> None:
-    realization, trials, found = lagging
+    realization, trials, found = stable_lag
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
     other = search(cut, trials, StepwiseSelection(cut.problem))
     whole = refit_whole_motions(found, other)
     (finding,) = whole.explained.findings
-    assert (finding.effect, finding.confidence) == ("actuator_lag", other.selected.confidence[LAGS])
+    assert (finding.effect, finding.confidence) == (
+        "actuator_lag",
+        other.selected.confidence[ACTUATOR_LAG],
+    )
     assert finding.parameters["time_constant"].value == pytest.approx(SHORT_LAG, rel=0.02)
     assert whole.prepared is found.prepared
     assert whole.verdict == "explained"
-    # Both name what explains most; what leaves next to nothing has nothing to gain.
-    assert whole.may_improve(replace(other, errors=off(other.errors, times=5.0)))
+    # A result at the noise floor needs no improvement by a fit to whole motions.
+    assert whole.may_improve(replace(other, errors=with_larger_errors(other.errors, times=5.0)))
     assert not whole.may_improve(other)
     assert not whole.scores_better_than(whole)
-    nothing = replace(whole, explained=Explained((), EMPTY), errors=off(whole.errors, times=30.0))
-    assert whole.scores_better_than(nothing)
-    assert not nothing.scores_better_than(whole)
-    assert whole.tracks_better_than(nothing)
+    without_findings = replace(
+        whole, explained=Explained((), EMPTY), errors=with_larger_errors(whole.errors, times=30.0)
+    )
+    assert whole.scores_better_than(without_findings)
+    assert not without_findings.scores_better_than(whole)
+    assert whole.tracks_better_than(without_findings)
     assert not whole.tracks_better_than(whole)
-    assert not nothing.tracks_better_than(whole)
-    assert not whole.may_improve(nothing)
-    once = replace(whole, errors=off(whole.errors, times=30.0), verdict="improved")
-    again = once.with_floor_of()
-    assert (again.errors, again.verdict) == (whole.errors, whole.verdict)
+    assert not without_findings.tracks_better_than(whole)
+    assert not whole.may_improve(without_findings)
+    outdated = replace(
+        whole, errors=with_larger_errors(whole.errors, times=30.0), verdict="improved"
+    )
+    updated = outdated.with_floor_of()
+    assert (updated.errors, updated.verdict) == (whole.errors, whole.verdict)
 
 
-def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(
-    lagging: tuple[Realization, TrialSet, SearchResult],
+def test_effects_found_in_whole_motions_are_compared_with_alternatives_in_windows(
+    stable_lag: tuple[Realization, TrialSet, SearchResult],
 ) -> None:
-    realization, trials, whole = lagging
+    realization, trials, whole = stable_lag
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
     found = confirm(cut, trials, whole, Run())
     assert found is not None
@@ -121,20 +130,20 @@ def test_what_whole_motions_name_is_held_against_its_rivals_in_windows(
     assert found.prepared is cut
     (finding,) = found.explained.findings
     assert finding.effect == "actuator_lag"
-    assert finding.confidence == found.selected.confidence[LAGS]
-    # What does not explain the windows, or names nothing, leaves them to a search of their own.
+    assert finding.confidence == found.selected.confidence[ACTUATOR_LAG]
+    # A result without findings, or with effects that do not explain the windows, is not confirmed.
     for hypothesis in (EMPTY, EMPTY.with_term(Term("encoder_scale", 0), np.array([0.1]))):
         other = replace(whole, explained=Explained((), hypothesis))
         assert confirm(cut, trials, other, Run()) is None
 
 
-def off(errors: Mapping[str, JointError], times: float) -> dict[str, JointError]:
-    """As much more is left."""
+def with_larger_errors(errors: Mapping[str, JointError], times: float) -> dict[str, JointError]:
+    """Errors that equal the present nominal error, with a nominal error ``times`` as large."""
     return {j: replace(e, after=e.before, before=times * e.before) for j, e in errors.items()}
 
 
-def test_windows_start_from_what_was_measured_and_are_free_to_shift(tmp_path: Path) -> None:
-    realization, trials = hunting(tmp_path)
+def test_windows_start_at_the_measured_state_with_free_shifts(tmp_path: Path) -> None:
+    realization, trials = one_pendulum(tmp_path)
     whole = prepare(realization, trials.fit, trials.held_out, threads=1).problem
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW).problem
     assert [s.starts_in_motion for s in whole.simulator.segments] == [False] * 3

@@ -1,7 +1,7 @@
-"""Reality for the tests: two pendulums side by side, each with a position servo, in closed form.
+"""Simulated reality for the tests: two pendulums, each with a position servo.
 
-Nothing here comes from the package but the writer of recordings. The equations are integrated at
-10 kHz; the model that is diagnosed steps at 2 ms.
+The equations of motion are integrated at 10 kHz; the diagnosed model has a time step of 2 ms. Only
+the writer of recordings comes from the package.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SERVO = f'<position name="{{0}}" joint="{{0}}" kp="{KP}" kv="{KV}" forcerange="
 
 
 def mjcf(joints: tuple[str, ...] = JOINTS) -> str:
-    """The nominal model."""
+    """MJCF of the nominal model."""
     bodies = "".join(_BODY.format(name, at) for at, name in enumerate(joints))
     servos = "".join(_SERVO.format(name) for name in joints)
     return (
@@ -40,7 +40,7 @@ def mjcf(joints: tuple[str, ...] = JOINTS) -> str:
 
 
 def reference(seed: int, seconds: float, joints: int) -> np.ndarray:
-    """(steps, joints) rad, a smooth multisine that is sampled and held at 100 Hz."""
+    """(steps, joints) rad, a multisine with a zero-order hold at 100 Hz."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds / STEP)) * STEP
     f, phase = rng.uniform(0.3, 1.8, (3, joints)), rng.uniform(0, 2 * np.pi, (3, joints))
@@ -49,8 +49,8 @@ def reference(seed: int, seconds: float, joints: int) -> np.ndarray:
     return (wave * np.minimum(t / 0.5, 1.0)[:, None])[held]
 
 
-def swing(
-    wanted: np.ndarray,
+def simulate(
+    setpoints: np.ndarray,
     *,
     delay: float = 0.0,
     viscous: float = 0.0,
@@ -59,11 +59,20 @@ def swing(
     magnet: float = 0.0,
     joint: int = 0,
 ) -> np.ndarray:
-    """(steps, joints) rad under (steps, joints) setpoints; what is hidden acts on one joint."""
-    joints = wanted.shape[1]
+    """Simulate (steps, joints) positions, rad, with hidden effects at one joint.
+
+    Args:
+        setpoints: (steps, joints) setpoints, rad.
+        delay, lag: of the setpoint and of the servo's torque, s.
+        viscous: additional viscous friction, N*m*s/rad.
+        dry: dry friction, N*m.
+        magnet: largest torque of a magnet at ``MAGNET_AT``, N*m.
+        joint: index of the joint with these effects.
+    """
+    joints = setpoints.shape[1]
     inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
-    late = np.zeros(joints, int)
-    late[joint] = round(delay / STEP)
+    delayed = np.zeros(joints, int)
+    delayed[joint] = round(delay / STEP)
     damping = np.full(joints, DAMPING)
     damping[joint] += viscous
     keep = np.zeros(joints)
@@ -74,16 +83,16 @@ def swing(
     pull[joint] = magnet
     given = np.zeros(joints)
     q, v = np.zeros(joints), np.zeros(joints)
-    out = np.empty_like(wanted)
+    out = np.empty_like(setpoints)
     columns = np.arange(joints)
-    for k in range(len(wanted)):
+    for k in range(len(setpoints)):
         out[k] = q
-        sent = wanted[np.maximum(k - late, 0), columns]
-        asked = np.clip(KP * (sent - q) - KV * v, -LIMIT, LIMIT)
-        given = asked + keep * (given - asked)
-        away = (q - MAGNET_AT) / MAGNET_WIDTH
+        sent = setpoints[np.maximum(k - delayed, 0), columns]
+        demand = np.clip(KP * (sent - q) - KV * v, -LIMIT, LIMIT)
+        given = demand + keep * (given - demand)
+        distance = (q - MAGNET_AT) / MAGNET_WIDTH
         effort = given - damping * v + MASS * 9.81 * LENGTH * np.sin(q)
-        effort -= pull * away * np.exp((1.0 - away**2) / 2.0)
+        effort -= pull * distance * np.exp((1.0 - distance**2) / 2.0)
         v = v + STEP * effort / inertia
         v = np.sign(v) * np.maximum(np.abs(v) - STEP * level / inertia, 0.0)
         q = q + STEP * v
@@ -98,16 +107,18 @@ def record(
     seconds: float = 2.2,
     joints: tuple[str, ...] = JOINTS,
     noise: float = 1e-4,
-    told: Mapping[str, str] | None = None,
+    metadata: Mapping[str, str] | None = None,
     **hidden: float,
 ) -> Path:
-    """Write one recording: commands at 100 Hz, positions at 200 Hz with noise."""
-    wanted = reference(seed, seconds, len(joints))
-    moved = swing(wanted, **hidden)
+    """Write one recording of setpoints at 100 Hz and noisy positions at 200 Hz."""
+    setpoints = reference(seed, seconds, len(joints))
+    moved = simulate(setpoints, **hidden)
     rng = np.random.default_rng([seed, 1])
-    sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
+    sent, seen = np.arange(0, len(setpoints), 100), np.arange(0, len(setpoints), 50)
     measured = moved[seen] + noise * rng.standard_normal((len(seen), len(joints)))
-    write(path, joints, sent * STEP, wanted[sent], seen * STEP, measured, role, told=told)
+    write(
+        path, joints, sent * STEP, setpoints[sent], seen * STEP, measured, role, metadata=metadata
+    )
     return path
 
 
@@ -120,10 +131,10 @@ def write(
     seen: np.ndarray,
     role: str | None = None,
     velocity: np.ndarray | None = None,
-    told: Mapping[str, str] | None = None,
+    metadata: Mapping[str, str] | None = None,
     mode: str = "position",
 ) -> None:
-    """Write commands of a mode and states, times in s."""
+    """Write commands (position, velocity or effort, see ``mode``) and states; times in s."""
 
     def stamps(time: np.ndarray) -> np.ndarray:
         return START_NS + np.rint(time * 1e9).astype(np.int64)
@@ -137,12 +148,12 @@ def write(
                 "/joint_states", joints, stamps(seen_at), stamps(seen_at), seen, velocity, None
             ),
         ],
-        {**({} if role is None else {"role": role}), **(told or {})},
+        {**({} if role is None else {"role": role}), **(metadata or {})},
     )
 
 
 def case(folder: Path, joints: tuple[str, ...] = JOINTS, **hidden: float) -> list[str]:
-    """A model and three recordings, one held out; the words of a command line for them."""
+    """Write a model and three recordings, one held out; return them as command-line arguments."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(mjcf(joints))
     files = [

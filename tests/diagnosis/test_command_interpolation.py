@@ -1,4 +1,4 @@
-"""What commands do between their stamps, found from recordings that do not say it."""
+"""Detection of how the controller interpolates commands between their stamps."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from pytest_twin.diagnosis.trials import TrialSet, read_trials
 NOISE = np.array([1e-4])
 
 
-def asked(folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3)) -> Between:
-    """The answer for recordings of a cell."""
+def detected(folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3)) -> Between:
+    """The interpolation that is detected in recordings of a simulated pendulum."""
     model, recordings = cell(folder / "cell", reality, seeds)
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
@@ -40,12 +40,12 @@ def asked(folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3)) -> Be
         Reality(between="interpolated", stiffness=0.6, damping=0.8),
         Reality(between="interpolated", command_period=0.02),
     ],
-    ids=["alone", "with a lag", "with another gain", "at 50 Hz"],
+    ids=["exact model", "with a lag", "with other gains", "at 50 Hz"],
 )
-def test_a_setpoint_that_moves_between_stamps_is_found_whatever_else_is_wrong(
+def test_interpolated_commands_are_detected_despite_other_model_errors(
     tmp_path: Path, reality: Reality
 ) -> None:
-    found = asked(tmp_path, reality)
+    found = detected(tmp_path, reality)
     assert found.fact.value == "interpolated", found.fact.evidence
     assert found.fact.confidence > 0.95
     assert found.later("held") == (0.0, 0.0)
@@ -61,22 +61,20 @@ def test_a_setpoint_that_moves_between_stamps_is_found_whatever_else_is_wrong(
         Reality(dry=3.0, viscous=0.4),
         Reality(command_period=0.001, state_period=0.004),
     ],
-    ids=["lag", "gain", "dead zone", "delay", "friction", "1 kHz"],
+    ids=["lag", "other gains", "dead zone", "delay", "friction", "1 kHz"],
 )
-def test_commands_that_are_held_are_never_taken_for_others(
-    tmp_path: Path, reality: Reality
-) -> None:
-    found = asked(tmp_path, reality)
+def test_held_commands_are_never_detected_as_interpolated(tmp_path: Path, reality: Reality) -> None:
+    found = detected(tmp_path, reality)
     assert found.fact.value in (None, "held"), found.fact.evidence
     assert "held" in found.possible
 
 
-def test_at_a_low_rate_the_shape_of_held_commands_tells(tmp_path: Path) -> None:
-    found = asked(tmp_path, Reality(command_period=0.04, delay=0.01))
+def test_held_commands_are_detected_at_a_low_command_rate(tmp_path: Path) -> None:
+    found = detected(tmp_path, Reality(command_period=0.04, delay=0.01))
     assert found.fact.value == "held", found.fact.evidence
 
 
-def left(rms: float, *, nominal: float = 1.0, delay: float = 0.0, seed: int = 0) -> Left:
+def residual_of(rms: float, *, nominal: float = 1.0, delay: float = 0.0, seed: int = 0) -> Left:
     noise = np.random.default_rng(seed).standard_normal((2000, 1))
     return Left(1e-4 * rms * noise, np.array([1e-4 * nominal]), True, np.array([delay]))
 
@@ -85,61 +83,63 @@ def decided(**each: Left) -> Between:
     return decide(each, [1000, 1000], [0, 1], NOISE, 0.004)  # type: ignore[arg-type]
 
 
-def test_what_two_assumptions_explain_alike_is_not_answered() -> None:
-    found = decided(held=left(1.0, nominal=9.0), interpolated=left(1.02, nominal=9.0))
+def test_two_assumptions_with_equal_residuals_give_no_result() -> None:
+    found = decided(held=residual_of(1.0, nominal=9.0), interpolated=residual_of(1.02, nominal=9.0))
     assert found.fact.value is None
     assert found.fact.confidence == 0.0
     assert set(found.possible) == {"held", "interpolated"}
     assert found.later("held") == (0.0, 0.002)
 
 
-def test_where_both_explain_alike_the_one_that_needs_no_correction_is_right() -> None:
-    found = decided(held=left(1.0, nominal=1.05), interpolated=left(1.0, nominal=9.0))
+def test_the_assumption_without_model_error_is_selected_if_residuals_are_equal() -> None:
+    found = decided(held=residual_of(1.0, nominal=1.05), interpolated=residual_of(1.0, nominal=9.0))
     assert (found.fact.value, found.fact.confidence) == ("held", 0.9)
 
 
-def of_two(left_nominal: float, right_nominal: float) -> Left:
-    one = left(1.0)
+def two_joints(first_nominal: float, second_nominal: float) -> Left:
+    one = residual_of(1.0)
     residual = np.repeat(one.residual, 2, axis=1)
-    nominal = 1e-4 * np.array([left_nominal, right_nominal])
+    nominal = 1e-4 * np.array([first_nominal, second_nominal])
     return Left(residual, nominal, True, np.zeros(2))
 
 
-def test_a_joint_that_the_model_lacks_nothing_of_tells_for_the_others() -> None:
+def test_a_joint_with_an_exact_model_decides_for_all_joints() -> None:
     found = decide(
-        {"held": of_two(1.0, 50.0), "interpolated": of_two(9.0, 60.0)},
+        {"held": two_joints(1.0, 50.0), "interpolated": two_joints(9.0, 60.0)},
         [1000, 1000], [0, 1], np.array([1e-4, 1e-4]), 0.01,
     )  # fmt: skip
     assert found.fact.value == "held"
     differing = decide(
-        {"held": of_two(1.0, 50.0), "interpolated": of_two(9.0, 1.0)},
+        {"held": two_joints(1.0, 50.0), "interpolated": two_joints(9.0, 1.0)},
         [1000, 1000], [0, 1], np.array([1e-4, 1e-4]), 0.01,
     )  # fmt: skip
     assert differing.fact.value is None
 
 
-def test_a_recording_that_contradicts_the_others_leaves_it_open() -> None:
-    best, other = left(1.0, nominal=9.0), left(3.0, nominal=9.0)
+def test_recordings_that_contradict_each_other_give_no_result() -> None:
+    best, other = residual_of(1.0, nominal=9.0), residual_of(3.0, nominal=9.0)
     best.residual[1000:] *= 1.2
     other.residual[1000:] /= 3.0
     assert decided(interpolated=best, held=other).fact.value is None
 
 
-def test_a_little_less_of_a_large_residual_says_nothing() -> None:
-    found = decided(interpolated=left(8.0, nominal=9.0), held=left(10.0, nominal=11.0))
+def test_a_slight_reduction_of_a_large_residual_gives_no_result() -> None:
+    found = decided(
+        interpolated=residual_of(8.0, nominal=9.0), held=residual_of(10.0, nominal=11.0)
+    )
     assert found.fact.value is None
 
 
-def test_a_delay_halfway_to_the_alternative_leaves_it_open() -> None:
-    clear = decided(interpolated=left(1.0, nominal=9.0), held=left(1.5, nominal=9.0))
-    halfway = decided(
-        interpolated=left(1.0, nominal=9.0, delay=0.0015), held=left(1.5, nominal=9.0)
+def test_a_delay_between_those_of_two_assumptions_gives_no_result() -> None:
+    clear = decided(interpolated=residual_of(1.0, nominal=9.0), held=residual_of(1.5, nominal=9.0))
+    between_both = decided(
+        interpolated=residual_of(1.0, nominal=9.0, delay=0.0015), held=residual_of(1.5, nominal=9.0)
     )
     assert clear.fact.value == "interpolated"
-    assert halfway.fact.value is None
+    assert between_both.fact.value is None
 
 
-def delay_of(value: float) -> Explained:
+def explained_by_delay(value: float) -> Explained:
     estimate = Estimate(value, "s", value - 2e-4, value + 2e-4)
     finding = Finding(
         "command_delay", "j1", 0.99, {"delay": estimate}, Where("", {}), 0.5, 9.0, (), "a test", (),
@@ -152,38 +152,38 @@ def open_between(*possible: str) -> Between:
     return Between(unknown("no motion"), possible, 0.004)  # type: ignore[arg-type]
 
 
-def test_a_delay_has_an_interval_for_every_possible_setpoint() -> None:
-    (found,) = with_doubt(delay_of(0.016), open_between("held", "interpolated")).findings
+def test_the_interval_of_a_delay_covers_every_possible_setpoint() -> None:
+    (found,) = with_doubt(explained_by_delay(0.016), open_between("held", "interpolated")).findings
     assert found.parameters["delay"].low == pytest.approx(0.0158)
     assert found.parameters["delay"].high == pytest.approx(0.0182)
     assert found.confidence == 0.99
 
 
-def test_a_delay_of_half_a_period_is_not_sure_where_commands_may_ramp() -> None:
-    (found,) = with_doubt(delay_of(0.002), open_between("held", "ramped")).findings
+def test_a_delay_of_half_a_period_has_half_confidence_if_commands_may_be_ramped() -> None:
+    (found,) = with_doubt(explained_by_delay(0.002), open_between("held", "ramped")).findings
     assert found.parameters["delay"].low == 0.0
     assert found.confidence == 0.5
     assert "command_between" in found.next_test
 
 
-def test_where_commands_are_known_findings_stay() -> None:
-    known = delay_of(0.002)
+def test_findings_do_not_change_if_the_interpolation_is_known() -> None:
+    known = explained_by_delay(0.002)
     assert with_doubt(known, None) is known
 
 
-def test_what_is_declared_is_not_asked(tmp_path: Path) -> None:
+def test_a_declared_interpolation_is_not_estimated(tmp_path: Path) -> None:
     model, recordings = cell(tmp_path / "cell", Reality(between="interpolated"), (2,))
     loaded = load_model(find_model(model))
     options = loaded.options.from_json({"command_between": "held"})
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure, options)
     settled = settle(ModelSetup.of(loaded.realization, None, 1), trials)
     assert settled.between == ()
-    said = settled.to_json(trials.fit)["r2.mcap"]
-    assert said["command_between"]["value"] == "held"
-    assert said["command_between"]["source"] == "option"
+    stored = settled.to_json(trials.fit)["r2.mcap"]
+    assert stored["command_between"]["value"] == "held"
+    assert stored["command_between"]["source"] == "option"
 
 
-def test_recordings_say_what_was_found_of_them(tmp_path: Path) -> None:
+def test_the_detected_interpolation_is_stored_for_each_recording(tmp_path: Path) -> None:
     model, recordings = cell(tmp_path / "cell", Reality(), (2,))
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
@@ -193,9 +193,9 @@ def test_recordings_say_what_was_found_of_them(tmp_path: Path) -> None:
     assert [t.command_between for t in used.fit] == ["interpolated"]
     assert not any("assumed" in n for n in used.notes)
     assert any("r2.mcap: commands are interpolated between their stamps" in n for n in used.notes)
-    said = json.loads(json.dumps(settled.to_json(used.fit)))
-    assert said["r2.mcap"]["joints"]["j1"]["command_between"]["confidence"] == 0.99
+    stored = json.loads(json.dumps(settled.to_json(used.fit)))
+    assert stored["r2.mcap"]["joints"]["j1"]["command_between"]["confidence"] == 0.99
 
 
-def test_without_recordings_nothing_is_asked() -> None:
+def test_without_recordings_no_interpolation_is_estimated() -> None:
     assert Settled().applied(TrialSet((), (), ("a note",))).notes == ("a note",)

@@ -1,4 +1,4 @@
-"""Laws along a motion: only what differs from the laws at hand is worked out."""
+"""Forces of effects along a trajectory, as changes from those of the present hypothesis."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Variant = Mapping[Term, Sequence[float]]
 """Terms and their parameters, in multiples of references."""
 
 DRAG: Variant = {Term("viscous_friction", SHOULDER): [0.3]}
-LATE: Variant = {Term("sensor_delay", ROBOT): [0.02], Term("command_delay", ELBOW): [0.02]}
+DELAYED: Variant = {Term("sensor_delay", ROBOT): [0.02], Term("command_delay", ELBOW): [0.02]}
 LAG: Variant = {Term("actuator_lag", ELBOW): [0.03, 0.0]}
-SOFT: Variant = {Term("joint_elasticity", SHOULDER): [0.1, 0.01]}
+ELASTIC: Variant = {Term("joint_elasticity", SHOULDER): [0.1, 0.01]}
 COUPLED: Variant = {
     Term("joint_coupling", ELBOW): [0.1, 0.0],
     Term("actuator_lag", SHOULDER): [0.02, 0.0],
@@ -55,7 +55,7 @@ def values(problem: Problem, variants: Sequence[Variant]) -> ActiveEffects:
     return [(catalogue()[e], v) for e, v in found.items()]
 
 
-def laws_of(problem: Problem) -> LawForces:
+def law_forces_of(problem: Problem) -> LawForces:
     motion = measured_trajectory(problem, EMPTY, problem.fit)
     return LawForces(problem.simulator, motion, rigid_terms(problem.simulator, motion, [])[0])
 
@@ -69,11 +69,13 @@ def changed(
 
 
 @pytest.mark.parametrize(
-    "variant", [DRAG, LATE, LAG, SOFT, COUPLED], ids=lambda v: next(iter(v)).effect
+    "variant", [DRAG, DELAYED, LAG, ELASTIC, COUPLED], ids=lambda v: next(iter(v)).effect
 )
-def test_changes_are_differences_of_whole_evaluations(problem: Problem, variant: Variant) -> None:
-    laws = laws_of(problem)
-    # Beside others, for what one variant has must not reach the next.
+def test_a_change_of_forces_equals_the_difference_of_two_full_evaluations(
+    problem: Problem, variant: Variant
+) -> None:
+    laws = law_forces_of(problem)
+    # Evaluated between other variants, which must not influence it.
     variants = [DRAG, variant, {}]
     total, drive = changed(problem, laws, variants, {})
     alone, base = laws.forces(values(problem, [variant]), 1), laws.forces([], 1)
@@ -84,79 +86,79 @@ def test_changes_are_differences_of_whole_evaluations(problem: Problem, variant:
     assert not total[2].any()
 
 
-def test_a_joint_whose_laws_are_those_at_hand_is_left_alone(problem: Problem) -> None:
-    laws = laws_of(problem)
+def test_forces_at_a_joint_with_unchanged_effects_do_not_change(problem: Problem) -> None:
+    laws = law_forces_of(problem)
     total, _ = changed(problem, laws, [{**LAG, **DRAG}, {**LAG}], LAG)
     assert total[0, :, :, SHOULDER].any()
     assert not total[0, :, :, ELBOW].any()
     assert not total[1].any()
 
 
-def test_a_law_that_is_given_up_is_a_change(problem: Problem) -> None:
-    laws = laws_of(problem)
+def test_removing_an_effect_changes_the_forces_by_its_negative(problem: Problem) -> None:
+    laws = law_forces_of(problem)
     without, _ = changed(problem, laws, [{}, DRAG], LAG)
     with_it, _ = changed(problem, laws, [LAG], {})
-    # The one is sampled where a law remembers, the other is not: the same to second order.
+    # An effect with memory is sampled differently, so both are equal to second order only.
     size = np.abs(with_it).max()
     assert np.linalg.norm(without[0] + with_it[0]) < 0.1 * np.linalg.norm(with_it[0])
     assert without[1, :, :, ELBOW] == pytest.approx(without[0, :, :, ELBOW], abs=1e-9 * size)
 
 
 LOAD: Variant = {Term("payload", ROBOT): [0.3, 1.0, 0.0, 0.0, 0.0]}
-ASIDE: Variant = {Term("payload", ROBOT): [0.2, 0.5, 0.7, -0.4, 2.0]}
+OFFSET_LOAD: Variant = {Term("payload", ROBOT): [0.2, 0.5, 0.7, -0.4, 2.0]}
 HEAVY: Variant = {Term("inertial_parameters", SHOULDER): [0.4, 0.0, 0.0, 0.0, 0.0, 0.0]}
-WIDE: Variant = {Term("inertial_parameters", SHOULDER): [0.0, 0.0, 0.5, 0.0, 0.0, 2.0]}
+MORE_INERTIA: Variant = {Term("inertial_parameters", SHOULDER): [0.0, 0.0, 0.5, 0.0, 0.0, 2.0]}
 MOVED: Variant = {Term("inertial_parameters", SHOULDER): [0.0, 0.1, 0.2, 0.3, -0.2, 3.0]}
 TILTED: Variant = {Term("base_tilt", ROBOT): [0.1, -0.2]}
-SPINNING: Variant = {Term("armature", SHOULDER): [0.1]}
+ROTOR: Variant = {Term("armature", SHOULDER): [0.1]}
 
 
-def test_efforts_of_bodies_are_those_of_their_parts(
+def test_efforts_of_changed_bodies_equal_the_sum_of_precomputed_parts(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     variants: list[Variant] = [
-        {}, LOAD, {**LOAD, **HEAVY}, ASIDE, {**ASIDE, **WIDE}, {**TILTED, **LOAD},
-        {**MOVED, **LOAD},
+        {}, LOAD, {**LOAD, **HEAVY}, OFFSET_LOAD, {**OFFSET_LOAD, **MORE_INERTIA},
+        {**TILTED, **LOAD}, {**MOVED, **LOAD},
     ]  # fmt: skip
     motion, simulator = measured_trajectory(problem, EMPTY, problem.fit), problem.simulator
     whole = [rigid_terms(simulator, motion, values(problem, [v]))[0].effort for v in variants]
     efforts = Efforts(simulator, motion)
-    asked: list[int] = []
+    computed: list[int] = []
 
     def counted(*args: Any) -> list[Rigid]:
-        asked.append(args[3])
+        computed.append(args[3])
         return rigid_terms(*args)
 
     monkeypatch.setattr(rigid_terms_module, "rigid_terms", counted)
     size = np.abs(whole[0]).max()
     for found, true in zip(efforts.of(values(problem, variants[:5]), 5), whole, strict=False):
         assert found == pytest.approx(true, abs=1e-9 * size)
-    # Mass and inertia of one link, and a mass at ten places; a second time nothing is asked.
-    assert asked == [12]
+    # Parts: mass and inertia of one link, and a mass at ten points. They are computed once.
+    assert computed == [12]
     efforts.of(values(problem, variants[:5]), 5)
-    assert asked == [12]
-    # Another centre of mass is told from five.
+    assert computed == [12]
+    # Another center of mass needs five further parts.
     (moved,) = efforts.of(values(problem, [variants[6]]), 1)
     assert moved == pytest.approx(whole[6], abs=1e-9 * size)
     assert np.abs(moved - whole[1]).max() > 1e-2 * size
-    assert asked == [12, 5]
-    # Gravity from elsewhere is no part of these.
+    assert computed == [12, 5]
+    # Another direction of gravity is computed without these parts.
     (tilted,) = efforts.of(values(problem, [variants[5]]), 1)
     assert tilted == pytest.approx(whole[5], abs=1e-9 * size)
     assert np.abs(tilted - whole[1]).max() > 1e-2 * size
 
 
-@pytest.mark.parametrize("other", [SPINNING, SOFT], ids=["armature", "elasticity"])
-def test_what_moves_with_a_motor_counts_once_beside_other_bodies(
+@pytest.mark.parametrize("other", [ROTOR, ELASTIC], ids=["armature", "elasticity"])
+def test_motor_effects_are_counted_once_in_combination_with_a_payload(
     problem: Problem, other: Variant
 ) -> None:
-    seen = Linear(problem, EMPTY, problem.fit)
+    linear = Linear(problem, EMPTY, problem.fit)
 
     def read(variant: Variant) -> FloatArray:
         h = EMPTY
         for term, theta in variant.items():
             h = h.with_term(term, np.array(theta))
-        return seen.differences([h])[0]
+        return linear.differences([h])[0]
 
     small: Variant = {Term("payload", ROBOT): [0.01, 1.0, 0.0, 0.0, 0.0]}
     alone = read(other)
@@ -165,20 +167,20 @@ def test_what_moves_with_a_motor_counts_once_beside_other_bodies(
     assert read({**other, **small}) - read(small) == pytest.approx(alone, abs=1e-3 * most)
 
 
-def test_late_commands_act_with_their_mean_over_each_step(problem: Problem) -> None:
-    """Held between stamps, the first before its own; at each joint as late as it is there."""
+def test_delayed_commands_act_with_their_mean_over_each_time_step(problem: Problem) -> None:
+    """Commands are held between stamps, and each joint has its own delay."""
     simulator = problem.simulator
     segment = simulator.segments[0]
     delays = [[0.0, 0.0], [0.0137, 0.0], [0.0137, 0.2], [0.0, 0.0]]
     rows, steps, fine = np.zeros(4, np.int64), 40, 400
-    late = values(
+    delayed = values(
         problem,
         [
             {Term("command_delay", SHOULDER): [a], Term("command_delay", ELBOW): [b]}
             for a, b in delays
         ],
     )
-    found = simulator.commands(rows, late, steps)
+    found = simulator.commands(rows, delayed, steps)
     assert found.shape == (4, steps, 2)
     step = simulator.timestep
     at = segment.start + step / fine * (np.arange(steps * fine) + 0.5)
@@ -187,7 +189,7 @@ def test_late_commands_act_with_their_mean_over_each_step(problem: Problem) -> N
             held = np.searchsorted(segment.command_time, at - delay, side="right") - 1
             true = segment.command[np.maximum(held, 0), j].reshape(steps, fine).mean(axis=1)
             assert row[:, j] == pytest.approx(true, abs=2e-3)
-    # A joint of its own, later, and fewer steps: nothing stays of what was asked before.
+    # A later call for one joint and fewer steps does not depend on the earlier one.
     elbow = np.array([[ELBOW]])
-    again = simulator.commands(rows[:1], [], 7, elbow)
-    assert np.array_equal(again[0, :, 0], found[0, :7, ELBOW])
+    one_joint = simulator.commands(rows[:1], [], 7, elbow)
+    assert np.array_equal(one_joint[0, :, 0], found[0, :7, ELBOW])

@@ -1,4 +1,4 @@
-"""Deviations are read by one product with a matrix as sensors read them, stamp by stamp."""
+"""A product with one matrix gives the sensor readings of deviations at every stamp."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RNG = np.random.default_rng(3)
 
 
 def with_efforts(problem: Problem) -> Problem:
-    """The same with measured efforts, which are trusted more here and less there."""
+    """The problem with measured efforts of different weights."""
     joints = len(problem.joints)
     problem.effort_floor = np.full(joints, 0.01)
     for i, n in enumerate(problem.lengths(problem.fit)):
@@ -27,8 +27,8 @@ def with_efforts(problem: Problem) -> Problem:
     return problem
 
 
-def drawn(linear: Linear, signals: int) -> list[Column]:
-    """Columns of every make, two of which share what they read directly."""
+def random_columns(linear: Linear, signals: int) -> list[Column]:
+    """Columns of every kind; two of them share their direct readings."""
     segments, samples, joints = linear.trajectory.position.shape
     stamps = int(linear.bins.counts.sum())
     moving = [RNG.standard_normal((segments, samples, joints)) for _ in range(4)]
@@ -44,10 +44,10 @@ def drawn(linear: Linear, signals: int) -> list[Column]:
     ]
 
 
-def drawn_alone(linear: Linear, signals: int) -> list[Column]:
-    """The same with forces at one joint each."""
+def random_columns_of_one_joint(linear: Linear, signals: int) -> list[Column]:
+    """The same columns with forces at one joint each."""
     out = []
-    for k, column in enumerate(drawn(linear, signals)):
+    for k, column in enumerate(random_columns(linear, signals)):
         if column.force is not None or column.drive is not None:
             column.joint = k % linear.trajectory.position.shape[2]
             for name in ("force", "drive"):
@@ -57,8 +57,8 @@ def drawn_alone(linear: Linear, signals: int) -> list[Column]:
     return out
 
 
-def stamp_by_stamp(linear: Linear, column: Column) -> FloatArray:
-    """(bins, signals) as a sensor would have it."""
+def readings_at_each_stamp(linear: Linear, column: Column) -> FloatArray:
+    """(bins, signals) readings, from the deviations interpolated at each stamp."""
     problem, trajectory, deviation = linear.problem, linear.trajectory, linear.deviation
     segments, samples, joints = trajectory.position.shape
 
@@ -92,9 +92,17 @@ def stamp_by_stamp(linear: Linear, column: Column) -> FloatArray:
 
 
 @pytest.mark.parametrize("mode", ["position", "effort"])
-@pytest.mark.parametrize("measured", [False, True])
-@pytest.mark.parametrize("make", [[drawn], [drawn_alone], [drawn, drawn_alone]])
-def test_readings_are_those_of_each_stamp(mode: str, measured: bool, make: Makes) -> None:
+@pytest.mark.parametrize("measured", [False, True], ids=["no effort sensor", "effort sensor"])
+@pytest.mark.parametrize(
+    "make",
+    [
+        [random_columns],
+        [random_columns_of_one_joint],
+        [random_columns, random_columns_of_one_joint],
+    ],
+    ids=["forces at all joints", "forces at one joint", "both"],
+)
+def test_sensor_readings_equal_those_of_each_stamp(mode: str, measured: bool, make: Makes) -> None:
     problem = problem_of(mode, {})
     if measured:
         problem = with_efforts(problem)
@@ -102,6 +110,6 @@ def test_readings_are_those_of_each_stamp(mode: str, measured: bool, make: Makes
     assert bool(linear.starts) is (mode == "effort")
     columns = [c for each in make for c in each(linear, len(problem.signal_floor))]
     for column, found in zip(columns, linear.readings.of(columns), strict=True):
-        expected = stamp_by_stamp(linear, column)
+        expected = readings_at_each_stamp(linear, column)
         assert found.shape == expected.shape
         assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())

@@ -1,4 +1,4 @@
-"""A recorder that lost messages: the parts are trials, and nothing is made of the hole."""
+"""Recordings with lost messages: the parts between the gaps are trials."""
 
 from __future__ import annotations
 
@@ -44,18 +44,20 @@ class Bench:
         (folder / "pend.xml").write_text(MODEL)
         self.loaded = load_model(folder / "pend.xml")
         (folder / "robot.xml").write_text(MODEL.replace('timestep="0.002"', 'timestep="0.0001"'))
-        whole = make_trial(read_recording(self.put("whole.mcap", SENT)))
-        (moved,) = replay(load(folder / "robot.xml"), [whole])
+        whole = make_trial(read_recording(self.write_recording_with_gaps("whole.mcap", SENT)))
+        (simulated,) = replay(load(folder / "robot.xml"), [whole])
         noise = 1e-4 * np.random.default_rng(1).standard_normal(len(TIME))
-        self.seen = moved.position[:, 0] + noise
+        self.seen = simulated.position[:, 0] + noise
 
     @property
     def realization(self) -> Realization:
         return self.loaded.realization
 
-    def put(self, name: str, seen: np.ndarray, *holes: tuple[int, int]) -> Path:
+    def write_recording_with_gaps(
+        self, name: str, seen: np.ndarray, *gaps: tuple[int, int]
+    ) -> Path:
         keep = np.ones(len(TIME), dtype=bool)
-        for first, end in holes:
+        for first, end in gaps:
             keep[first:end] = False
         topics = [
             series("/joint_states", TIME[keep], seen[keep]),
@@ -75,25 +77,27 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def test_both_parts_are_diagnosed_and_the_reason_is_said(bench: Bench) -> None:
-    only = bench.read(bench.put("a.mcap", bench.seen, (150, 180)))
+def test_the_parts_before_and_after_a_gap_are_trials_and_a_note_says_so(bench: Bench) -> None:
+    only = bench.read(bench.write_recording_with_gaps("a.mcap", bench.seen, (150, 180)))
     assert [t.name for t in only.fit] == ["a.mcap from 0 s", "a.mcap from 1.8 s"]
     assert any("a.mcap: cut into 2 parts" in note for note in only.notes)
-    # Two parts of one recording are no two recordings.
+    # Two parts of one recording do not count as two recordings.
     assert only.held_out == ()
     assert any("one recording only" in note for note in only.notes)
 
 
-def test_the_parts_of_a_recording_have_one_role(bench: Bench) -> None:
-    paths = [bench.put(f"{k}.mcap", bench.seen, (150, 180)) for k in "abcd"]
+def test_all_parts_of_a_recording_have_the_same_role(bench: Bench) -> None:
+    paths = [bench.write_recording_with_gaps(f"{k}.mcap", bench.seen, (150, 180)) for k in "abcd"]
     found = bench.read(*paths)
-    fit, aside = ({t.path.name for t in role} for role in (found.fit, found.held_out))
-    assert (fit, aside) == ({"a.mcap", "b.mcap", "c.mcap"}, {"d.mcap"})
+    fit, held_out = ({t.path.name for t in role} for role in (found.fit, found.held_out))
+    assert (fit, held_out) == ({"a.mcap", "b.mcap", "c.mcap"}, {"d.mcap"})
     assert len(found.fit) == 6
 
 
-def test_a_part_that_is_too_short_is_left_out_and_said(bench: Bench) -> None:
-    found = bench.read(bench.put("a.mcap", bench.seen, (150, 180), (230, 260)))
+def test_a_part_that_is_too_short_is_left_out_with_a_note(bench: Bench) -> None:
+    found = bench.read(
+        bench.write_recording_with_gaps("a.mcap", bench.seen, (150, 180), (230, 260))
+    )
     assert [round(t.offset, 2) for t in found.fit] == [0.0, 2.6]
     (note,) = [n for n in found.notes if n.startswith("left out")]
     assert "a part between holes is too short for a diagnosis (got '0.49' s; expected at least" in (
@@ -102,8 +106,12 @@ def test_a_part_that_is_too_short_is_left_out_and_said(bench: Bench) -> None:
     assert "from 1.8 s" in note
 
 
-def test_a_part_begins_amid_its_motion_once_the_lost_commands_have_died_away(bench: Bench) -> None:
-    first, second = bench.read(bench.put("a.mcap", bench.seen, (150, 180))).fit
+def test_a_part_after_a_gap_begins_in_motion_when_lost_commands_have_no_influence_left(
+    bench: Bench,
+) -> None:
+    first, second = bench.read(
+        bench.write_recording_with_gaps("a.mcap", bench.seen, (150, 180))
+    ).fit
     (from_rest,) = segments_of(bench.realization, first, 0, ("j1",), Cutting(commanded=True))
     (later,) = segments_of(bench.realization, second, 1, ("j1",), Cutting(commanded=True))
     assert not from_rest.starts_in_motion
@@ -112,15 +120,15 @@ def test_a_part_begins_amid_its_motion_once_the_lost_commands_have_died_away(ben
     assert later.time[-1] == pytest.approx(second.duration)
 
 
-def test_nothing_is_left_of_a_model_that_is_right(bench: Bench) -> None:
-    trials = bench.read(bench.put("a.mcap", bench.seen, (150, 180)))
+def test_the_exact_model_leaves_only_noise_in_the_parts(bench: Bench) -> None:
+    trials = bench.read(bench.write_recording_with_gaps("a.mcap", bench.seen, (150, 180)))
     problem = prepare(bench.realization, trials.fit, []).problem
     left = problem.residuals([EMPTY], problem.fit)[0][:, 0]
     assert float(np.sqrt(np.mean(left**2))) < 1.5 * float(problem.floor[0])
 
 
-def test_places_are_on_the_clock_of_the_recording(bench: Bench) -> None:
-    trials = bench.read(bench.put("a.mcap", bench.seen, (150, 180)))
+def test_times_of_parts_are_on_the_clock_of_the_recording(bench: Bench) -> None:
+    trials = bench.read(bench.write_recording_with_gaps("a.mcap", bench.seen, (150, 180)))
     prepared = prepare(bench.realization, trials.fit, [])
     first, second = motions(prepared, trials.fit)
     assert first.name == second.name == "a.mcap"
@@ -128,8 +136,8 @@ def test_places_are_on_the_clock_of_the_recording(bench: Bench) -> None:
     assert second.time[-1] == pytest.approx(TIME[-1])
 
 
-def test_a_declared_setpoint_is_the_one_that_is_simulated(bench: Bench) -> None:
-    path = bench.put("a.mcap", bench.seen)
+def test_the_declared_interpolation_of_commands_is_simulated(bench: Bench) -> None:
+    path = bench.write_recording_with_gaps("a.mcap", bench.seen)
     for between in ("held", "interpolated", "ramped"):
         options = RecordingOptions(command_between=between)  # type: ignore[arg-type]
         (trial,) = bench.read(path, options=options).fit
@@ -141,7 +149,7 @@ def test_a_declared_setpoint_is_the_one_that_is_simulated(bench: Bench) -> None:
     assert any("held between their stamps (assumed" in note for note in bench.read(path).notes)
 
 
-def test_commands_that_only_pause_are_held(bench: Bench) -> None:
+def test_a_pause_of_the_commands_alone_is_no_gap(bench: Bench) -> None:
     keep = np.r_[0:150, 250:400]
     write_recording(
         bench.folder / "pause.mcap",
@@ -157,8 +165,8 @@ def test_commands_that_only_pause_are_held(bench: Bench) -> None:
     assert sent[0] == SENT[149]
 
 
-def test_recordings_of_other_modes_are_left_out_joint_by_joint(bench: Bench) -> None:
-    (trial,) = bench.read(bench.put("a.mcap", bench.seen)).fit
+def test_a_trial_with_two_command_modes_states_the_mode_of_each_joint(bench: Bench) -> None:
+    (trial,) = bench.read(bench.write_recording_with_gaps("a.mcap", bench.seen)).fit
     both = replace(trial, command_joints=("j1", "j2"), command_modes=("position", "effort"))
     assert both.command_mode == "mixed"
     assert (both.hardest_mode, both.mode_of("j1"), both.mode_of("j3")) == (

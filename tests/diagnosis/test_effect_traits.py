@@ -1,4 +1,4 @@
-"""The search treats an effect as its traits say, never by its id or its number of starts."""
+"""The search depends on the declared traits of an effect, not on its id or its starting sizes."""
 
 from __future__ import annotations
 
@@ -22,32 +22,34 @@ from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import TOPICS
 
-ROOM = Path(pytest_twin.diagnosis.__file__).parent
-OTHER_WORDS = {
-    # A key of a trial's metadata and of twin.yaml, and an attribute of MJCF joints.
+DIAGNOSIS = Path(pytest_twin.diagnosis.__file__).parent
+OTHER_MEANINGS = {
+    # A key of recording metadata and of twin.yaml, and an attribute of MJCF joints.
     ("windows.py", "payload"),
     ("roles.py", "payload"),
     ("native.py", "payload"),
     ("native.py", "armature"),
-    # What a note calls the total of a joint's rotor inertia.
+    # The name of the rotor inertia in a note.
     ("physical_totals.py", "armature"),
 }
 
 
-def literals(path: Path) -> Iterator[str]:
+def string_literals(path: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.value
 
 
-@pytest.mark.parametrize("path", sorted(ROOM.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOM)))
-def test_no_module_of_the_diagnosis_names_an_effect(path: Path) -> None:
-    named = {text for text in literals(path) if text in catalogue()}
-    named = {text for text in named if (path.name, text) not in OTHER_WORDS}
-    assert not named, "declare a trait in effects/base.py and read that"
+@pytest.mark.parametrize(
+    "path", sorted(DIAGNOSIS.rglob("*.py")), ids=lambda p: str(p.relative_to(DIAGNOSIS))
+)
+def test_no_module_of_the_diagnosis_contains_the_id_of_an_effect(path: Path) -> None:
+    named = {text for text in string_literals(path) if text in catalogue()}
+    named = {text for text in named if (path.name, text) not in OTHER_MEANINGS}
+    assert not named, "declare a trait in effects/base.py and use it instead of the id"
 
 
-BRUSH = """
+PACKAGE = """
 from pytest_twin.effects import Effect, Parameter
 
 
@@ -79,12 +81,12 @@ class Ripple(Brush):
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A package that brings three effects is installed."""
-    told = tmp_path / "brushes-1.0.dist-info"
-    told.mkdir()
-    (tmp_path / "brushes.py").write_text(BRUSH)
-    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: brushes\nVersion: 1.0\n")
-    (told / "entry_points.txt").write_text(
+    """Install a package with three effects."""
+    info = tmp_path / "brushes-1.0.dist-info"
+    info.mkdir()
+    (tmp_path / "brushes.py").write_text(PACKAGE)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: brushes\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
         "[pytest_twin.effects]\neffort_cogging = brushes:Brush\nceiling = brushes:Ceiling\n"
         "ripple = brushes:Ripple\n"
     )
@@ -95,25 +97,25 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     catalogue.cache_clear()
 
 
-def first(term: Term) -> Sensitivity:
+def first_sensitivity(term: Term) -> Sensitivity:
     start, switches = grid(term)[0]
     return Sensitivity(term, start, switches, np.zeros((1, 1, 1)))
 
 
 @pytest.mark.usefixtures("installed")
-def test_six_starting_sizes_make_no_limit() -> None:
+def test_six_starting_sizes_do_not_make_an_effect_a_limit() -> None:
     term = Term("effort_cogging", 0)
     assert len(term.parameters[0].starts) == 6
     assert sizes_up_to_bound(term) == []
-    assert not _is_lone_limit(first(term))
+    assert not _is_lone_limit(first_sensitivity(term))
     assert term.dry_level is None
     assert not term.law.nearly_linear
 
 
 @pytest.mark.usefixtures("installed")
-def test_two_starting_sizes_are_enough_for_a_declared_limit() -> None:
+def test_a_declared_limit_needs_only_two_starting_sizes() -> None:
     term = Term("ceiling", 0)
-    assert _is_lone_limit(first(term))
+    assert _is_lone_limit(first_sensitivity(term))
     sizes = [float(s[0]) for s in sizes_up_to_bound(term)]
     assert sizes == pytest.approx([0.2 * 2.0**k for k in range(1, 9)])
     assert max(sizes) <= 99.0
@@ -121,7 +123,7 @@ def test_two_starting_sizes_are_enough_for_a_declared_limit() -> None:
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("measured", [False, True], ids=["no effort sensor", "effort sensor"])
-def test_candidates_are_effects_that_the_recordings_can_show(
+def test_candidates_are_effects_that_the_recordings_can_contain(
     measured: bool, tmp_path: Path
 ) -> None:
     words = case(tmp_path / "case")

@@ -1,4 +1,4 @@
-"""In which coordinates a fit steps, and which terms are one law."""
+"""Coordinates in which a fit steps, and terms that one law can represent together."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ PAYLOAD = Term("payload", -1)
 
 
 @given(st.floats(-0.9, 20.0), st.floats(0.05, 4.0))
-def test_coordinates_of_a_payload_and_back(mass: float, distance: float) -> None:
+def test_a_payload_equals_its_coordinates_transformed_back(mass: float, distance: float) -> None:
     law = catalogue()["payload"]
-    along = np.array([mass, distance, 0.0, 0.0, 0.0])
-    there = law.coordinates(along)
-    assert there[:2] == pytest.approx([mass * distance, distance])
-    assert law.from_coordinates(there) == pytest.approx(along)
-    # A load aside has a moment where its distance is none.
+    in_line = np.array([mass, distance, 0.0, 0.0, 0.0])
+    coordinates = law.coordinates(in_line)
+    assert coordinates[:2] == pytest.approx([mass * distance, distance])
+    assert law.from_coordinates(coordinates) == pytest.approx(in_line)
+    # A payload beside the x axis has a moment at distance zero.
     aside = np.array([mass, 0.0, distance, 0.0, 1.0])
     assert law.from_coordinates(law.coordinates(aside)) == pytest.approx(aside)
 
 
-def test_a_payload_is_found_from_along_its_valley(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Mass and distance of the same moment: what first order takes for it, inertia far off."""
+def test_a_fit_finds_mass_and_distance_of_a_payload_with_the_same_moment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The linearized search finds the right moment, with half the mass at twice the distance."""
     problem = problem_of("position", {PAYLOAD: carried(0.6, 0.25)})
     scales = [problem.scales.value(p, 0) for p in PAYLOAD.parameters]
     truth = np.array(list(carried(0.6, 0.25).values())) / scales
@@ -48,8 +50,8 @@ def test_a_payload_is_found_from_along_its_valley(monkeypatch: pytest.MonkeyPatc
     assert cost() > 100.0
 
 
-def test_one_law_takes_up_another_that_is_in_it() -> None:
-    """Coulomb friction beside Stribeck friction is Stribeck friction: the same levels."""
+def test_a_law_absorbs_its_special_case() -> None:
+    """Coulomb and Stribeck friction together are a Stribeck friction; their levels add up."""
     plain, rich = Term("coulomb_friction", ELBOW), Term("stribeck_friction", ELBOW)
     both = Hypothesis((plain, rich), np.array([0.7, -0.4, 0.5, 0.2]))
     one = both.absorbed(plain, rich)
@@ -59,8 +61,8 @@ def test_one_law_takes_up_another_that_is_in_it() -> None:
     assert both.absorbed(rich, plain) is None
 
 
-def test_a_servo_takes_up_a_drive_that_gives_more() -> None:
-    """A quarter of the stiffness times twice the constant is half the stiffness: both factors."""
+def test_servo_gains_absorb_a_torque_constant() -> None:
+    """A quarter of the stiffness times twice the torque constant is half the stiffness."""
     servo, drive = Term("controller_gain", SHOULDER), Term("torque_constant", SHOULDER)
     both = Hypothesis((servo, drive), np.array([-0.75, -0.4, 1.0]))
     one = both.absorbed(drive, servo)
@@ -72,8 +74,8 @@ def test_a_servo_takes_up_a_drive_that_gives_more() -> None:
     assert (servo,) in [h.terms for h in merge_terms(problem, both)]
 
 
-def test_two_terms_that_one_law_is_confused_with_are_offered_as_that() -> None:
-    """A drive with less torque and more damping may be a servo with other gains."""
+def test_two_terms_are_merged_into_one_law_that_is_confused_with_both() -> None:
+    """A smaller torque constant with viscous friction may be a servo with other gains."""
     problem = problem_of("position", {Term("controller_gain", SHOULDER): {
         "stiffness_error": -0.3, "damping_error": 0.2}})  # fmt: skip
     pair = (Term("torque_constant", SHOULDER), Term("viscous_friction", SHOULDER))
@@ -83,14 +85,14 @@ def test_two_terms_that_one_law_is_confused_with_are_offered_as_that() -> None:
     assert not merge_terms(problem, Hypothesis(apart, np.array([-0.3, 0.1])))
 
 
-def test_other_laws_step_in_their_own_parameters() -> None:
+def test_every_law_returns_its_parameters_from_its_coordinates() -> None:
     for law in catalogue().values():
         start = np.array([p.starts[0] for p in law.parameters])
         assert law.from_coordinates(law.coordinates(start)) == pytest.approx(start)
 
 
-def test_what_moves_nothing_stays() -> None:
-    """A roll of the base where all axes are level: its slope is rounding, and leads anywhere."""
+def test_a_parameter_without_influence_on_the_prediction_keeps_its_value() -> None:
+    """As the roll of a base with horizontal joint axes: its slope is rounding error."""
     random = np.random.default_rng(3)
     tilt = Hypothesis((Term("base_tilt", -1),), np.array([0.0, 0.02]))
     jacobian = random.standard_normal((200, 1, 2)) * np.array([1e-7, 1.0])
@@ -98,14 +100,14 @@ def test_what_moves_nothing_stays() -> None:
     moved = propose(tilt, residual, jacobian, np.ones(1), 1e-4)
     assert moved.theta[0] == 0.0
     assert moved.theta[1] == pytest.approx(0.03, abs=2e-3)
-    # With a slope of its own it goes where that leads.
+    # With a slope above rounding error, the parameter is fitted.
     rolled = residual - 0.01 * jacobian[:, :, 0] * 1e7
     free = propose(tilt, rolled, jacobian * np.array([1e7, 1.0]), np.ones(1), 1e-4)
     assert free.theta[0] == pytest.approx(-0.01, abs=2e-3)
 
 
-def test_laws_that_hold_or_come_to_another_say_so() -> None:
+def test_every_law_declares_the_laws_that_it_contains_or_reduces_to() -> None:
     for law in catalogue().values():
         values = {p.name: np.float64(p.starts[0]) for p in law.parameters}
-        told = {*law.special_cases(values), *(e for e in catalogue() if law.holds(e))}
-        assert told <= law.generalizes, law.id
+        contained = {*law.special_cases(values), *(e for e in catalogue() if law.holds(e))}
+        assert contained <= law.generalizes, law.id

@@ -1,0 +1,108 @@
+"""Elastic transmissions: candidates are simulated where the linearization does not contain them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_first_order import ELBOW, link, problem_of
+
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.compensated_starts import compensated
+from pytest_twin.diagnosis.search.linearized_shortlist import linearized_shortlist
+from pytest_twin.diagnosis.search.linearized_view import linearize_for_additions
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.simulation_shortlist import simulation_shortlist
+from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
+
+BACKLASH, FRICTION, LATE = (
+    Term(effect, ELBOW) for effect in ("backlash", "asymmetric_friction", "command_delay")
+)
+GAP = {"gap": 0.04, "tooth_compliance": 1e-4}
+DRY = {"coulomb": 0.25, "offset": 0.15}
+
+
+def single_effect(problem: Problem, term: Term, values: dict[str, float]) -> Hypothesis:
+    """A hypothesis with one effect that has these values in SI units."""
+    theta = [values[p.name] / problem.scales.value(p, term.joint) for p in term.parameters]
+    return EMPTY.with_term(term, np.array(theta))
+
+
+def scored_model(comparison: ModelComparison, hypothesis: Hypothesis) -> ScoredModel:
+    """A hypothesis, scored at its present parameters."""
+    weights = comparison.weights(comparison.nominal)
+    return comparison.rivals([hypothesis], weights, 0, slopes=True)[0]
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return problem_of("position", {BACKLASH: GAP, FRICTION: DRY})
+
+
+def test_effects_at_a_joint_with_backlash_are_simulated(problem: Problem) -> None:
+    comparison = ModelComparison(problem)
+    best = scored_model(comparison, single_effect(problem, BACKLASH, GAP))
+    linearized = linearize_for_additions(problem, best)
+    assert linearized.linear is None
+    found = linearized_shortlist(comparison, best, linearized)
+    assert found is not None
+    assert (BACKLASH, FRICTION) in {
+        h.terms for h in simulation_shortlist(problem, best, linearized, found)
+    }
+    # Without an elastic transmission in the fit, all candidates are linearized.
+    assert linearize_for_additions(problem, scored_model(comparison, EMPTY)).linear is not None
+
+
+def test_backlash_is_simulated_in_addition_to_an_effect_that_explains_more() -> None:
+    late = {"delay": 0.03}
+    problem = problem_of(
+        "position", {LATE: late, BACKLASH: {"gap": 0.02, "tooth_compliance": 1e-4}}
+    )
+    comparison = ModelComparison(problem)
+    best = scored_model(comparison, single_effect(problem, LATE, late))
+    linearized = linearize_for_additions(problem, best)
+    found = linearized_shortlist(comparison, best, linearized)
+    assert found is not None
+    assert BACKLASH in {h.terms[-1] for h in simulation_shortlist(problem, best, linearized, found)}
+
+
+ELASTICITY, LINK = Term("joint_elasticity", ELBOW), Term("inertial_parameters", ELBOW)
+COMPLIANT = {"compliance": 1.0 / 12.0, "damping_time": 0.01}
+
+
+def compensated_pairs(problem: Problem, best: ScoredModel) -> list[Hypothesis]:
+    left = np.mean(best.fitted.residual**2, axis=0)
+    return compensated(TrialSimulation(problem, best, left), best.hypothesis)
+
+
+def test_a_heavier_link_is_tried_together_with_a_stiffer_transmission() -> None:
+    error = 0.4
+    problem = problem_of("position", {ELASTICITY: COMPLIANT, LINK: link(0, relative_error=error)})
+    comparison = ModelComparison(problem)
+    # With this compliance, the nominal link has the resonance of the heavier one.
+    servo = 1.0 / problem.simulator.models.world(problem.fit).stiffness[0, ELBOW]
+    same_resonance = COMPLIANT | {
+        "compliance": (COMPLIANT["compliance"] + servo) * (1.0 + error) - servo
+    }
+    best = scored_model(comparison, single_effect(problem, ELASTICITY, same_resonance))
+    (found,) = compensated_pairs(problem, best)
+    truth = single_effect(problem, ELASTICITY, COMPLIANT).theta
+    assert found.terms == (ELASTICITY, LINK)
+    assert found.theta[:2] == pytest.approx(truth, rel=0.02)
+    assert found.theta[found.slice_of(LINK)][0] == pytest.approx(error, rel=0.02)
+    linearized = linearize_for_additions(problem, best)
+    shortlist = linearized_shortlist(comparison, best, linearized)
+    assert shortlist is not None
+    (start,) = (
+        h
+        for h in simulation_shortlist(problem, best, linearized, shortlist)
+        if h.terms == found.terms
+    )
+    assert start.theta[:2] == pytest.approx(truth, rel=0.05)
+    # No pair is tried with the right link, with the pair in the fit, or without a transmission.
+    right = problem_of("position", {ELASTICITY: COMPLIANT})
+    exact = scored_model(ModelComparison(right), single_effect(right, ELASTICITY, COMPLIANT))
+    assert compensated_pairs(right, exact) == []
+    assert compensated_pairs(problem, scored_model(comparison, found)) == []
+    assert compensated_pairs(problem, scored_model(comparison, EMPTY)) == []
