@@ -1,10 +1,10 @@
-"""Every URDF of example-robot-data through audit and realize, and what became of each.
+"""Run audit and realize on every URDF of example-robot-data, and tabulate the results.
 
     python benchmarks/assets.py [--only WORD] [--table docs/assets-table.md]
 
-Each robot is read in a child process with a bound on time and memory, so that a crash or a hang
-would show as one row. Times are beside those of MuJoCo's and Pinocchio's own load of the same file
-in the same kind of child; they are of this machine, and only their ratio says anything.
+Each robot is read in a child process with limits on time and memory, so a crash or a hang affects
+one row only. For comparison, MuJoCo and Pinocchio load the same file in the same kind of process.
+Times depend on the machine; only their ratio is meaningful.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ PAIRS = tuple((w, b) for w in ("audit", "realize") for b in ("MuJoCo", "Pinocchi
 POSITION, ORIENTATION = "forward kinematics, position", "forward kinematics, orientation"
 
 
-# -- what the child runs
+# -- code of the child process
 
 
 def warm() -> None:
-    """Import everything, so that no robot pays for it."""
+    """Import all modules, so that import time is not measured."""
     import pinocchio  # noqa: F401
 
     import pytest_twin.asset.realize
@@ -46,7 +46,7 @@ def warm() -> None:
 
 
 def load_in_mujoco(path: str) -> float:
-    """Seconds of MuJoCo's own loader."""
+    """Return the time of MuJoCo's own loader, s."""
     import mujoco
 
     start = time.perf_counter()
@@ -55,7 +55,7 @@ def load_in_mujoco(path: str) -> float:
 
 
 def load_in_pinocchio(path: str, packages: str) -> float:
-    """Seconds of Pinocchio's own loader, collision shapes taken in."""
+    """Return the time of Pinocchio's own loader with collision shapes, s."""
     import pinocchio as pin
 
     start = time.perf_counter()
@@ -69,17 +69,17 @@ def load_in_pinocchio(path: str, packages: str) -> float:
 
 @dataclass(slots=True)
 class Entry:
-    """A robot and what became of it.
+    """A robot with its results.
 
     Attributes:
-        error: why it is no robot that can be read.
+        error: reason why the robot cannot be read.
         repairs: named patches that were accepted for the realization.
-        failures: critical lines of the realization after those.
-        worst: target -> (position in m, orientation in rad) against Pinocchio.
-        counts: conversion -> verdict -> rows.
-        times: what ran -> s; None where it refused the file.
-        audit: severity -> findings, and the exit status.
-        hung, crashed: what should never be.
+        failures: critical lines of the realization after the repairs.
+        worst: target -> largest (position in m, orientation in rad) error against Pinocchio.
+        counts: conversion -> verdict -> number of rows.
+        times: program -> time, s; None if it refused the file.
+        audit: severity -> number of findings, and the exit status.
+        hung, crashed: whether the process hung or crashed, which must not happen.
     """
 
     name: str
@@ -110,7 +110,7 @@ def run_all(only: str | None) -> list[Entry]:
 
 
 def _robots() -> tuple[list[Path], Path]:
-    """Every URDF of the package, and the folder in which package:// names are looked up."""
+    """Return every URDF of the package, and the folder for resolving package:// names."""
     files = distribution("example-robot-data").files or []
     found = sorted(Path(str(file.locate())).resolve() for file in files if file.suffix == ".urdf")
     share = next(parent for parent in found[0].parents if parent.name == "example-robot-data")
@@ -169,7 +169,7 @@ def _timed(child: Sandbox, entry: Entry, function: str, arguments: dict[str, str
     try:
         return float(child.call(f"assets:{function}", arguments))
     except TwinError:
-        # Refusing a file is theirs to do, and so is crashing on it.
+        # The other loaders may refuse a file or crash.
         return None
 
 
@@ -188,7 +188,7 @@ def _line(entry: Entry) -> str:
 
 
 def table(entries: list[Entry]) -> str:
-    """The page for the docs."""
+    """Return the page of the documentation."""
     usable = [entry for entry in entries if entry.error is None]
     lines = [
         "# Every URDF of example-robot-data",
@@ -257,7 +257,7 @@ def _summary(entries: list[Entry], usable: list[Entry]) -> list[str]:
 
 
 def _ratio(entries: list[Entry], what: str, beside: str) -> str:
-    """The sums over the robots that both can read."""
+    """Return the sums over the robots that both can read."""
     both = [
         (ours, theirs)
         for entry in entries

@@ -1,11 +1,12 @@
-"""What the gate costs before anything runs, as ratios in one run.
+"""Measure the cost of collection and of an up-to-date gate, as ratios within one run.
 
     python benchmarks/collection.py [--specs 1000] [--rounds 5]
 
 collecting:  N specs against N trivial test functions in files of 100
 gate:        a gate with nothing stale against bare collection of the same specs
 
-Seconds are processor time of the session and its children, so that a busy machine changes little.
+Times are processor times of the session and its children, so the load of the machine has little
+influence.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Plants that wear and warm up, followed by an online update: promoted, released, rolled back.
+"""Online updates of plants that wear and warm up: test, promote, release and roll back.
 
     python benchmarks/adaptation/wearing_plants.py [--plants 5] [--recordings 8]
 
-Each plant is a pendulum on a servo with drawn friction. Its Coulomb friction triples over the
-recordings (wear); its viscous friction falls by 40 % within each, as the gear warms up. The
-twin has the friction of the first day. Its user declares an update, has it run in the shadow of
-the release, promotes it, and releases the twin again. Then a fault is injected: a model with
-3.5 times the damping. The shadow has to reject it, and the rollback has to bring the twin back.
+Each plant is a pendulum on a servo with random friction. Its Coulomb friction triples over the
+recordings (wear); its viscous friction decreases by 40 % within each, as the gear warms up. The
+twin has the initial friction. An update is declared, compared with the release by ``pytest-twin
+shadow``, promoted, and the twin is released again. Then a fault is injected: a model with 3.5 times
+the damping. The comparison must reject it, and the rollback must restore the twin.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ COOLED = 0.4
 WORN = 3.0
 NOISE = 0.0005
 FAULT = 3.5
-"""Factor of the damping of the model that is injected: within the bounds of the update."""
+"""Damping factor of the injected faulty model. It is within the bounds of the update."""
 
 
 @dataclass(frozen=True)
 class Friction:
-    """Of a plant on its first day, warm: N*m*s/rad and N*m."""
+    """Initial friction of a warm plant: viscous (N*m*s/rad) and Coulomb (N*m)."""
 
     damping: float
     dry: float
@@ -76,7 +76,7 @@ def drawn(seed: int) -> Friction:
 
 
 def record(path: Path, plant: Friction, age: float, phase: float) -> None:
-    """A motion at 100 Hz; ``age`` from 0 (new) to 1 (worn out)."""
+    """Simulate a motion at 100 Hz; ``age`` is from 0 (new) to 1 (worn out)."""
     model = mujoco.MjModel.from_xml_string(plants.model(plant.damping, plant.dry))
     data = mujoco.MjData(model)
     rng = np.random.default_rng(int(1e6 * phase) + round(1e3 * age))
@@ -101,7 +101,7 @@ def record(path: Path, plant: Friction, age: float, phase: float) -> None:
 
 
 def followed(folder: Path, recordings: list[Path]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors of base and update by window (rad), and the parameters after each."""
+    """Return the errors of base and update by window (rad), and the parameters after each."""
     realization = load(folder / "model.xml")
     trials = [
         trial
@@ -122,7 +122,7 @@ def followed(folder: Path, recordings: list[Path]) -> tuple[np.ndarray, np.ndarr
 
 
 def told(twin: Path, *words: str) -> int:
-    """Exit status of a command in the twin's folder."""
+    """Run a command in the twin's folder and return its exit status."""
     done = subprocess.run(
         [sys.executable, "-m", *words], cwd=twin, capture_output=True, text=True, check=False
     )
@@ -134,7 +134,7 @@ def gate(twin: Path, flag: str) -> int:
 
 
 def tried(folder: Path, seed: int, count: int) -> dict[str, object]:
-    """One plant from its first release to the rollback."""
+    """Run one plant from its first release to the rollback."""
     plant = drawn(seed)
     twin = folder / "twin"
     (twin / "golden/fk").mkdir(parents=True)

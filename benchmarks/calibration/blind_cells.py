@@ -1,9 +1,9 @@
-"""Calibrates a hundred drawn cells whose truth is known, as a user would, and prints a table.
+"""Calibrate a hundred random cells with known truth by the command line, and print a table.
 
     MUJOCO_GL=egl python benchmarks/calibration/blind_cells.py [--cells 100] [--first 0]
 
-Each cell is a folder with a plan and its observations; ``pytest-twin calibrate`` reads it. The
-truth comes from MuJoCo (``simulated.py``) and is looked at only when the answer is on disk.
+Each cell is a folder with a plan and its observations, which ``pytest-twin calibrate`` reads. The
+truth comes from MuJoCo (``simulated.py``) and is read only after the result was written.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from pytest_twin import cli
 
 @dataclass
 class Score:
-    """What one cell's answer is worth.
+    """Comparison of one cell's result with the truth.
 
     Attributes:
-        kind: of the cell.
-        status: of the command.
-        verdict: of the answer.
-        inside: for each interval, whether it holds the truth.
-        held_out: held-out translation error, root mean square, over the noise of a position.
-        missed: outliers that were neither left out nor held out.
+        kind: kind of the cell.
+        status: exit status of the command.
+        verdict: verdict of the result.
+        inside: for each interval, whether it contains the truth.
+        held_out: held-out RMS translation error divided by the noise of a position.
+        missed: number of outliers that were neither excluded nor held out.
     """
 
     kind: str
@@ -50,7 +50,7 @@ class Score:
 
 
 def solve(cell: cells.Cell) -> tuple[int, dict[str, Any]]:
-    """Exit status and ``calibration.json`` of the command."""
+    """Run the command; return exit status and ``calibration.json``."""
     out = cell.plan.parent / "out"
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as e:
         status = cli.main(["calibrate", str(cell.plan), "--out", str(out)])
@@ -60,7 +60,7 @@ def solve(cell: cells.Cell) -> tuple[int, dict[str, Any]]:
 
 
 def score(cell: cells.Cell, status: int, found: dict[str, Any]) -> Score:
-    """The answer against the truth."""
+    """Compare the result with the truth."""
     inside: list[bool] = []
     records = found["records"]
     for name, truth in cell.transforms.items():
@@ -82,7 +82,7 @@ def score(cell: cells.Cell, status: int, found: dict[str, Any]) -> Score:
 
 
 def holds(record: dict[str, Any], truth: np.ndarray) -> list[bool]:
-    """Whether each of a transform's six intervals holds the true (4, 4) transform."""
+    """Whether each of a transform's six intervals contains the true (4, 4) transform."""
     w, *xyz = record["transform"]["quaternion_wxyz"]
     turn = Rotation.from_quat([*xyz, w]).inv() * Rotation.from_matrix(truth[:3, :3])
     values = [*truth[:3, 3], *turn.as_rotvec()]
@@ -91,7 +91,7 @@ def holds(record: dict[str, Any], truth: np.ndarray) -> list[bool]:
 
 
 def table(scores: list[Score]) -> str:
-    """Markdown, a row for each kind."""
+    """Return a Markdown table with a row for each kind."""
     lines = [
         "| cells | number | accepted | refused | intervals | hold the truth | held-out / noise |",
         "|---|---|---|---|---|---|---|",

@@ -1,4 +1,4 @@
-"""Drawn calibration cells: what a user would have on disk, and the truth beside it."""
+"""Random calibration cells: the files that a user would have, and the truth."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ KINDS = {
     "one plane": 6,
     "nearly unturned": 7,
 }
-"""Kinds of cells and how many of a hundred are drawn."""
+"""Kinds of cells and their number in a hundred."""
 
 DEGENERATE = ("one axis", "one plane", "nearly unturned")
 
 ACCEPT = 3.0
-"""What is accepted, as a multiple of the noise of the observations."""
+"""Accepted error, as a multiple of the noise of the observations."""
 
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
@@ -52,7 +52,7 @@ class Cell:
     """One cell on disk.
 
     Attributes:
-        kind: of ``KINDS``.
+        kind: one of ``KINDS``.
         plan: path of ``calibration.yaml``.
         mount: ``hand`` or ``world``.
         transforms: record -> true (4, 4), m.
@@ -71,13 +71,13 @@ class Cell:
 
 
 def kind_of(seed: int) -> str:
-    """The kind of a seed; a hundred seeds in a row have each as often as ``KINDS`` says."""
+    """Return the kind of a seed; a hundred consecutive seeds have the numbers of ``KINDS``."""
     order = [kind for kind, count in KINDS.items() for _ in range(count)]
     return str(np.random.default_rng(0).permutation(order)[seed % len(order)])
 
 
 def make(seed: int, folder: Path, kind: str | None = None) -> Cell:
-    """Draw the cell of a seed and write its files into a folder, which is made."""
+    """Draw the cell of a seed and write its files into a new folder."""
     rng = np.random.default_rng([seed, 55])
     folder.mkdir(parents=True)
     kind = kind or kind_of(seed)
@@ -100,7 +100,7 @@ def _poses(rng: np.random.Generator, folder: Path, mount: str, kind: str) -> Cel
     estimate = ["hand_eye", "base_world" if mount == "hand" else "robot_world"]
     with_robot = kind != "given flange poses"
     if kind == "arm with joint zeros":
-        # The first and the last zero cannot be told from the base and the camera.
+        # The zeros of the first and last joint cannot be distinguished from base and camera poses.
         zeros[1:-1] = rng.normal(0.0, 0.02, count - 2)
         estimate = ["joint_zeros", *estimate]
     elif kind == "one axis":
@@ -117,7 +117,7 @@ def _poses(rng: np.random.Generator, folder: Path, mount: str, kind: str) -> Cel
         turn = min(turn, 0.005)
     flange = flange_poses(robot, readings + zeros)
     if kind == "nearly unturned" and not with_robot:
-        # Hand-guided: shifted freely and hardly turned.
+        # Hand-guided motion: large translations and hardly any rotation.
         flange[:, :3, 3] += rng.uniform(-0.3, 0.3, (rows, 3))
     mounted, world = _frames(rng)
     seen = noisy(rng, _seen(flange, mounted, world, mount), place, turn)
@@ -153,7 +153,7 @@ def _images(rng: np.random.Generator, folder: Path, mount: str) -> Cell:
             for _ in range(rows)
         ]
     )
-    # The middle of the board, not its corner, is in the middle of the view.
+    # The centre of the board, not its corner, is in the centre of the image.
     middle = rigid(np.zeros(3), -SQUARE_M * np.array([*SQUARES, 0.0]) / 2.0)
     seen = seen @ middle
     mounted, world = _frames(rng)
@@ -192,7 +192,7 @@ def _two_clocks(rng: np.random.Generator, folder: Path, mount: str) -> Cell:
     camera = np.arange(1.0, 29.0, 1.0 / 30.0) + rng.normal(0.0, 1e-3, 840)
     streams = {
         "hand": (hand, noisy(rng, flange_poses(robot, positions(hand)), 1e-4, 2e-4)),
-        # Times of the hand's clock are stamps of the camera's clock plus the offset.
+        # A time of the hand's clock is the stamp of the camera's clock plus the offset.
         "camera": (
             camera - offset,
             noisy(rng, _seen(flange_poses(robot, positions(camera)), mounted, world, mount),
@@ -216,7 +216,7 @@ def _two_clocks(rng: np.random.Generator, folder: Path, mount: str) -> Cell:
 
 
 def _frames(rng: np.random.Generator) -> tuple[Array, Array]:
-    """What the flange carries, in the flange, and what stands still, in the base."""
+    """Return the carried body's pose in the flange, and the fixed body's pose in the base."""
     mounted = rigid(
         Rotation.random(random_state=int(rng.integers(2**31))).as_rotvec(),
         rng.uniform(-0.1, 0.1, 3),

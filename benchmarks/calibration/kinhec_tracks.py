@@ -1,4 +1,4 @@
-"""Calibrates the sequences of the KinHEC generator beside its reference solvers, in one table.
+"""Compare the calibration of KinHEC sequences with KinHEC's reference solvers.
 
     pip install "kinhec>=1.1"
     kinhec generate --tier small --out kinhec_small
@@ -37,7 +37,7 @@ OURS = "pytest-twin"
 
 
 def plan_of(mount: str, streams: dict[str, Path] | None = None) -> Plan:
-    """A plan for hand-eye and robot-world that accepts any error."""
+    """Return a plan for hand-eye and robot-world that accepts any error."""
     return Plan(
         id="kinhec", path=Path("calibration.yaml"), robot=None, flange="flange",
         observations=(Path("observations.csv"),), streams=streams or {},
@@ -48,7 +48,7 @@ def plan_of(mount: str, streams: dict[str, Path] | None = None) -> Plan:
 
 
 def transforms(document: dict[str, Any], mount: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """X and Y of ``A X = Y B``; None where the calibration refuses them."""
+    """Return X and Y of ``A X = Y B``; None if the calibration refuses them."""
     records = document["records"]
     names = ("hand_eye", "robot_world") if mount == "hand" else ("target", "robot_world")
     if not all(name in records for name in names):
@@ -63,7 +63,7 @@ def transforms(document: dict[str, Any], mount: str) -> tuple[np.ndarray, np.nda
 
 
 def of_poses(sequence: Any) -> dict[str, Any]:
-    """The calibration from the keyframes that every solver gets."""
+    """Calibrate from the keyframes that every solver gets."""
     flange, seen, _, _ = benchmark._keyframe_data(sequence, None)
     mount = "hand" if sequence.eye_in_hand else "world"
     poses = np.linalg.inv(seen) if mount == "hand" else seen
@@ -73,13 +73,13 @@ def of_poses(sequence: Any) -> dict[str, Any]:
     document = calibrate(plan_of(mount), observations, None)
     if not any("scale: estimate" in one["mend"] for one in document["suspected"]):
         return document
-    # As the report says: declare that the camera has no metric scale, and run again.
+    # As the report advises, declare that the camera has no metric scale, and run again.
     plan = replace(plan_of(mount), camera={"scale": "estimate"})
     return {**calibrate(plan, observations, None), "told": True}
 
 
 def of_streams(sequence: Any) -> dict[str, Any]:
-    """The calibration from two streams on two clocks."""
+    """Calibrate from two streams on two clocks."""
     with tempfile.TemporaryDirectory() as folder:
         files = {}
         for name, time, poses in (
@@ -97,7 +97,7 @@ def of_streams(sequence: Any) -> dict[str, Any]:
 
 
 def ours(sequence: Any) -> dict[str, Any]:
-    """A row of results as KinHEC's benchmark makes them."""
+    """Return a row of results in the format of KinHEC's benchmark."""
     row: dict[str, Any] = {"sequence_id": sequence.id, "solver": OURS, "ok": False, "error": "",
                            "told": False}  # fmt: skip
     solve: Callable[[Any], dict[str, Any]] = of_poses if sequence.synchronous else of_streams
@@ -107,7 +107,7 @@ def ours(sequence: Any) -> dict[str, Any]:
         return row | {"error": str(error)}
     if "time_offset" in document["records"]:
         value = document["records"]["time_offset"]["value"]
-        # Our value is added to the camera's stamps, KinHEC's is subtracted.
+        # Our offset is added to the camera's stamps; KinHEC's is subtracted.
         row["time_offset_err_ms"] = 1e3 * abs(-value - sequence.time_offset)
     row["told"] = "told" in document
     if "scale" in document["records"]:
@@ -115,7 +115,7 @@ def ours(sequence: Any) -> dict[str, Any]:
         row["scale_err_rel"] = abs(stated["value"] - sequence.scale) / sequence.scale
         low, high = stated["ci95"]
         row["scale_inside"] = low <= sequence.scale <= high
-        # Where the scale drifts, no single value is true: the mean along the way is nearest to one.
+        # If the scale drifts, its mean along the path is taken as the true value.
         mean = float(np.mean(sequence.extra["scale_per_frame"]))
         row["mean_scale_inside"] = low <= mean <= high
         tags = json.loads(sequence.manifest["config_json"])["tags"]
@@ -133,7 +133,7 @@ def ours(sequence: Any) -> dict[str, Any]:
 
 
 def results(root: Path, most: int | None, tracks: list[str] | None) -> pd.DataFrame:
-    """A row for each sequence and solver, the reference solvers and ours."""
+    """Return a row for each sequence and solver, for the reference solvers and ours."""
     manifest = load_manifest(root)
     rows: list[dict[str, Any]] = []
     for track, mine in manifest.groupby("track"):
@@ -156,7 +156,7 @@ def results(root: Path, most: int | None, tracks: list[str] | None) -> pd.DataFr
 
 
 def group_of(sequence: Any, track: str) -> str:
-    """The track, and for motions what is varied and whether it determines X at all."""
+    """Return the track and, for motions, what is varied and whether it determines X."""
     tags = json.loads(sequence.manifest["config_json"]).get("tags", {})
     if track == "robot_error" or "subtrack" not in tags:
         return track
@@ -169,7 +169,7 @@ def group_of(sequence: Any, track: str) -> str:
 
 
 def table(found: pd.DataFrame) -> str:
-    """Markdown: ours, the best reference solver by its median distance, and how far each fails."""
+    """Return a Markdown table: our solver, the best reference solver, and failures."""
     lines = [
         "| track | sequences | pytest-twin: refused | pytest-twin | best reference | its name | "
         "worst of pytest-twin | of that reference |",
@@ -199,7 +199,7 @@ def table(found: pd.DataFrame) -> str:
 
 
 def compared(found: pd.DataFrame) -> str:
-    """In how many sequences of each track ours is nearer than the best reference."""
+    """Count the sequences of each track in which our distance is smaller than the best one."""
     lines = []
     for group, mine in found.groupby("group"):
         errors = mine[mine["ok"]].pivot_table(
@@ -218,9 +218,9 @@ def compared(found: pd.DataFrame) -> str:
 
 
 def scales(found: pd.DataFrame) -> str:
-    """How many sequences a missing metric scale was recognised in, and the error of the scale.
+    """Count sequences with a detected missing metric scale, and return the error of the scale.
 
-    For each kind of drift, the distances of ours and of the reference that is best for this kind.
+    For each kind of drift, the distances of our solver and of the best reference are listed.
     """
     lines = []
     for group, mine in found[found["solver"] == OURS].groupby("group"):
@@ -245,7 +245,7 @@ def scales(found: pd.DataFrame) -> str:
 
 
 def offsets(found: pd.DataFrame) -> str:
-    """Median error of the time offset, ours and by correlation alone, as the references have it."""
+    """Median error of the time offset: ours, and by correlation only, as in the references."""
     if "time_offset_err_ms" not in found:
         return ""
     known = found.dropna(subset=["time_offset_err_ms"])

@@ -1,9 +1,9 @@
-"""Calibrates recorded robots with ``pytest-twin calibrate`` and prints held-out errors.
+"""Calibrate recorded robots with ``pytest-twin calibrate`` and print held-out errors.
 
     TWIN_RECORDINGS=recordings python benchmarks/calibration/recorded_cells.py [--only NAME]
 
-``charuco``: a board on a flange before a camera that stands still; ``sim`` and ``vicon``: a hand
-and a camera on two clocks; ``tiago``: markers on a hand in the frame of a tracker.
+``charuco``: a board on a flange and a fixed camera; ``sim`` and ``vicon``: a hand and a camera on
+two clocks; ``tiago``: markers on a hand in the frame of a tracker.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 def calibrated(folder: Path, plan: dict[str, Any]) -> dict[str, Any]:
-    """``calibration.json`` of the command, with the time that it took in this process, s."""
+    """Return ``calibration.json``, and the time of the calibration in this process, s."""
     (folder / "plan.yaml").write_text(yaml.safe_dump(plan))
     before = time.process_time()
     with contextlib.redirect_stdout(io.StringIO()):
@@ -51,9 +51,9 @@ def calibrated(folder: Path, plan: dict[str, Any]) -> dict[str, Any]:
 
 
 def scatter(found: dict[str, Any], flanges: dict[str, np.ndarray]) -> float:
-    """Distances of the target on the flange from its mean place, root mean square, m.
+    """RMS distance of the target on the flange from its mean position, m.
 
-    Over all held-out images in which the target was found, those left out as gross errors too.
+    It includes all held-out images in which the target was found, also excluded gross errors.
     """
     where = found["records"]["hand_eye"]["transform"]
     camera = rigid(rotation_of(where["quaternion_wxyz"]), np.array(where["xyz"]))
@@ -68,7 +68,7 @@ def scatter(found: dict[str, Any], flanges: dict[str, np.ndarray]) -> float:
 
 
 def charuco(source: Path, folder: Path, draws: int) -> None:
-    """Root mean squares over random thirds of the images, with and without free intrinsics."""
+    """RMS errors over random thirds of the images, with and without free intrinsics."""
     shutil.copytree(source / "charuco" / "images", folder / "images")
     flanges = {}
     with (folder / "observations.csv").open("w", newline="") as stream:
@@ -89,7 +89,7 @@ def charuco(source: Path, folder: Path, draws: int) -> None:
             })  # fmt: skip
             held_out = found["held_out"]
             errors.append(held_out["translation_rms"])
-            # With the held-out images that were left out as gross errors.
+            # Held-out images that were excluded as gross errors are included.
             everything.append(held_out.get("with_excluded", held_out)["translation_rms"])
             apart.append(scatter(found, flanges))
             left_out += [one["id"] for one in found["excluded"]]
@@ -107,7 +107,7 @@ def charuco(source: Path, folder: Path, draws: int) -> None:
 
 
 def streams(name: str, source: Path, folder: Path, draws: int) -> None:
-    """Offset, and held-out errors with it and with the offset of the correlation alone."""
+    """Offset, and held-out errors with this offset and with the offset of the correlation."""
     folder.mkdir()
     for one in ("hand", "camera"):
         data = gzip.decompress((source / "hand_eye" / name / f"{one}.csv.gz").read_bytes())

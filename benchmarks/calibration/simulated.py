@@ -1,7 +1,7 @@
-"""Robots, cameras and targets as MuJoCo sees them: the truth of blind calibration cells.
+"""Simulate robots, cameras and targets with MuJoCo, for blind calibration cells.
 
-Poses and images come from MuJoCo alone. Nothing here uses the package's own kinematics, camera
-model or board geometry.
+Poses and images are computed by MuJoCo. The package's kinematics, camera model and board geometry
+are not used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 Array = NDArray[np.float64]
 
 ARM = "zyyzyzx"
-"""Axes of a usual arm in its zero position; joints 2 and 3 are parallel."""
+"""Axes of a typical arm in its zero position; joints 2 and 3 are parallel."""
 
 REACH_M = 1.0
 
@@ -37,7 +37,7 @@ class Robot:
 
 
 def draw_robot(rng: np.random.Generator, count: int) -> Robot:
-    """An arm of ``count`` revolute joints with drawn links and offsets."""
+    """Return an arm of ``count`` revolute joints with random links and offsets."""
     axes = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
     names = tuple(f"joint{at + 1}" for at in range(count))
     opening, closing = "", ""
@@ -59,7 +59,7 @@ def draw_robot(rng: np.random.Generator, count: int) -> Robot:
 
 
 def flange_poses(robot: Robot, positions: Array) -> Array:
-    """(rows, 4, 4) the flange in the base at true joint positions (rows, n) rad, m."""
+    """(rows, 4, 4) flange poses in the base, m, at true joint positions (rows, n), rad."""
     model = mujoco.MjModel.from_xml_string(robot.text)
     data = mujoco.MjData(model)
     found = np.tile(np.eye(4), (len(positions), 1, 1))
@@ -85,7 +85,7 @@ def noisy(rng: np.random.Generator, poses: Array, place: float, turn: float) -> 
 
 
 def numbers(values: Array | list[float]) -> str:
-    """Numbers as XML and CSV hold them."""
+    """Format numbers for XML and CSV."""
     return " ".join(repr(float(value)) for value in values)
 
 
@@ -96,12 +96,12 @@ INTRINSICS = {"fx": FOCAL_PX, "fy": FOCAL_PX, "cx": (WIDTH - 1) / 2.0, "cy": (HE
 
 SQUARES, SQUARE_M, MARKER_M, DICTIONARY = (7, 5), 0.03, 0.022, "DICT_5X5_100"
 _PIXELS_PER_M, _MARGIN_M = 256 / SQUARE_M, 0.015
-"""The print is 2048 by 1536 texels: reduced textures of other sizes are shifted by part of a texel,
-which looks like a focal length that is off by 6e-4."""
+"""The print has 2048 by 1536 texels. Textures of other sizes are resampled with a shift of part of
+a texel, which looks like a relative focal-length error of 6e-4."""
 
 
 def board_images(seen: Array) -> list[NDArray[np.uint8]]:
-    """What a camera sees of a ChArUco board at (n, 4, 4) ``camera_from_target``.
+    """Render images of a ChArUco board at (n, 4, 4) ``camera_from_target``, m.
 
     The board lies in the plane z = 0 of its own frame, x to the right and y down its print.
     """
@@ -109,7 +109,7 @@ def board_images(seen: Array) -> list[NDArray[np.uint8]]:
     height, width = page.shape[0] / _PIXELS_PER_M, page.shape[1] / _PIXELS_PER_M
     low = -_MARGIN_M
     corners = [(low, low), (low + width, low), (low + width, low + height), (low, low + height)]
-    # The last vertex lies behind the plane: a mesh needs a volume.
+    # The last vertex lies behind the plane, because a mesh needs a volume.
     vertices = [*((x, y, 0.0) for x, y in corners), (low, low, 0.001)]
     mesh = (
         f'<mesh name="board" inertia="shell" vertex="{numbers(np.ravel(vertices))}" '

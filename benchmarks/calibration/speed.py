@@ -1,9 +1,8 @@
-"""Processor time of two calibrations: images of 2 MP with detection, and a whole arm's geometry.
+"""Measure the processor time of two calibrations: from 2 MP images, and of a whole arm's geometry.
 
     python benchmarks/calibration/speed.py
 
-Prints seconds of processor time of all threads, which a busy machine changes far less than the time
-on the clock.
+The processor time of all threads depends far less on the load of the machine than wall-clock time.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ POSES, JOINTS = 100, 14
 
 
 def of_images() -> str:
-    """Hand-eye, robot-world and intrinsics from the files of images."""
+    """Calibrate hand-eye, robot-world and intrinsics from image files."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         images.cell(folder, count=IMAGES)
@@ -44,7 +43,7 @@ def of_images() -> str:
 
 
 def of_geometry() -> str:
-    """Zeros, links, hand-eye and base of a long arm, from poses to fit."""
+    """Calibrate zeros, links, hand-eye and base of an arm with many joints from poses."""
     rng = np.random.default_rng(6)
     chain = cells.arm(JOINTS, rng)
     cell = cells.joint_cell(rng, chain, round(POSES / 0.8), zeros=rng.normal(0.0, 0.01, JOINTS))
@@ -58,7 +57,7 @@ def of_geometry() -> str:
 
 
 def timed(task: Callable[[], dict]) -> tuple[float, dict]:
-    """Seconds of processor time, and what the task returned."""
+    """Return processor time, s, and the result of the task."""
     before = time.process_time()
     found = task()
     return time.process_time() - before, found

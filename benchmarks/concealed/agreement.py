@@ -1,11 +1,11 @@
-"""How far the plant of blind cases can be believed: against itself and against MuJoCo.
+"""Verify the plant of blind cases against a finer time step and against MuJoCo.
 
     python benchmarks/concealed/agreement.py [--seconds 12] [--robots 6]
 
-For robots with nothing hidden, in the air and touching a surface, rms and greatest difference of
-position: of the plant against the same with every term at 80 kHz, of its extrapolated rigid-body
-terms against evaluating them at every step, and of the nominal MJCF in MuJoCo at 0.25 ms (stiff dry
-friction, newly started every second) against the plant.
+The robots have no hidden effects; they move in the air or touch a surface. RMS and largest position
+differences are printed for three comparisons: the plant against itself with every term at 80 kHz,
+extrapolated rigid-body terms against evaluation at every step, and the nominal MJCF in MuJoCo at
+0.25 ms (stiff dry friction, restarted every second) against the plant.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from plant import RECORD, RESTART, STEP, TICK, Hidden, Motion, simulate
 from robots import Robot, draw, mjcf
 
 WINDOW = 1.0
-"""s between fresh starts in MuJoCo."""
+"""Time between restarts in MuJoCo, s."""
 
 
 def in_mujoco(robot: Robot, motion: Motion, timestep: float) -> np.ndarray:
@@ -48,7 +48,7 @@ def in_mujoco(robot: Robot, motion: Motion, timestep: float) -> np.ndarray:
 
 
 def told(one: np.ndarray, other: np.ndarray) -> str:
-    """Rms and greatest difference."""
+    """RMS and largest difference."""
     error = one - other
     return f"{np.sqrt(np.mean(error**2)):.1e} {np.abs(error).max():.1e}"
 

@@ -1,10 +1,10 @@
-"""Pack diagnoses of blind cases into one file, to publish them or to continue elsewhere.
+"""Pack diagnoses of blind cases into one file, and unpack them.
 
     python benchmarks/concealed/answers.py pack --results DIR --file FILE
     python benchmarks/concealed/answers.py unpack --results DIR --file FILE
 
-A line of JSON for every case: what ``run.py`` kept of the command, and its diagnosis. Unpacked,
-the folder is what ``score.py`` and ``usual_way.py`` read, and ``run.py`` goes on from there.
+The file has a line of JSON for every case: the record of ``run.py`` and the diagnosis. The unpacked
+folder can be read by ``score.py`` and ``usual_way.py`` and continued by ``run.py``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 
 def pack(results: Path, file: Path) -> int:
-    """Write one line for every case that was run; returns how many."""
+    """Write one line for every case that was run; return their number."""
     lines = []
     for path in sorted(results.glob("*.run.json")):
         run = json.loads(path.read_text())
@@ -27,10 +27,10 @@ def pack(results: Path, file: Path) -> int:
 
 
 def unpack(file: Path, results: Path) -> int:
-    """Write the results of every case that has none; returns how many.
+    """Write the results of every case without results; return their number.
 
     Raises:
-        ValueError: a case whose name leads out of the folder.
+        ValueError: the name of a case leads out of the folder.
     """
     written = 0
     for line in file.read_text().splitlines():

@@ -1,8 +1,8 @@
-"""What the drawn families share: sizes that stand out of a background, and a case on disk.
+"""Common parts of the case families: size of effects against the background, and case files.
 
-A family has a plant; a :class:`Scene` is a robot in it. What is hidden stands out of the background
-by a drawn factor, 3 to 30: the rms change that it makes to held-out positions against the change
-that everything else makes which the nominal model lacks.
+A family has a plant; a :class:`Scene` is a robot in it. The hidden effects exceed the background by
+a random factor of 3 to 30: the ratio of RMS changes of held-out positions by the hidden effects and
+by all other deviations from the nominal model.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from setpoints import FINE
 ROLES = ("fit", "fit", "fit", "held_out", "held_out")
 HELD_OUT = slice(ROLES.index("held_out"), None)
 STANDS_OUT = (3.0, 30.0)
-"""Between which the factor is drawn."""
+"""Range of the random factor."""
 FARTHEST = 20.0
-"""rad or m, beyond which a robot does not follow its commands."""
+"""Position error above which a robot does not follow its commands, rad or m."""
 INVERSE = {"rate_limit": ("rate",), "torque_saturation": ("limit",),
            "torque_speed_limit": ("stall", "no_load_speed")}  # fmt: skip
 FIXED = ("harmonic", "in_loop", "stribeck_velocity", "presliding_distance", "warm_up_time", "start",
          "duration", "no_load_speed", "damping_time")  # fmt: skip
 
 LEAST = {"contact_friction": -0.28}
-"""Of an effect's error, where a stiffness, gain or friction would not stay above zero otherwise."""
+"""Largest relative error of an effect, so that stiffness, gain or friction stays positive."""
 
 
 class Run(Protocol):
-    """What a robot did; arrays are (samples, recordings, joints)."""
+    """Simulated motion of a robot; arrays are (samples, recordings, joints)."""
 
     @property
     def period(self) -> float:
-        """s between samples."""
+        """Time between samples, s."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -54,7 +54,7 @@ def hide(
     named: tuple[str, ...], places: Callable[[str, Robot], list[int]], count: int, robot: Robot,
     rng: np.random.Generator,
 ) -> Hidden:  # fmt: skip
-    """``count`` effects of those ``named``, none of the same physics at one joint."""
+    """Choose ``count`` effects of ``named``, none with the same physics at one joint."""
     hidden = Hidden()
     left = [str(e) for e in rng.permutation(named)]
     while sum(len(at) for at in hidden.effects.values()) < count:
@@ -74,7 +74,7 @@ def hide(
 
 
 def resized(hidden: Hidden, by: float) -> Hidden:
-    """The same effects, larger or smaller."""
+    """Return the same effects, scaled by a factor."""
 
     def one(effect: str, name: str, value: Any) -> Any:
         if name in INVERSE.get(effect, ()):
@@ -90,7 +90,7 @@ def resized(hidden: Hidden, by: float) -> Hidden:
 
 
 def changes(a: tuple[Run, Hidden], b: tuple[Run, Hidden], which: str = "position") -> np.ndarray:
-    """(joints,) rms difference of what a punctual logger would have of two runs, held out."""
+    """(joints,) RMS difference of held-out positions of two runs at exact stamps, rad or m."""
 
     def logged(run: Run, hidden: Hidden) -> np.ndarray:
         trace = getattr(run, which)
@@ -107,7 +107,7 @@ def changes(a: tuple[Run, Hidden], b: tuple[Run, Hidden], which: str = "position
 
 
 class Scene(Protocol):
-    """A robot, its cell and its motions, simulated with this and that left out."""
+    """A robot with its cell and motions, simulated with selected effects."""
 
     robot: Robot
     logger: Logger
@@ -116,18 +116,21 @@ class Scene(Protocol):
         self, hidden: Hidden, background: Background, force: np.ndarray | None, again: Any,
         *, nominal: bool = False,
     ) -> Run:  # fmt: skip
-        """The held-out recordings; with nominal servos, motors and friction where ``nominal``."""
+        """Simulate the held-out recordings; if ``nominal``, with nominal servos and friction."""
 
 
 def shown(
     scene: Scene, hidden: Hidden, background: Background, force: np.ndarray | None
 ) -> tuple[float, float]:
-    """Root sum of squares over joints of rms changes: of what is hidden, and of all else that the
-    nominal model lacks; rad, or of peak efforts where what is hidden shows in efforts alone.
+    """RMS change of positions by hidden effects and by the background, rad.
+
+    It is the root sum of squares over joints. For effects that are visible only in efforts, it is a
+    fraction of the peak efforts.
     """
     real = background.without(hidden.effects)
     whole = scene.held_out(hidden, real, force, None)
-    # An arm under efforts runs away from any change: it starts anew from where it really was.
+    # An arm under effort commands diverges after any change, so it is restarted from its true
+    # states.
     again = whole if scene.robot.mode == "effort" else None
     without = scene.held_out(Hidden(), background, None, again)
     ideal = scene.held_out(Hidden(), Background(), None, again, nominal=True)
@@ -145,9 +148,9 @@ def shown(
 def made_to_stand_out(
     scene: Scene, hidden: Hidden, background: Background, force: np.ndarray | None, wanted: float
 ) -> tuple[Hidden, Background, np.ndarray | None, dict[str, float]]:
-    """Sizes such that what is hidden changes the motion ``wanted`` times as much as the rest.
+    """Scale hidden effects and background to the ratio ``wanted`` of their changes of the motion.
 
-    Both are scaled within what is plausible; what came out is measured.
+    Both are scaled within plausible limits; the resulting ratio is measured.
     """
     change, rest = shown(scene, hidden, background, force)
     ratio = max(change / rest, 1e-9)
@@ -166,7 +169,7 @@ def made_to_stand_out(
 def seen(
     scene: Scene, hidden: Hidden, background: Background, force: np.ndarray | None
 ) -> dict[tuple[str, int], float]:
-    """Change that each effect makes to held-out readings, in standard deviations of their noise."""
+    """Change of held-out readings by each effect, in standard deviations of their noise."""
     logger = scene.logger
     noise = float(np.hypot(logger.noise, logger.count / np.sqrt(12.0)))
     real = background.without(hidden.effects)
@@ -190,10 +193,10 @@ def write_case(
     folder: Path, robot: Robot, cell: Cell, logger: Logger, hidden: Hidden, whole: Run,
     sent: np.ndarray, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Write the nominal model and five recordings, commands being (milliseconds, ..) ``sent``.
+    """Write the nominal model and five recordings; ``sent`` has the commands, one row per ms.
 
     Raises:
-        ValueError: the robot ran away: a defect of the plant, no case.
+        ValueError: the robot diverged, so the case is invalid.
     """
     farthest = float(np.abs(whole.position).max())
     if not farthest < FARTHEST:
@@ -226,9 +229,9 @@ def write_truth(
     background: Background, visibility: dict[tuple[str, int], float], tail: dict[str, Any],
     laws: tuple[str, ...] = (),
 ) -> None:  # fmt: skip
-    """Write what a case hides, what else differs, and how it was logged.
+    """Write the truth file: hidden effects, background differences, and logging.
 
-    ``laws``: effects of the whole robot that reality has by another law than the nominal model.
+    ``laws`` are effects of the whole robot for which reality has another law than the model.
     """
     label = [j.name for j in robot.joints]
 
@@ -256,5 +259,5 @@ def write_truth(
 
 
 def acted_windows(acted: np.ndarray, size: float, period: float) -> dict[str, list[list[float]]]:
-    """Stretches of each recording in which an outside force (samples, recordings) acted."""
+    """Time intervals of each recording in which an outside force (samples, recordings) acted."""
     return {f: stretches(acted[:, i], size, period) for i, f in enumerate(files())}

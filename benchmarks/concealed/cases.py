@@ -3,21 +3,22 @@
 ``python benchmarks/concealed/cases.py --out DIR --truth DIR --seeds 0:200`` writes for each seed
 ``DIR/<case>/model.xml`` and ``recordings/*.mcap``, and the truth elsewhere.
 
-Any 200 consecutive seeds hold 40 cases with nothing hidden, 20 with two effects and 20
-with three, 20 with a force that is in no catalogue (5 of each kind), and 100 with one effect: every
-effect of the contract's table two or three times alone and at least once beside others. Which of
-them a seed is follows from its remainder by 200; everything else it draws.
+Any 200 consecutive seeds contain 40 cases without hidden effects, 20 with two effects, 20 with
+three, 20 with a force that is not in the catalogue (5 of each kind), and 100 with one effect. Every
+effect of the catalogue occurs two or three times alone and at least once with others. The kind of a
+case follows from the seed modulo 200; everything else is random.
 
-A perfect observer could distinguish what is drawn:
+The hidden effects are distinguishable in principle:
 
-- an effect acts where it shows (:data:`NEEDS`): one joint alone cannot tell a late command from a
-  late sensor, nor a tilted base from a servo's biased encoder; on a slide or a vertical first axis
-  an armature is the same physics as a heavier link; a velocity servo's gain is its torque constant;
+- an effect acts where it is observable (:data:`NEEDS`): with one joint, a command delay cannot be
+distinguished from a sensor delay, nor base tilt from the encoder bias of a servo; on a slide or
+a vertical first axis, an armature is the same physics as a heavier link; the gain of a velocity
+servo is its torque constant;
 - pairs that are the same physics (:data:`SAME`) do not share a joint: two of the laws that carry a
   constant level of dry friction, a servo's gain beside its torque constant or viscous friction.
 
-No other pair is left out. What is hidden may be too small to see: the truth says how far each
-effect changes the held-out recordings (``visibility``, in standard deviations of sensor noise).
+No other pair is excluded. A hidden effect may be too small to be detected: the truth file states
+the change of the held-out recordings (``visibility``, in standard deviations of sensor noise).
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-# The last digits of a sum depend on the kernel that OpenBLAS picks for a processor, and the digest
-# of a truth file on those: the same one everywhere. It is read when numpy is loaded.
+# The last digits of a sum, and thus the digest of a truth file, depend on the OpenBLAS kernel of
+# the processor. A fixed kernel is set before numpy is loaded.
 if platform.machine() in ("x86_64", "AMD64"):
     os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
@@ -70,14 +71,14 @@ COUNTS = {1: 0.25, 2: 0.25, 3: 0.2, 4: 0.1, 6: 0.15, 7: 0.05}
 
 @dataclass(frozen=True)
 class Need:
-    """Where an effect can act and show.
+    """Conditions under which an effect can act and be observed.
 
     Attributes:
-        joints: of the robot, at least and at most.
+        joints: smallest and largest number of joints of the robot.
         gravity: only on joints whose gravity effort depends on the pose.
-        upstream: only on joints behind another.
-        hinges: not on a slide.
-        contact: only on a robot that meets a surface.
+        upstream: only on joints behind another joint.
+        hinges: only on revolute joints.
+        contact: only on a robot that touches a surface.
     """
 
     joints: tuple[int, int] = (1, 7)
@@ -123,7 +124,7 @@ SEEDS = "first:last, last not included; several with commas; or the .jsonl of an
 
 
 def plan(seed: int) -> tuple[str, list[str]]:
-    """What a seed is: its kind and the names that are given; others are drawn beside them."""
+    """Return the kind of a seed and its fixed effect names; further effects are random."""
     place = int(ORDER[seed % BLOCK])
     if place < NOTHING:
         return "none", []
@@ -138,14 +139,15 @@ def plan(seed: int) -> tuple[str, list[str]]:
 
 
 def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Parameters of a hidden effect, in SI units, in proportion to the joint."""
+    """Draw parameters of a hidden effect, in SI units, in proportion to the joint."""
     j = robot.joints[max(joint, 0)]
     effort = j.effort / 6.0
     band = max(j.kp, j.kv * 3.0) if robot.mode != "effort" else j.kp
     speed = 0.8
     sign = float(rng.choice([-1.0, 1.0]))
     u = lambda low, high: float(rng.uniform(low, high))  # noqa: E731
-    # In the loop a bias moves the arm, not the reading: one joint alone takes it for a tilt.
+    # In a servo loop, a bias moves the arm and not the reading, which with one joint is equivalent
+    # to a tilt.
     looped = robot.mode == "position" and len(robot.joints) > 1 and bool(rng.random() < 0.5)
     table: dict[str, Any] = {
         "command_delay": lambda: {"delay": u(0.01, 0.05)},
@@ -206,7 +208,7 @@ def sizes(effect: str, robot: Robot, joint: int, rng: np.random.Generator) -> di
 
 
 def joints_for(effect: str, robot: Robot) -> list[int]:
-    """Where on a robot an effect can act; -1 is the whole robot."""
+    """Return the joints at which an effect can act; -1 is the whole robot."""
     need = NEEDS.get(effect, Need())
     low, high = need.joints
     if not low <= len(robot.joints) <= high or robot.mode not in need.modes:
@@ -220,7 +222,7 @@ def joints_for(effect: str, robot: Robot) -> list[int]:
 
 
 def hide(given: list[str], count: int, robot: Robot, rng: np.random.Generator) -> Hidden:
-    """``count`` effects, the ``given`` ones among them, none of the same physics at one joint."""
+    """Choose ``count`` effects with the ``given`` ones, none with the same physics at a joint."""
     hidden = Hidden()
     others = [e for e in rng.permutation(EFFECTS) if e not in given]
     left = [*given, *(str(e) for e in others)]
@@ -289,11 +291,11 @@ def excitations(robot: Robot, rng: np.random.Generator) -> np.ndarray:
 
 
 def touching(robot: Robot, rng: np.random.Generator) -> tuple[Robot, np.ndarray]:
-    """The robot before a wall or over a table, and references that meet it in some motions."""
+    """Return the robot at a wall or over a table, and references with contact in some motions."""
     n = len(robot.joints)
     table = bool(rng.random() < 0.5)
     normal = (0.0, 0.0, 1.0) if table else (-1.0, 0.0, 0.0)
-    # Over a table the arm stretches forward, before a wall it stands.
+    # The arm is stretched forward over a table, and upright at a wall.
     bends = [i for i in range(n) if robot.joints[i].axis[1]]
     lean = np.zeros(n)
     lean[bends] = (1.35 if table else 0.2) / len(bends)
@@ -303,7 +305,7 @@ def touching(robot: Robot, rng: np.random.Generator) -> tuple[Robot, np.ndarray]
             [excitation(robot, k, c, rng) for k, c in zip(KINDS, centers, strict=True)], axis=1
         )
         above = tip_paths(robot, references) @ np.array(normal) - RADIUS
-        # It starts in the air, and is never asked to go far in.
+        # It starts in the air; the references do not go far into the surface.
         height = min(float(above[0].min()) - 0.005, float(above.min()) + 0.08)
         share = np.mean(above < height - 0.01, axis=0)
         if np.sum(share > 0.02) >= 3 and share[HELD_OUT].max() > 0.02:
@@ -313,7 +315,7 @@ def touching(robot: Robot, rng: np.random.Generator) -> tuple[Robot, np.ndarray]
 def outside(
     kind: str, joint: int, robot: Robot, references: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """A force that is in nobody's catalogue, (1,) record, where the joint passes."""
+    """Return a force that is not in the catalogue, (1,) record, in the joint's range of motion."""
     path = references[..., joint]
     if robot.mode == "velocity":
         path = np.cumsum(path, axis=0) * TICK
@@ -326,7 +328,7 @@ def outside(
 
 
 def stretches(acted: np.ndarray, size: float, record: float = RECORD) -> list[list[float]]:
-    """Times (start, end) in s in which a (samples,) force was above a tenth of its size."""
+    """Time intervals (start, end), s, in which a (samples,) force exceeded a tenth of its size."""
     on = np.concatenate([[False], np.abs(acted) > 0.1 * size, [False]])
     starts, ends = (np.flatnonzero(d) for d in (on[1:] & ~on[:-1], on[:-1] & ~on[1:]))
     found: list[list[float]] = []
@@ -339,7 +341,7 @@ def stretches(acted: np.ndarray, size: float, record: float = RECORD) -> list[li
 
 
 def taken(time: np.ndarray, hidden: Hidden) -> np.ndarray:
-    """When in s a reading was taken that the other clock stamps at ``time``, and late."""
+    """Time, s, of a reading with the stamp ``time`` of another clock, including the delay."""
     late: np.ndarray = time * (1 - hidden.robot("clock_drift", "drift"))
     return late - hidden.robot("sensor_delay", "delay")
 
@@ -347,7 +349,7 @@ def taken(time: np.ndarray, hidden: Hidden) -> np.ndarray:
 def sampled(
     trace: np.ndarray, time: np.ndarray, hidden: Hidden, record: float = RECORD
 ) -> np.ndarray:
-    """(samples, joints) of a trace as a logger stamps it at ``time`` s: late, by another clock."""
+    """(samples, joints) values of a trace at the stamps ``time``, s, with delay and clock drift."""
     at = np.clip(taken(time, hidden) / record, 0, len(trace) - 1)
     before = np.minimum(at.astype(int), len(trace) - 2)
     part = (at - before)[:, None]
@@ -356,7 +358,7 @@ def sampled(
 
 
 def message(names: list[str], fields: list[str]) -> tuple[np.ndarray, dict[str, int]]:
-    """A sensor_msgs/msg/JointState in little-endian CDR, and where its stamp and fields go."""
+    """A sensor_msgs/msg/JointState in little-endian CDR, and the offsets of stamp and fields."""
     out = bytearray(b"\x00\x01\x00\x00")
     places = {"stamp": len(out)}
     out += struct.pack("<iII", 0, 0, 1) + b"\x00"
@@ -395,13 +397,13 @@ def write(
     path: Path, robot: Robot, motion: Motion, hidden: Hidden, sensors: dict[str, Any],
     role: str, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Sample one recording's motion as a logger would, and write it."""
+    """Sample the motion of one recording like a logger, and write it."""
     names = [j.name for j in robot.joints]
     period = 1.0 / sensors["rate"]
     count = round(DURATION / period)
     jitter = rng.integers(-sensors["jitter"], sensors["jitter"] + 1, count) * 1e-4
     time = np.clip(np.arange(count) * period + jitter, 0.0, DURATION - 1e-4)
-    # A logger whose clock is slow stops with the motion, before its own time is over.
+    # A logger with a slow clock stops with the motion, before its own time ends.
     time = time[taken(time, hidden) < DURATION]
     position = sampled(motion.position, time, hidden)
     position += sensors["noise"] * rng.standard_normal(position.shape)
@@ -413,7 +415,7 @@ def write(
         noise = effort_noise(robot) * rng.standard_normal(position.shape)
         fields["effort"] = sampled(motion.effort, time, hidden) + noise
     stamps = EPOCH_NS + np.round(time * 1e9).astype(np.int64)
-    # Every command once, whenever the encoders are read: a logger misses none.
+    # Every command is logged once, independent of the encoder readings.
     sent = EPOCH_NS + np.round(np.arange(len(motion.setpoint)) * TICK * 1e9).astype(np.int64)
     rows = [
         (int(s), 0, m)
@@ -440,16 +442,17 @@ def effort_noise(robot: Robot) -> np.ndarray:
 
 
 SEEN_RECORD = 2 * RECORD
-"""s between samples, and Pinocchio's terms, of runs that only tell how much an effect shows."""
+"""Time between samples and evaluations of Pinocchio's terms, s, of runs for the visibility."""
 
 
 def visibility(
     effect: str, true: tuple[Motion, Hidden], without: tuple[Motion, Hidden], robot: Robot,
     sensors: dict[str, Any],
 ) -> float:  # fmt: skip
-    """Root mean square change of held-out readings, in standard deviations of their noise.
+    """RMS change of held-out readings, in standard deviations of their noise.
 
-    Positions; for an effect of the effort sensor efforts. The greatest over the joints.
+    Readings are positions or, for effects of the effort sensor, efforts. The largest value over the
+    joints is returned.
     """
     time = np.arange(0.0, DURATION - TICK, TICK)
     noise: Any = np.hypot(sensors["noise"], sensors["count"] / np.sqrt(12.0))
@@ -468,11 +471,11 @@ def seen(
     robot: Robot, hidden: Hidden, motions: Motion, references: np.ndarray, start: np.ndarray,
     sensors: dict[str, Any], force: np.ndarray | None,
 ) -> tuple[dict[tuple[str, int], float], float | None]:  # fmt: skip
-    """Visibility of each hidden effect, and of a force that is in no catalogue.
+    """Return the visibility of each hidden effect, and of a force that is not in the catalogue.
 
-    The held-out recordings once more without it. An effort drive gets the same commands again: as
-    an arm under them runs away from any change, it starts anew every 0.25 s from where it really
-    was.
+    The held-out recordings are simulated again without the effect. An effort drive gets the same
+    commands. An arm under effort commands diverges after any change, so it is restarted every 0.25
+    s from its true state.
     """
     true = motions.recordings(HELD_OUT)
     again: dict[str, Any] = {"record": SEEN_RECORD}
@@ -497,7 +500,7 @@ def seen(
 
 
 def drawn(options: dict[Any, float], rng: np.random.Generator) -> Any:
-    """One of the options by weight."""
+    """Draw one of the options by weight."""
     keys, weights = list(options), np.array(list(options.values()))
     return keys[int(rng.choice(len(keys), p=weights / weights.sum()))]
 
@@ -506,8 +509,8 @@ def make(seed: int, out: Path, truth: Path, effect: str | None = None) -> str:
     """Write one case; returns its name.
 
     Args:
-        seed: draws everything.
-        effect: ``none``, or the one effect or outside force that is hidden; None: as planned.
+        seed: seed of all random draws.
+        effect: ``none``, or the name of the hidden effect or outside force; None: by the seed.
     """
     rng = np.random.default_rng([20_261_120, seed])
     kind, given = plan(seed)
@@ -581,8 +584,10 @@ def make(seed: int, out: Path, truth: Path, effect: str | None = None) -> str:
 
 
 def seeds(said: str) -> list[int]:
-    """Seeds by ``first:last``, last not included, of several such and of single ones with commas
-    between, or of the cases that a file of answers (``answers.py``) holds.
+    """Parse seeds from the command line.
+
+    They are ``first:last`` (last excluded) and single seeds, separated by commas, or a file of
+    ``answers.py`` with cases.
     """
     if said.endswith(".jsonl"):
         answers = map(json.loads, Path(said).read_text().splitlines())

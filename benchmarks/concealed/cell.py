@@ -1,7 +1,7 @@
-"""What varies between real cells: servos, buses, motors, friction, and models that are a bit wrong.
+"""Random properties of real cells: servos, buses, motors, friction, and errors of the model.
 
-A :class:`Cell` is how a robot is controlled and logged. A :class:`Background` is by how much its
-nominal model is off everywhere, beside whatever else is hidden. Both are drawn per case.
+A :class:`Cell` describes the control and logging of a robot. A :class:`Background` contains small
+errors of the nominal model in addition to the hidden effects. Both are random for each case.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from robots import Robot
 
 BETWEEN = ("held", "interpolated", "ramped")
 COMMAND_PERIODS = (0.002, 0.004, 0.005, 0.008, 0.01, 0.02)
-"""s between the commands of a log."""
+"""Time between the commands of a log, s."""
 SERVO_RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
 LOG_RATES = (20.0, 50.0, 100.0, 125.0, 200.0, 250.0, 500.0, 1000.0)
 
@@ -25,16 +25,19 @@ class Cell:
     """Control and logging of a robot.
 
     Attributes:
-        between: what a command does between two stamps; ``declared``: whether the recordings say.
-        command_period: s between logged commands.
-        servo_period, servo_phase: s; a servo samples, computes, applies.
-        computing: of the servo's period, until the computed effort is applied.
-        slope_cutoff: Hz, of the servo's low-pass on its differenced encoder; 0: it knows the
-            velocity.
-        encoder: rad, a count of the servo's encoder.
-        transport: s from the stamp of a command to the servo.
-        current_bandwidth, electrical: Hz and s, of the current loop and the winding; 0: none.
-        friction: law, a name of :data:`cell_friction.LAWS`; ``yield_at``: rad of its bristles.
+        between: interpolation of commands between two stamps; ``declared``: whether the recordings
+            state it.
+        command_period: time between logged commands, s.
+        servo_period, servo_phase: period and phase of the servo's sampling, s.
+        computing: delay of the computed effort, as a fraction of the servo's period.
+        slope_cutoff: cutoff of the servo's low-pass on its differenced encoder, Hz; 0 if it has a
+            velocity sensor.
+        encoder: resolution of the servo's encoder, rad.
+        transport: time from the stamp of a command to the servo, s.
+        current_bandwidth, electrical: bandwidth of the current loop, Hz, and time constant of the
+            winding, s; 0 for none.
+        friction: friction law, a name of :data:`cell_friction.LAWS`; ``yield_at``: presliding
+            displacement of its bristles, rad.
     """
 
     between: str
@@ -52,7 +55,7 @@ class Cell:
     yield_at: float
 
     def facts(self) -> list[dict[str, Any]]:
-        """What of this a diagnosis may rightly name beside what is hidden."""
+        """Return properties that a diagnosis may report correctly besides hidden effects."""
         found: list[dict[str, Any]] = [
             {"effect": "control_period", "joint": None, "parameters": {"period": self.servo_period}}
         ]
@@ -77,7 +80,7 @@ class Cell:
 
 
 def draw_cell(robot: Robot, rng: np.random.Generator) -> Cell:
-    """A cell around a robot."""
+    """Draw a cell for a robot."""
     between = str(rng.choice(BETWEEN, p=(0.35, 0.45, 0.2)))
     if robot.mode == "effort" and between == "ramped":
         between = "held"
@@ -102,17 +105,17 @@ def draw_cell(robot: Robot, rng: np.random.Generator) -> Cell:
 
 
 def ideal(cell: Cell, step: float) -> Cell:
-    """The same commands to servos and motors that take no time, with stiff friction."""
+    """Return the cell with ideal servos and motors and stiff friction, with the same commands."""
     return Cell(cell.between, cell.declared, cell.command_period, step, 0.0, 0.0, 0.0, 0.0, 0.0,
                 0.0, 0.0, "set_valued", 1e-4)  # fmt: skip
 
 
 @dataclass
 class Background:
-    """By how much the nominal model is off.
+    """Errors of the nominal model.
 
     Attributes:
-        effects: effect -> joint index (or -1) -> parameters, as of :class:`plant.Hidden`.
+        effects: effect -> joint index (or -1) -> parameters, as in :class:`plant.Hidden`.
         centers, origins: (joints, 3) m, errors of centres of mass and of joint origins.
     """
 
@@ -121,7 +124,7 @@ class Background:
     origins: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def scaled(self, by: float) -> Background:
-        """The same, larger or smaller."""
+        """Return the same errors, scaled by a factor."""
         fixed = ("harmonic", "in_loop", "stribeck_velocity")
         effects = {
             e: {i: {k: v if k in fixed else by * v for k, v in p.items()} for i, p in at.items()}
@@ -130,7 +133,7 @@ class Background:
         return Background(effects, by * self.centers, by * self.origins)
 
     def without(self, taken: dict[str, dict[int, Any]]) -> Background:
-        """The same where nothing of the same name is hidden at the same joint."""
+        """Return the errors without effects that are hidden at the same joint."""
         effects = {
             e: {i: p for i, p in at.items() if i not in taken.get(e, {})}
             for e, at in self.effects.items()
@@ -139,7 +142,7 @@ class Background:
 
 
 def draw_background(robot: Robot, rng: np.random.Generator) -> Background:
-    """Inertias off by 1 to 3 %, friction by 5 to 10 %, small ripple, a millimetre, a degree."""
+    """Draw errors: inertias 1 to 3 %, friction 5 to 10 %, small ripple, a millimetre, a degree."""
 
     def off(low: float, high: float) -> float:
         return float(rng.choice((-1.0, 1.0)) * rng.uniform(low, high))

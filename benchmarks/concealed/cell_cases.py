@@ -2,8 +2,8 @@
 
     python benchmarks/concealed/cell_cases.py --out DIR --truth DIR --seeds 100000:100060
 
-Of any 20 consecutive seeds 4 hide nothing, so that the background alone differs; 11 hide one
-effect, 2 two, 1 three, and 2 a force that is in no catalogue.
+Of any 20 consecutive seeds, 4 have no hidden effect, so only the background differs; 11 have one
+effect, 2 have two, 1 has three, and 2 have a force that is not in the catalogue.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ COUNTS = {1: 0.45, 2: 0.25, 3: 0.2, 6: 0.1}
 MODES = {"position": 0.75, "velocity": 0.1, "effort": 0.15}
 SECONDS = (6.0, 8.0, 10.0, 12.0)
 NAMED = tuple(e for e in EFFECTS if not e.startswith("contact_"))
-"""Effects of this family: nothing touches."""
+"""Effects of this family, which has no contact."""
 INDISTINCT = ("command_delay", "sensor_delay", "base_tilt", "encoder_bias")
-"""Effects that may be hidden where another name is the same (:mod:`equivalents`)."""
+"""Effects that may be hidden although another effect is equivalent (:mod:`equivalents`)."""
 
 
 def kind_of(seed: int) -> str:
-    """What a seed hides: none, one, two, three or outside."""
+    """Return the kind of a seed: none, one, two, three or outside."""
     return PLAN[int(ORDER[seed % BLOCK])]
 
 
 def places(effect: str, robot: Robot) -> list[int]:
-    """Where an effect can act and show, another name for the same included."""
+    """Return the joints at which an effect or an equivalent one can act and be observed."""
     if effect in INDISTINCT and len(robot.joints) == 1:
         turned = effect not in ("base_tilt", "encoder_bias") or not robot.joints[0].slide
         fits = effect != "encoder_bias" or robot.mode == "position"
@@ -63,7 +63,7 @@ def places(effect: str, robot: Robot) -> list[int]:
 def force_outside(
     kind: str, joint: int, robot: Robot, reference: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """(1,) record of a force that is in nobody's catalogue, where the joint passes."""
+    """(1,) record of a force that is not in the catalogue, in the joint's range of motion."""
     path = reference[..., joint]
     if robot.mode == "velocity":
         path = np.cumsum(path, axis=0) * FINE
@@ -76,7 +76,7 @@ def force_outside(
 
 
 class CellScene:
-    """A robot in a cell, simulated with this and that left out."""
+    """A robot in a cell, simulated with selected effects."""
 
     def __init__(self, robot: Robot, cell: Cell, reference: np.ndarray, logger: Logger) -> None:
         self.robot, self.cell, self.logger = robot, cell, logger
@@ -86,7 +86,7 @@ class CellScene:
         self, hidden: Hidden, background: Background, force: np.ndarray | None, again: Run | None,
         *, nominal: bool = False,
     ) -> Run:  # fmt: skip
-        """The held-out recordings; with nominal servos, motors and friction where ``nominal``."""
+        """Simulate the held-out recordings; if ``nominal``, with nominal servos and friction."""
         cell = ideal(self.cell, STEP) if nominal else self.cell
         return simulate(self.robot, cell, hidden, background, self.reference[:, HELD_OUT],
                         outside=force, again=again)  # fmt: skip

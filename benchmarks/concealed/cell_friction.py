@@ -1,4 +1,4 @@
-"""Laws of dry friction with a memory, compiled; each takes one step of the integrator.
+"""Compiled laws of dynamic friction; each computes one step of the integrator.
 
 LuGre: Canudas de Wit et al. 1995. Dahl 1968. Generalized Maxwell slip: Al-Bender, Lampaert, Swevers
 2005. The fourth law, set-valued Coulomb friction, has no memory: :mod:`cell_kernel` solves it
@@ -15,23 +15,23 @@ from numba import njit
 LAWS = ("lugre", "dahl", "maxwell_slip", "set_valued")
 ELEMENTS = 4
 SHARES = np.array([0.15, 0.25, 0.35, 0.25])
-"""Of the level, each element of generalized Maxwell slip."""
+"""Fraction of the friction level of each element of generalized Maxwell slip."""
 YIELDS = np.array([0.3, 0.8, 1.5, 3.0])
-"""Displacement at which each element slips, in yields of the joint."""
+"""Displacement at which each element slips, in multiples of the joint's presliding displacement."""
 ATTRACTION = 0.02
-"""s in which a slipping element gets to its share of the level."""
+"""Time constant with which a slipping element approaches its friction level, s."""
 
 
 @njit(cache=True, error_model="numpy")
 def friction_effort(
     law: int, level: float, stretch: float, inertia: float, v: float, step: float, z: Any, slip: Any
 ) -> float:
-    """N*m of friction against ``v``; ``z`` and ``slip`` (ELEMENTS,) are its memory.
+    """Friction torque, N*m, opposite to ``v``; ``z`` and ``slip`` (ELEMENTS,) are its state.
 
     Args:
-        level: N*m, of steady sliding at this velocity, Stribeck's part included.
-        stretch: rad, displacement at which the bristles yield.
-        inertia: kg*m^2, sets LuGre's damping of its bristles.
+        level: friction of steady sliding at this velocity, with the Stribeck effect, N*m.
+        stretch: displacement at which the bristles yield, rad.
+        inertia: inertia that determines the damping of LuGre's bristles, kg*m^2.
     """
     if law == 2:
         total = 0.0

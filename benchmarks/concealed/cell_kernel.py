@@ -1,8 +1,7 @@
-"""The plant of sampled cells, compiled: rigid bodies, sampled servos, motors, friction, integrator.
+"""Compiled plant of sampled cells: rigid bodies, sampled servos, motors, friction, integrator.
 
 Rigid-body terms are summed over bodies in the base frame (recursive accelerations, Jacobians of the
-centres of mass), so that neither Pinocchio nor an engine takes part. SI units; on slides N*m
-means N.
+centres of mass), without Pinocchio or a physics engine. SI units; on slides N*m means N.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ JOINT = np.dtype(
         "push_end", "gap", "tooth", "tooth_damping", "loop_bias", "delay", "encoder", "back_emf",
     )] + [("soft", np.int64), ("law", np.int64)]
 )  # fmt: skip
-"""Of one joint: nominal values, background and what is hidden; ``delay`` in s."""
+"""Parameters of one joint: nominal values, background and hidden effects; ``delay`` in s."""
 
 STATE = np.dtype(
     [(name, np.float64) for name in (
@@ -31,16 +30,16 @@ STATE = np.dtype(
         "current", "integral", "lagged",
     )] + [("z", np.float64, ELEMENTS), ("slip", np.float64, ELEMENTS)]
 )  # fmt: skip
-"""Of one joint: link, motor, the memory of its servo, its motor and its friction."""
+"""State of one joint: link, motor, servo, current loop and friction."""
 
 SERVO = np.dtype(
     [("mode", np.int64), ("between", np.int64), ("tick", np.int64), ("steps", np.int64),
      ("phase", np.int64), ("compute", np.int64), ("host", np.int64), ("slope_keep", np.float64),
      ("bandwidth", np.float64), ("electrical", np.float64)]
 )  # fmt: skip
-"""Of all servos: ``tick`` and ``host`` in rows of the setpoint, ``steps``, ``phase`` and
+"""Parameters of all servos: ``tick`` and ``host`` in rows of the setpoint; ``steps``, ``phase`` and
 ``compute`` in steps of the integrator; ``bandwidth`` (rad/s) and ``electrical`` (s) of the motors'
-current loops, 0 for a motor that delivers at once."""
+current loops, 0 for an ideal motor."""
 
 LINK = np.dtype([("slide", np.int64), ("origin", np.float64, 3), ("axis", np.float64, 3)])
 BODY = np.dtype(
@@ -50,7 +49,7 @@ BODY = np.dtype(
 """A rigid body on a joint's link: centre of mass and inertia about it in the link's frame."""
 
 SETTLE = 1.0
-"""s before a recording in which the robot comes to rest at the first setpoint."""
+"""Time before a recording in which the robot comes to rest at the first setpoint, s."""
 
 
 @njit(cache=True, inline="always")
@@ -177,13 +176,13 @@ def _add_bodies(
 
 @njit(cache=True, error_model="numpy")
 def scratch(n: int) -> Any:
-    """Room that :func:`rigid_terms` works in."""
+    """Allocate the work array of :func:`rigid_terms`."""
     return np.empty((n + 1, 3, 3)), np.empty((n + 1, 8, 3)), np.empty((8 + 2 * n, 3))
 
 
 @njit(cache=True, error_model="numpy")
 def asked(sent: Any, joint: int, t: float, between: int, tick: int, fine: float) -> float:
-    """What a servo takes its setpoint to be at ``t`` s: held, interpolated or ramped."""
+    """Return the setpoint of a servo at ``t`` s: held, interpolated or ramped."""
     x = _clip(t / fine + 1e-7, 0.0, len(sent) - 1.0)
     if between == 1:
         k = min(int(x), len(sent) - 2)
@@ -223,11 +222,11 @@ def solve(a: Any, b: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _servo(servo: Any, j: Any, s: Any, wanted: float, step: float) -> float:
-    """Effort that a servo demands at one of its samples; updates its memory."""
+    """Return the effort that a servo demands at one of its samples; updates its state."""
     motor = s.theta + j.loop_bias
     read = np.round(motor / j.encoder) * j.encoder if j.encoder > 0.0 else motor
     period = servo.steps * step
-    if servo.slope_keep < 0.0:  # a servo that knows the velocity
+    if servo.slope_keep < 0.0:  # a servo with a velocity sensor
         s.slope = s.omega
     else:
         s.slope += (1 - servo.slope_keep) * ((read - s.read) / period - s.slope)
@@ -246,10 +245,10 @@ def _servo(servo: Any, j: Any, s: Any, wanted: float, step: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _delivered(servo: Any, j: Any, s: Any, step: float, start: bool) -> float:
-    """Effort that a motor delivers for what its servo applies; updates its memory."""
+    """Return the effort of a motor for the demand of its servo; updates its state."""
     bound = s.applied
     if servo.bandwidth > 0.0:
-        # Resistance 1: the current counts in the effort that it makes, the voltage too.
+        # With resistance 1, current and voltage are in units of effort.
         error = s.applied - s.current
         s.integral += step * servo.bandwidth * error
         voltage = servo.bandwidth * servo.electrical * error + s.integral
@@ -269,7 +268,7 @@ def _delivered(servo: Any, j: Any, s: Any, step: float, start: bool) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _level(j: Any, s: Any, t: float, load: float) -> float:
-    """N*m of steady sliding."""
+    """Friction of steady sliding, N*m."""
     level = j.coulomb + j.load_mu * abs(load)
     if j.stiction != 0.0:
         level += j.stiction * np.exp(-((s.omega / j.v_stribeck) ** 2))
@@ -281,7 +280,7 @@ def _level(j: Any, s: Any, t: float, load: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _stick(inertia: Any, accel: Any, v: Any, bound: Any, step: float, pull: Any) -> None:
-    """Set-valued friction of joints: efforts ``pull`` within ``bound`` that stop them if they can.
+    """Solve set-valued joint friction: efforts ``pull`` within ``bound`` that stop the joints.
 
     Projected Gauss-Seidel over the velocities at the end of the step; adds to ``accel``.
     """

@@ -1,4 +1,4 @@
-"""Reality of family ``sampled cells``: a robot in a :class:`cell.Cell`, simulated at 20 kHz."""
+"""Plant of the family ``sampled cells``: a robot in a :class:`cell.Cell`, simulated at 20 kHz."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ GRAVITY = 9.81
 
 @dataclass
 class Run:
-    """What a robot did.
+    """Simulated motion of a robot.
 
     Attributes:
-        position, velocity, effort: (samples, recordings, joints) as perfect sensors read them.
-        demand: (samples, recordings, joints) N*m that the servos ask of their motors.
-        sent: (milliseconds, recordings, joints) what the servos are sent.
-        acted: (samples, recordings) of a force that is in no catalogue.
-        kept: (instants, recordings, joints) whole states, every :data:`RESTART` s.
-        period: s between samples.
+        position, velocity, effort: (samples, recordings, joints) exact sensor readings.
+        demand: (samples, recordings, joints) efforts that the servos demand, N*m.
+        sent: (milliseconds, recordings, joints) commands sent to the servos.
+        acted: (samples, recordings) force that is not in the catalogue.
+        kept: (instants, recordings, joints) complete states, every :data:`RESTART` s.
+        period: time between samples, s.
     """
 
     position: np.ndarray
@@ -47,7 +47,7 @@ class Run:
 
 
 def joint_rows(robot: Robot, hidden: Hidden, cell: Cell, step: float) -> np.ndarray:
-    """(joints,) records of :data:`cell_kernel.JOINT`: the nominal robot with what is hidden."""
+    """(joints,) records of :data:`cell_kernel.JOINT`: the nominal robot with hidden effects."""
     n, j = len(robot.joints), robot.joints
     p = np.zeros(n, JOINT)
 
@@ -109,7 +109,7 @@ def servo_row(robot: Robot, cell: Cell, step: float) -> np.ndarray:
     row["mode"] = DRIVES[robot.mode]
     row["between"], row["tick"] = BETWEEN.index(cell.between), tick
     row["host"] = 1 if moves_on else tick
-    if robot.mode == "effort":  # an effort moves on as fast as the loop that computes it
+    if robot.mode == "effort":  # an effort command changes at the rate of the loop that computes it
         row["between"], row["tick"] = 0, row["host"]
     row["steps"] = max(round(cell.servo_period / step), 1)
     row["phase"] = int(cell.servo_phase / step)
@@ -177,7 +177,7 @@ def holding_effort(robot: Robot, reference: np.ndarray) -> np.ndarray:
 
 
 def joined(hidden: Hidden, background: Background) -> Hidden:
-    """Everything that reality has beside the nominal model; at most one of a name at a joint."""
+    """Combine hidden effects and background; at most one of a name at a joint."""
     effects: dict[str, dict[int, dict[str, Any]]] = {
         e: {i: dict(p) for i, p in at.items()} for e, at in background.effects.items()
     }
@@ -197,15 +197,15 @@ def simulate(
     again: Run | None = None,
     step: float = STEP,
 ) -> Run:
-    """Run a robot under setpoints (milliseconds, recordings, joints), as its sensors read it.
+    """Simulate a robot under setpoints (milliseconds, recordings, joints).
 
     An effort drive gets the effort of an outer PD loop with gravity compensation, which is then
     what is logged as the command.
 
     Args:
-        outside: (1,) record of :data:`kernel.OUTSIDE`, a force that is in no catalogue.
-        again: another run, whose commands this one gets and whose states it starts from anew
-            every :data:`RESTART` s.
+        outside: (1,) record of :data:`kernel.OUTSIDE`, a force that is not in the catalogue.
+        again: another run, with whose commands and from whose states this one is restarted every
+            :data:`RESTART` s.
     """
     real = joined(hidden, background)
     fine, rows, n = reference.shape

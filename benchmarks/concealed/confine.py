@@ -1,9 +1,9 @@
-"""Run a command that can read its case and the programs it is made of, and no other file.
+"""Run a command that can read only its case folder and the files of its programs.
 
     python benchmarks/concealed/confine.py --read CASE --write FOLDER -- COMMAND ...
 
-The kernel holds the command and all its children to that (Landlock, Linux 5.13 and later). Where
-the package lies outside the environment, the names beside it can be listed, and no more.
+The kernel enforces this for the command and all its children (Landlock, Linux 5.13 and later). If
+the package lies outside the environment, only the names in its parent folder can be listed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SYSTEM = ("/usr", "/bin", "/lib", "/lib64", "/etc", "/proc", "/sys", "/dev")
 
 
 def confinable() -> bool:
-    """Whether this system can hold a command to what it is given."""
+    """Whether this system can restrict the file access of a command."""
     if landlock is None:
         return False
     try:
@@ -33,17 +33,17 @@ def confinable() -> bool:
 
 
 def confine(read: Path, write: Path) -> None:
-    """Give up, for this process and its children, every file but these and the programs'.
+    """Restrict this process and its children to these folders and the files of the programs.
 
     Args:
-        read: a folder that may be read.
-        write: a folder that may be read and written.
+        read: folder that may be read.
+        write: folder that may be read and written.
 
     Raises:
-        ModuleNotFoundError: the package that diagnoses is not installed.
-        OSError: the kernel refuses.
+        ModuleNotFoundError: pytest_twin is not installed.
+        OSError: the kernel does not support it.
     """
-    # Found, not imported: nothing beside the plant runs the package's code.
+    # The package is located but not imported.
     spec = find_spec("pytest_twin")
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError("pytest_twin is not installed beside this Python")
@@ -63,7 +63,7 @@ def confine(read: Path, write: Path) -> None:
 
 
 def main() -> None:
-    """Confine this process and become the command."""
+    """Restrict this process and execute the command."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--read", type=Path, required=True)
     parser.add_argument("--write", type=Path, required=True)

@@ -1,7 +1,7 @@
 """A robot in Bullet, for blind cases: Featherstone's algorithm, sequential impulses.
 
-Dry friction is Bullet's joint motor at zero velocity with a force limit, which may be another at
-every step. There is no reflected inertia of motors: these robots are direct drives.
+Dry friction is Bullet's joint motor at zero velocity with a force limit, which may change at every
+step. There is no reflected inertia of motors, because these robots have direct drives.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from plant import Hidden
 from robots import Robot
 
 STEP = 5e-4
-"""s, of Bullet's step."""
+"""Time step of Bullet, s."""
 NAMED = (
     "command_delay", "sensor_delay", "clock_drift", "encoder_bias", "encoder_scale",
     "encoder_eccentricity", "actuator_lag", "rate_limit", "torque_constant", "torque_saturation",
@@ -26,11 +26,11 @@ NAMED = (
     "position_dependent_friction", "quadratic_drag", "joint_spring", "payload",
     "inertial_parameters", "base_tilt", "external_force",
 )  # fmt: skip
-"""Effects that can be hidden here, beside those of a contact."""
+"""Effects that can be hidden in this engine, in addition to those of a contact."""
 
 
 def urdf(robot: Robot, real: Hidden, background: Background) -> str:
-    """The robot as it really is, in the format that Bullet reads."""
+    """Return the true robot in the format that Bullet reads."""
     root = ElementTree.Element("robot", name=robot.name)
     base = ElementTree.SubElement(root, "link", name="base")
     resting = ElementTree.SubElement(base, "inertial")
@@ -125,7 +125,8 @@ class BulletRobot:
         )
         height = c.height + real.robot("contact_offset", "offset")
         plane = pybullet.createMultiBody(0.0, shape, basePosition=height * normal, **self.here)
-        # Bullet takes two stiffnesses in a row, and multiplies the coefficients of both.
+        # Bullet combines the stiffnesses of both bodies in series, and multiplies the friction
+        # coefficients.
         pybullet.changeDynamics(
             plane, -1, lateralFriction=1.0, restitution=0.0,
             contactStiffness=c.stiffness
@@ -162,5 +163,5 @@ class BulletRobot:
         pybullet.stepSimulation(**self.here)
 
     def close(self) -> None:
-        """Give the engine back."""
+        """Release the engine."""
         pybullet.disconnect(**self.here)

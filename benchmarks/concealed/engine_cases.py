@@ -2,9 +2,9 @@
 
     python benchmarks/concealed/engine_cases.py --out DIR --truth DIR --seeds 201000:201040
 
-An even seed is Drake's, an odd one Bullet's. Of any 20 consecutive seeds 4 hide nothing, so that
-the background alone differs; 12 hide one effect, 3 two, and 1 three. About one robot in three meets
-a surface.
+Even seeds use Drake, odd ones Bullet. Of any 20 consecutive seeds, 4 have no hidden effect, so only
+the background differs; 12 have one effect, 3 have two, and 1 has three. About one robot in three
+touches a surface.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ NUMBER = {"none": 0, "one": 1, "two": 2, "three": 3}
 COUNTS = {1: 0.5, 2: 0.3, 3: 0.15, 6: 0.05}
 SECONDS = (6.0, 7.0, 8.0)
 SERVO_PERIODS = (1e-3, 2e-3, 4e-3)
-"""s: whole steps of both engines."""
+"""Time between samples, s, a multiple of the time steps of both engines."""
 TOUCHING = 0.35
-"""Share of the cases in which the robot meets a surface."""
+"""Fraction of the cases in which the robot touches a surface."""
 
 
 def kind_of(seed: int) -> str:
-    """What a seed hides: none, one, two or three."""
+    """Return the kind of a seed: none, one, two or three."""
     return PLAN[int(ORDER[seed % BLOCK])]
 
 
 def engine_of(seed: int) -> str:
-    """Which engine is the reality of a seed."""
+    """Return the engine that simulates the plant of a seed."""
     return ENGINES[seed % len(ENGINES)]
 
 
 class EngineScene:
-    """A robot in another engine, simulated with this and that left out."""
+    """A robot in another engine, simulated with selected effects."""
 
     def __init__(
         self, engine: str, robot: Robot, cell: Cell, reference: np.ndarray, logger: Logger
@@ -62,7 +62,7 @@ class EngineScene:
         self, hidden: Hidden, background: Background, force: np.ndarray | None, again: Run | None,
         *, nominal: bool = False,
     ) -> Run:  # fmt: skip
-        """A held-out recording, both where it meets a surface; nominal servos where ``nominal``."""
+        """Simulate held-out recordings, both with contact; with nominal servos if ``nominal``."""
         assert force is None
         assert again is None
         cell = ideal(self.cell, SERVO_PERIODS[0]) if nominal else self.cell
@@ -79,13 +79,13 @@ def draw_robot(
 ) -> tuple[Robot, np.ndarray]:
     """A robot and its setpoints (milliseconds, recordings, joints).
 
-    A robot that meets a surface takes as long as it takes to meet it, whatever ``seconds`` is.
+    With contact, the duration is the time needed to reach the surface, independent of ``seconds``.
     """
     count = drawn(COUNTS, rng) if joints is None else joints
     touches = touches and count <= 3
     mode = "position" if touches or rng.random() < 0.85 else "velocity"
     robot = draw(rng, count, mode, hinges=touches)
-    if engine == "bullet":  # which knows no inertia of motors behind gears
+    if engine == "bullet":  # this engine has no reflected inertia of motors
         robot = replace(robot, joints=tuple(replace(j, armature=0.0) for j in robot.joints))
     if not touches:
         return robot, setpoints(robot, seconds, rng)
@@ -106,7 +106,7 @@ def make(seed: int, out: Path, truth: Path, joints: int | None = None) -> str:
     robot, reference = draw_robot(engine, seconds, touches, joints, rng)
     cell = draw_cell(robot, rng)
     period = float(rng.choice(SERVO_PERIODS))
-    # The engine has its own friction, and no current loop is modelled.
+    # The engine has its own friction law, and no current loop is modelled.
     cell = replace(cell, servo_period=period, servo_phase=0.0, current_bandwidth=0.0,
                    electrical=0.0, friction="set_valued", yield_at=0.0)  # fmt: skip
     possible = named(engine) + (CONTACT_EFFECTS if robot.contact is not None else ())

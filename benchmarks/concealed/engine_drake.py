@@ -1,4 +1,4 @@
-"""A robot in Drake's multibody plant, for blind cases: SAP steps, its own joint limits of effort.
+"""A robot in Drake's multibody plant, for blind cases: SAP solver, Drake's effort limits.
 
 Dry friction is a second actuator at each joint: a stiff brake of limited effort, which Drake's
 contact solver solves implicitly. A surface is a compliant point contact with Hunt and Crossley's
@@ -38,13 +38,13 @@ from robots import Joint, Robot
 logging.getLogger("drake").setLevel(logging.ERROR)
 
 STEP = 1e-3
-"""s, of Drake's discrete plant."""
+"""Time step of Drake's discrete plant, s."""
 BRAKE = 2e4
-"""Of the brake that is dry friction: effort per velocity in levels per rad/s."""
+"""Damping of the brake that represents dry friction, in friction levels per rad/s."""
 DEPTH = 2e-3
-"""m at which the dissipation of a contact is that of the nominal model's damper."""
+"""Depth at which the dissipation of a contact equals that of the nominal model's damper, m."""
 LIGHT = 1e-6
-"""kg of a rotor that only turns."""
+"""Mass of a rotor, kg; only its inertia matters."""
 NAMED = (
     "command_delay", "sensor_delay", "clock_drift", "encoder_bias", "encoder_scale",
     "encoder_eccentricity", "actuator_lag", "rate_limit", "torque_constant", "torque_saturation",
@@ -52,11 +52,11 @@ NAMED = (
     "coulomb_friction", "asymmetric_friction", "quadratic_drag", "joint_elasticity", "joint_spring",
     "payload", "inertial_parameters", "armature", "base_tilt", "external_force",
 )  # fmt: skip
-"""Effects that can be hidden here, beside those of a contact."""
+"""Effects that can be hidden in this engine, in addition to those of a contact."""
 
 
 def _inertia(joint: Joint, scale: float, shift: np.ndarray) -> SpatialInertia:
-    """Of a link about its frame's origin."""
+    """Inertia of a link about its frame's origin."""
     center, mass = np.array(joint.center) + shift, joint.mass * scale
     about = UnitInertia(*(np.array(joint.inertia) / joint.mass))
     return SpatialInertia.MakeFromCentralInertia(mass, center, about * mass)
@@ -66,7 +66,7 @@ class DrakeRobot:
     """A robot that Drake steps.
 
     Attributes:
-        motor: whether each joint's servo reads a motor that is apart from the link.
+        motor: whether each joint's servo reads a motor with its own position.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class DrakeRobot:
     ) -> None:
         builder = DiagramBuilder()
         self.plant, scene = AddMultibodyPlantSceneGraph(builder, time_step=STEP)
-        del scene  # the diagram keeps it
+        del scene  # the diagram owns it
         plant = self.plant
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kLagged)
         plant.mutable_gravity_field().set_gravity_vector(gravity)
@@ -152,7 +152,7 @@ class DrakeRobot:
         self.at = [s.position_start() for s in self.motors]
         self.on = [s.velocity_start() for s in self.motors]
         self.port = plant.get_actuation_input_port()
-        # A brake whose wanted state is not connected would be off.
+        # A brake without a connected reference state would be inactive.
         wanted = plant.get_desired_state_input_port(self.brakes[0].model_instance())
         wanted.FixValue(self.inner, np.zeros(wanted.size()))
 
@@ -164,7 +164,7 @@ class DrakeRobot:
         friction = c.friction + real.robot("contact_friction", "coefficient")
         height = c.height + real.robot("contact_offset", "offset")
         properties = ProximityProperties()
-        # Two in a row give half of each.
+        # Two compliances in series give half of each stiffness.
         AddContactMaterial(
             dissipation=damping / (c.stiffness * DEPTH), point_stiffness=2.0 * stiffness,
             friction=CoulombFriction(friction, friction), properties=properties,
@@ -202,7 +202,7 @@ class DrakeRobot:
         return link, moves, motor, speed
 
     def advance(self, effort: np.ndarray, level: np.ndarray) -> None:
-        """One step under efforts of the joints; the brakes keep to their own level."""
+        """Step under joint efforts; the brakes use their own friction level."""
         del level
         self.effort[self.places] = effort
         self.port.FixValue(self.inner, self.effort)
@@ -210,4 +210,4 @@ class DrakeRobot:
         self.simulator.AdvanceTo(self.ticks * STEP)
 
     def close(self) -> None:
-        """Nothing is to be given back."""
+        """Do nothing; there is nothing to release."""

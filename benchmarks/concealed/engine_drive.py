@@ -1,7 +1,7 @@
-"""Servos, motors and loads at the joints of robots in other engines, compiled.
+"""Compiled servos, motors and joint loads of robots in other engines.
 
-The engine has the mechanics (:mod:`engine_drake`, :mod:`engine_bullet`). What stands between a
-setpoint and the effort at a joint is here, and forces of the state that the engine lacks.
+The engine simulates the mechanics (:mod:`engine_drake`, :mod:`engine_bullet`). This module computes
+joint efforts from setpoints, and forces that the engine lacks.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ AXIS = np.dtype(
         "cross",
     )]
 )  # fmt: skip
-"""Of one joint: its servo, its motor, its load; ``rate`` per sample of the servo."""
+"""Parameters of one joint: servo, motor, load; ``rate`` per sample of the servo."""
 
 MEMORY = np.dtype(
     [(name, np.float64) for name in ("read", "slope", "held", "applied", "waiting", "effort")]
     + [("due", np.int64)]
 )  # fmt: skip
-"""Of one joint's servo and motor."""
+"""State of one joint's servo and motor."""
 
 TIMING = np.dtype(
     [("mode", np.int64), ("between", np.int64), ("tick", np.int64), ("every", np.int64),
      ("phase", np.int64), ("waits", np.int64), ("slope_keep", np.float64), ("step", np.float64)]
 )  # fmt: skip
-"""Of all servos: ``every``, ``phase`` and ``waits`` in steps of the engine."""
+"""Timing of all servos: ``every``, ``phase`` and ``waits`` in steps of the engine."""
 
 
 def axes_of(robot: Robot, cell: Cell, real: Hidden, step: float) -> np.ndarray:
@@ -98,7 +98,7 @@ def timing_of(robot: Robot, cell: Cell, step: float) -> np.ndarray:
 
 @njit(cache=True)
 def _wanted(reference: Any, joint: int, t: float, timing: Any) -> float:
-    """Setpoint that a servo has at ``t`` s."""
+    """Return the setpoint of a servo at ``t`` s."""
     last = len(reference) - 1
     x = min(max(t / 1e-3 + 1e-7, 0.0), float(last))
     row = int(x)
@@ -123,7 +123,7 @@ def drive(
     k: int, fresh: bool, timings: Any, axes: Any, memory: Any, reference: Any, q: Any, motor: Any,
     speed: Any, made: Any, total: Any, level: Any,
 ) -> None:  # fmt: skip
-    """One step of all joints: fill the motors' effort, all effort, and dry friction's level."""
+    """Compute one step of all joints: motor effort, total effort, and dry friction level."""
     timing = timings[0]
     t = k * timing.step
     for i in range(len(axes)):

@@ -1,4 +1,4 @@
-"""Reality of family ``other engines``: a robot in Drake or Bullet, under sampled servos."""
+"""Plant of the family ``other engines``: a robot in Drake or Bullet with sampled servos."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robots import Robot
 from setpoints import FINE
 
 SETTLE = 0.5
-"""s before a recording in which the robot comes to rest at the first setpoint."""
+"""Time before a recording in which the robot comes to rest at the first setpoint, s."""
 ENGINES = ("drake", "bullet")
 
 
@@ -31,17 +31,17 @@ class Mechanics(Protocol):
         """One step under efforts of the joints and dry friction of some level."""
 
     def close(self) -> None:
-        """Give the engine back."""
+        """Release the engine."""
 
 
 @dataclass
 class Run:
-    """What a robot did; arrays are (steps of the engine, recordings, joints).
+    """Simulated motion of a robot; arrays are (steps of the engine, recordings, joints).
 
     Attributes:
-        period: s between steps.
-        position, velocity, effort: as perfect sensors read them.
-        demand: N*m that the servos ask of their motors.
+        period: time between steps, s.
+        position, velocity, effort: exact sensor readings.
+        demand: efforts that the servos demand, N*m.
     """
 
     period: float
@@ -54,7 +54,7 @@ class Run:
 def mechanics(
     engine: str, robot: Robot, real: Hidden, background: Background
 ) -> tuple[Mechanics, float]:
-    """A robot in an engine, and the engine's step in s."""
+    """Return a robot in an engine, and the engine's time step, s."""
     gravity = gravity_of(real)
     if engine == "drake":
         import engine_drake
@@ -66,7 +66,7 @@ def mechanics(
 
 
 def named(engine: str) -> tuple[str, ...]:
-    """Effects that can be hidden in an engine, beside those of a contact."""
+    """Return the effects that can be hidden in an engine, in addition to those of a contact."""
     if engine == "drake":
         import engine_drake
 
@@ -80,7 +80,7 @@ def simulate(
     engine: str, robot: Robot, cell: Cell, hidden: Hidden, background: Background,
     reference: np.ndarray,
 ) -> Run:  # fmt: skip
-    """Run a robot in an engine under setpoints (milliseconds, recordings, joints)."""
+    """Simulate a robot in an engine under setpoints (milliseconds, recordings, joints)."""
     real = joined(hidden, background)
     body, step = mechanics(engine, robot, real, background)
     fine, rows, n = reference.shape

@@ -1,8 +1,8 @@
-"""Names that no recording of a case can distinguish from the hidden effect.
+"""Effects that no recording of a case can distinguish from the hidden effect.
 
-A diagnosis that names one of them first is right only where it gives the hidden one a like
-confidence (``score.py``). Pairs are listed that are the same by structure, not those that only look
-alike on some motions.
+A diagnosis that names one of them first is right only if it gives the hidden effect a similar
+confidence (``score.py``). The pairs are structurally equivalent; pairs that are similar on some
+motions only are not listed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Named = tuple[str, int]
 
 
 def equivalents(effect: str, joint: int, hidden: Hidden, robot: Robot) -> list[Named]:
-    """Other (effect, joint) with the same recordings, but for a recording's first moments."""
+    """Return other (effect, joint) that cause the same recordings, except at their beginning."""
     alone = len(robot.joints) == 1
     parameters: dict[str, Any] = hidden.effects[effect][joint]
     found: list[Named] = []

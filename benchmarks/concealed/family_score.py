@@ -3,19 +3,19 @@
     python benchmarks/concealed/family_score.py --truth DIR --results before=DIR
         [--results after=DIR] [--out FILE] [--page FILE --mark NAME]
 
-One column for each folder of results, over the cases that all of them have. With ``--page`` the
-table goes between the lines ``<!-- NAME -->`` and ``<!-- end of NAME -->`` of a page.
+The table has a column for each folder of results, over the cases that all folders have. With
+``--page`` it is written between the lines ``<!-- NAME -->`` and ``<!-- end of NAME -->`` of a page.
 
-What a name is:
+Findings are classified as:
 
-- *right*: a hidden effect on its joint. A name that no recording can tell from it
+- *right*: a hidden effect on its joint. An effect that no recording can distinguish from it
   (``equivalents``) is right only where the hidden one has at least half of its confidence as an
   alternative.
-- *background*: something that the truth lists as different beside what is hidden, of its sign and
-  at most :data:`PLAUSIBLE` times its size.
-- *false*: anything else but a law without a name (``unnamed_``).
+- *background*: a background difference in the truth file, with its sign and at most
+:data:`PLAUSIBLE` times its size.
+- *false*: anything else except an unnamed law (``unnamed_``).
 
-Small corrections, which a diagnosis lists apart (``small_corrections``), are no findings.
+Small corrections, which a diagnosis lists separately (``small_corrections``), are no findings.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ from typing import Any
 import numpy as np
 
 SURE = 0.9
-"""Confidence from which a false name counts: a user would act on it."""
+"""Smallest confidence with which a false finding is counted, because a user would act on it."""
 PLAUSIBLE = 3.0
-"""Times its true size up to which a background difference is named rightly."""
+"""Largest ratio of a background finding to its true size."""
 STANDS = (
     (0.0, 2.0, "less than 2"), (2.0, 5.0, "2 to 5"), (5.0, 10.0, "5 to 10"),
     (10.0, np.inf, "10 or more"),
 )  # fmt: skip
-"""By how much an effect stands out: least, below, in words."""
+"""Ranges of the ratio of an effect to the background: lower limit, upper limit, description."""
 BANDS = ((0.5, 0.75), (0.75, 0.9), (0.9, 1.0))
 SHAPES = ("harmonic", "stribeck_velocity", "in_loop", "cosine", "damping_time")
-"""Parameters that are no measure of the size of an effect."""
+"""Parameters that do not measure the size of an effect."""
 MODEL_STEP = {True: 0.001, False: 0.002}
-"""s, of nominal models: of one joint or with a contact, or of several joints."""
+"""Time step of nominal models, s: of one joint or with contact, or of several joints."""
 RECORDINGS = 5
 COMMITTED = Path(__file__).with_name("truth_digests.json")
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A case: its truth, how its run ended, and the diagnosis; ``said`` is None without one."""
+    """A case: truth, status of the run, and diagnosis; ``said`` is None without a diagnosis."""
 
     truth: dict[str, Any]
     run: dict[str, Any]
@@ -58,13 +58,13 @@ class Answer:
 
     @property
     def findings(self) -> list[dict[str, Any]]:
-        """What was named, the largest first; laws without a name left out."""
+        """Findings without unnamed laws, the largest first."""
         found = self.said["findings"] if self.said else []
         return [f for f in found if not f["effect"].startswith("unnamed_")]
 
     @property
     def hidden(self) -> list[dict[str, Any]]:
-        """The hidden effects that show, the largest first."""
+        """Visible hidden effects, the largest first."""
         seen = [e for e in self.truth["effects"] if e["visibility"] >= 1.0]
         return sorted(seen, key=lambda e: -float(e["visibility"]))
 
@@ -74,7 +74,7 @@ Columns = dict[str, dict[str, Answer]]
 
 
 def load(truth: Path, results: Path) -> dict[str, Answer]:
-    """Every case that was diagnosed, by name."""
+    """Return every diagnosed case, by name."""
     out = {}
     for path in sorted(truth.glob("*.json")):
         hidden = json.loads(path.read_text())
@@ -87,7 +87,7 @@ def load(truth: Path, results: Path) -> dict[str, Answer]:
 
 
 def is_effect(finding: dict[str, Any], effect: dict[str, Any]) -> bool:
-    """Whether a finding is a hidden effect on its joint, or rightly shares with it."""
+    """Whether a finding is a hidden effect on its joint, or equivalent with shared confidence."""
     if (finding["effect"], finding["joint"]) == (effect["effect"], effect["joint"]):
         return True
     if [finding["effect"], finding["joint"]] not in effect.get("equivalents", []):
@@ -100,7 +100,7 @@ def is_effect(finding: dict[str, Any], effect: dict[str, Any]) -> bool:
 
 
 def is_background(finding: dict[str, Any], truth: dict[str, Any]) -> bool:
-    """Whether a finding is a difference that the truth lists beside what is hidden."""
+    """Whether a finding is a background difference of the truth file."""
     return any(
         b["effect"] == finding["effect"] and b["joint"] in (None, finding["joint"])
         and _plausible(finding["parameters"], b["parameters"])
@@ -119,7 +119,7 @@ def _plausible(said: dict[str, Any], true: dict[str, float]) -> bool:
 
 
 def kind_of(finding: dict[str, Any], truth: dict[str, Any]) -> str:
-    """``right``, ``background`` or ``false``."""
+    """Classify a finding as ``right``, ``background`` or ``false``."""
     if any(is_effect(finding, e) for e in truth["effects"]):
         return "right"
     return "background" if is_background(finding, truth) else "false"
@@ -132,7 +132,7 @@ def first_right(answer: Answer) -> bool:
 
 
 def sure(answer: Answer, kind: str) -> list[dict[str, Any]]:
-    """Findings of a kind that a user would act on."""
+    """Return the findings of a class that a user would act on."""
     return [
         f for f in answer.findings
         if f["confidence"] >= SURE and kind_of(f, answer.truth) == kind
@@ -140,7 +140,7 @@ def sure(answer: Answer, kind: str) -> list[dict[str, Any]]:
 
 
 def removed(answer: Answer) -> float | None:
-    """Share of the held-out squared error above the floor that is gone; None without either."""
+    """Removed share of the squared held-out error above the floor; None without such an error."""
     before = after = 0.0
     for joint in answer.said["held_out"].values() if answer.said else []:
         floor = joint["floor"] ** 2
@@ -150,7 +150,7 @@ def removed(answer: Answer) -> float | None:
 
 
 def intervals(answer: Answer) -> Iterable[bool]:
-    """Whether each interval of a right finding holds the hidden value."""
+    """Whether each interval of a right finding contains the true value."""
     for finding in answer.findings:
         for effect in answer.truth["effects"]:
             if (finding["effect"], finding["joint"]) != (effect["effect"], effect["joint"]):
@@ -162,7 +162,7 @@ def intervals(answer: Answer) -> Iterable[bool]:
 
 
 def unexplained_right(answer: Answer) -> bool:
-    """Whether a force in no catalogue is left unexplained, at its joint, with no false name."""
+    """Whether an outside force is reported as unexplained at its joint, without a false finding."""
     said = answer.said
     return (
         said is not None
@@ -173,7 +173,7 @@ def unexplained_right(answer: Answer) -> bool:
 
 
 def simulations(answer: Answer) -> float | None:
-    """Simulations of all data that the diagnosis asked for, steps of the engine counted."""
+    """Return the number of simulations of all data, from the number of engine steps."""
     cost = answer.said.get("cost") if answer.said else None
     if not cost:
         return None
@@ -184,7 +184,7 @@ def simulations(answer: Answer) -> float | None:
 
 
 def calibration(answers: Iterable[Answer]) -> list[tuple[int, int]]:
-    """(right, all) of the names said in each of :data:`BANDS`."""
+    """Number of (right, all) findings in each of :data:`BANDS` of confidence."""
     counts = [[0, 0] for _ in BANDS]
     for answer in answers:
         for finding in answer.findings:
@@ -196,7 +196,7 @@ def calibration(answers: Iterable[Answer]) -> list[tuple[int, int]]:
 
 
 def share(values: Iterable[bool]) -> str:
-    """Count of count, and per cent."""
+    """Format a count, its total, and the percentage."""
     values = list(values)
     return f"{sum(values)} of {len(values)} ({np.mean(values):.0%})" if values else "none"
 
@@ -217,13 +217,13 @@ def middle(values: Iterable[float | None]) -> str:
 
 
 def times_background(answer: Answer) -> float:
-    """How far what is hidden stands out of what else differs."""
+    """Return the ratio of hidden effects to the background."""
     drawn = answer.truth.get("stands_out") or {}
     return float(drawn.get("factor", answer.hidden[0]["visibility"]))
 
 
 def rows(answers: Sequence[Answer]) -> list[tuple[str, str, str]]:
-    """(figure, goal, value) of some cases of a family."""
+    """Return (figure, goal, value) for cases of a family."""
     ended = [a for a in answers if a.said is not None]
     hiding = [a for a in answers if a.hidden]
     named = [a for a in ended if a.truth["kind"] != "none"]
@@ -281,7 +281,7 @@ def table(columns: Columns) -> list[str]:
 
 
 def listed(column: dict[str, Answer]) -> list[str]:
-    """A line for each case: what is hidden, what was said."""
+    """Return a line for each case: hidden effects and findings."""
     lines = []
     for name, a in column.items():
         t = a.truth
@@ -307,7 +307,7 @@ def by_family(
     columns: dict[str, dict[str, Answer]],
     write: Callable[[dict[str, dict[str, Answer]]], list[str]],
 ) -> list[str]:
-    """What ``write`` makes of each family, under its name."""
+    """Apply ``write`` to each family, with its name as heading."""
     families = sorted({a.truth["family"] for c in columns.values() for a in c.values()})
     lines = []
     for family in families:
@@ -320,7 +320,7 @@ def by_family(
 
 
 def write_between(page: Path, mark: str, text: str) -> None:
-    """Replace what a page has between the lines of a mark.
+    """Replace the text of a page between the lines of a mark.
 
     Raises:
         SystemExit: the page has no such lines.
@@ -334,13 +334,13 @@ def write_between(page: Path, mark: str, text: str) -> None:
 
 
 def named_folder(words: str) -> tuple[str, Path]:
-    """``before=DIR`` as a name and a folder."""
+    """Parse ``before=DIR`` to a name and a folder."""
     name, _, folder = words.partition("=")
     return (name, Path(folder)) if folder else (Path(name).name, Path(name))
 
 
 def main() -> int:
-    """Write the tables; 1 where a truth file is not the committed one."""
+    """Write the tables; return 1 if a truth file is not the committed one."""
     from score import checked_digests  # needs the plant's numba
 
     parser = argparse.ArgumentParser(description=__doc__)

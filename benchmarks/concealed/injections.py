@@ -1,8 +1,8 @@
-"""What is concealed in a recording: exact changes of stamps and readings, as pure functions.
+"""Inject effects into recordings: exact changes of stamps and readings, as pure functions.
 
-A recording of a real machine in, the recording that a machine with one more flaw would have left
-out. Nothing is simulated, so noise and everything that nobody modelled stay real. Each docstring
-states the equation that holds exactly between the old and the new values.
+Each function maps a recording of a real machine to the recording of the same machine with an
+additional error. Nothing is simulated, so noise and unmodelled physics are real. Each docstring
+states the exact equation between the old and the new values.
 
 Stamps are ns, so a shift is exact to 1 ns. Log times move with the stamps.
 """
@@ -27,7 +27,7 @@ class Recorded:
 
     Attributes:
         state, command: the two topics.
-        metadata: of the trial: role, controller, ...
+        metadata: metadata of the trial: role, controller, ...
     """
 
     state: JointSeries
@@ -36,17 +36,17 @@ class Recorded:
 
 
 def late_states(recorded: Recorded, seconds: float) -> Recorded:
-    """Each state is stamped ``seconds`` late: measured(t) = state(t - seconds)."""
+    """Stamp each state ``seconds`` late: measured(t) = state(t - seconds)."""
     return replace(recorded, state=_moved(recorded.state, seconds))
 
 
 def late_drive(recorded: Recorded, seconds: float) -> Recorded:
-    """Each command is stamped ``seconds`` early: the drive acts on command(t - seconds)."""
+    """Stamp each command ``seconds`` early: the drive acts on command(t - seconds)."""
     return replace(recorded, command=_moved(recorded.command, -seconds))
 
 
 def late_drive_of(recorded: Recorded, joint: str, samples: int) -> Recorded:
-    """One joint's commands are those of ``samples`` messages later: that drive alone acts late.
+    """Shift one joint's commands by ``samples`` messages, so that this drive acts late.
 
     The last ``samples`` commands of all joints are left out: the log has no later ones.
     """
@@ -65,7 +65,7 @@ def late_drive_of(recorded: Recorded, joint: str, samples: int) -> Recorded:
 
 
 def drifting_clock(recorded: Recorded, drift: float) -> Recorded:
-    """The clock of the states runs fast by ``drift``: measured(t) = state(t (1 - drift)).
+    """Let the clock of the states run fast by ``drift``: measured(t) = state(t (1 - drift)).
 
     t is counted from the recording's first stamp.
     """
@@ -77,17 +77,17 @@ def drifting_clock(recorded: Recorded, drift: float) -> Recorded:
 
 
 def scaled_encoder(recorded: Recorded, joint: str, error: float) -> Recorded:
-    """measured = (1 + error) q, and the same factor on velocity."""
+    """Scale readings: measured = (1 + error) q, with the same factor on velocity."""
     return _read(recorded, joint, lambda q: (1.0 + error) * q, lambda q, v: (1.0 + error) * v)
 
 
 def biased_encoder(recorded: Recorded, joint: str, bias: float) -> Recorded:
-    """measured = q + bias; velocity as it was."""
+    """Add a bias: measured = q + bias; the velocity is unchanged."""
     return _read(recorded, joint, lambda q: q + bias, lambda q, v: v)
 
 
 def bent_encoder(recorded: Recorded, joint: str, amplitude: float, phase: float) -> Recorded:
-    """measured = q + amplitude sin(q + phase), velocity times the slope of that."""
+    """Add an eccentricity: measured = q + amplitude sin(q + phase), velocity likewise."""
     return _read(
         recorded, joint,
         lambda q: q + amplitude * np.sin(q + phase),
@@ -96,12 +96,12 @@ def bent_encoder(recorded: Recorded, joint: str, amplitude: float, phase: float)
 
 
 def quantized_encoder(recorded: Recorded, joint: str, step: float) -> Recorded:
-    """measured = the nearest multiple of ``step`` rad or m; velocity as it was."""
+    """Quantize positions to multiples of ``step`` rad or m; the velocity is unchanged."""
     return _read(recorded, joint, lambda q: step * np.round(q / step), lambda q, v: v)
 
 
 def dropped_states(recorded: Recorded, share: float, rng: np.random.Generator) -> Recorded:
-    """A ``share`` of the states never arrived; the first and the last did."""
+    """Remove a ``share`` of the states, except the first and the last."""
     series = recorded.state
     kept = rng.random(len(series.stamp)) >= share
     kept[[0, -1]] = True
@@ -109,9 +109,9 @@ def dropped_states(recorded: Recorded, share: float, rng: np.random.Generator) -
 
 
 def filtered_velocity(recorded: Recorded, joint: str, time_constant: float) -> Recorded:
-    """The driver low-passes velocity: time_constant dw/dt = v - w, w = v at first.
+    """Low-pass the velocity: time_constant dw/dt = v - w, initially w = v.
 
-    Exact where v is constant between samples, as a driver computes it.
+    This is exact if v is constant between samples, as in a driver.
     """
     series = recorded.state
     if series.velocity is None:
@@ -125,7 +125,7 @@ def filtered_velocity(recorded: Recorded, joint: str, time_constant: float) -> R
 
 
 def echoed_effort(recorded: Recorded) -> Recorded:
-    """The states carry the latest commanded effort, as a drive without a sensor reports it."""
+    """Replace efforts by the latest command, like a drive without an effort sensor."""
     series, command = recorded.state, recorded.command
     if command.effort is None:
         raise ValueError("no commanded effort to echo")
@@ -135,7 +135,7 @@ def echoed_effort(recorded: Recorded) -> Recorded:
 
 
 def misread_effort(recorded: Recorded, joint: str, error: float, bias: float) -> Recorded:
-    """measured effort = (1 + error) effort + bias."""
+    """Scale and shift efforts: measured = (1 + error) effort + bias."""
     series = recorded.state
     if series.effort is None:
         raise ValueError("no effort to misread")
@@ -146,7 +146,7 @@ def misread_effort(recorded: Recorded, joint: str, error: float, bias: float) ->
 
 
 def cut(recorded: Recorded, start: float, seconds: float) -> Recorded:
-    """The stretch of ``seconds`` that begins ``start`` s after the first state."""
+    """Return the segment of ``seconds`` that begins ``start`` s after the first state."""
     first = int(recorded.state.stamp[0]) + round(start * 1e9)
     last = first + round(seconds * 1e9)
 
@@ -157,7 +157,7 @@ def cut(recorded: Recorded, start: float, seconds: float) -> Recorded:
 
 
 def of_joints(recorded: Recorded, joints: tuple[str, ...]) -> Recorded:
-    """The same with the columns of some joints alone, in their order."""
+    """Return the recording with the columns of the given joints only, in their order."""
 
     def chosen(series: JointSeries) -> JointSeries:
         columns = [series.names.index(joint) for joint in joints]
@@ -167,13 +167,13 @@ def of_joints(recorded: Recorded, joints: tuple[str, ...]) -> Recorded:
 
 
 def _each(series: JointSeries, change: Callable[[Floats], Floats]) -> dict[str, Floats]:
-    """The quantities that a series has, changed."""
+    """Apply a change to the quantities that a series has."""
     values = {name: getattr(series, name) for name in ("position", "velocity", "effort")}
     return {name: change(table) for name, table in values.items() if table is not None}
 
 
 def _rows(series: JointSeries, rows: Rows) -> JointSeries:
-    """The same with some messages alone."""
+    """Return the series with the given messages only."""
     return replace(
         series, stamp=series.stamp[rows], log_time=series.log_time[rows],
         **_each(series, lambda values: values[rows]),
@@ -181,7 +181,7 @@ def _rows(series: JointSeries, rows: Rows) -> JointSeries:
 
 
 def _moved(series: JointSeries, seconds: float) -> JointSeries:
-    """The same, stamped ``seconds`` later."""
+    """Return the series with stamps ``seconds`` later."""
     late = round(seconds * 1e9)
     return replace(series, stamp=series.stamp + late, log_time=series.log_time + late)
 
@@ -192,7 +192,7 @@ def _read(
     position: Callable[[Floats], Floats],
     velocity: Callable[[Floats, Floats], Floats],
 ) -> Recorded:
-    """The same with another reading of one joint: of q, and of q and v."""
+    """Change one joint's readings by functions of q, and of q and v."""
     series = recorded.state
     if series.position is None:
         raise ValueError("no position to misread")

@@ -1,7 +1,7 @@
-"""The plant's fast part, compiled: drive, transmission, friction, contact and the integrator.
+"""Compiled part of the plant: drive, transmission, friction, contact and integrator.
 
-Everything that the plant computes itself at 40 kHz; mass matrix and bias effort come from
-Pinocchio at 20 kHz, with their slopes in time. SI units throughout; on slides N*m means N.
+These terms are computed at 40 kHz. Mass matrix and bias effort come from Pinocchio at 20 kHz, with
+their time derivatives. All units are SI; on slides N*m means N.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ PARAMETERS = np.dtype(
         "push_at", "push_end", "gap", "tooth", "tooth_damping", "loop_bias",
     )] + [("delay", np.int64), ("soft", np.int64)]
 )  # fmt: skip
-"""Of one joint: the nominal values with what is hidden; ``delay`` and ``rate`` in steps."""
+"""Parameters of one joint: nominal values with hidden effects; ``delay`` and ``rate`` in steps."""
 
 STATE = np.dtype(
     [(name, np.float64) for name in
      ("q", "v", "theta", "omega", "bristle", "pre_z", "held", "drive")]
 )  # fmt: skip
-"""Of one joint: link, motor, the two bristles, the rate limiter's and the drive's memory."""
+"""State of one joint: link, motor, two bristles, rate limiter and drive."""
 
 CHAIN = np.dtype([("slide", np.int64), ("origin", np.float64, 3), ("axis", np.float64, 3)])
 CONTACT = np.dtype(
@@ -45,11 +45,11 @@ OUTSIDE = np.dtype(
 )  # fmt: skip
 
 YIELD = 2e-4
-"""rad: by how much the bristles of dry friction give before they slide."""
+"""Presliding displacement of the bristles of dry friction, rad."""
 
 
 def chain_row(joint: Any) -> np.ndarray:
-    """A joint's geometry as a record of :data:`CHAIN`."""
+    """Return a joint's geometry as a record of :data:`CHAIN`."""
     return np.array((int(joint.slide), joint.origin, joint.axis), CHAIN)
 
 
@@ -60,13 +60,13 @@ def _clip(x: float, low: float, high: float) -> float:
 
 @njit(cache=True)
 def outside_force(force: Any, t: float, q: float, v: float) -> float:
-    """Forces that are in nobody's catalogue."""
+    """Return forces that are not in the catalogue."""
     x = (q - force.at) / force.width
     if force.kind == 1:  # a magnet that pulls towards one angle
         return -force.size * x * np.exp(0.5 - x * x / 2)
-    if force.kind == 2:  # a stretch that sticks
+    if force.kind == 2:  # an interval with high friction
         return -force.size * np.tanh(v / 0.02) * np.exp(-((x / 2) ** 2))
-    if force.kind == 3:  # something beside it that shakes
+    if force.kind == 3:  # a vibration source
         return force.size * np.sin(2 * np.pi * 1.7 * t) if t % 4.0 > 2.6 else 0.0
     if force.kind == 4:  # a cable that pulls tight in one direction only
         return -3 * force.size * max(q - force.at - 0.1, 0.0) / 0.1
@@ -157,7 +157,7 @@ def advance(
     bias: Any, q: Any, v: Any, reference: Any, gravity: Any, sent: Any, position: Any,
     velocity: Any, effort: Any, acted: Any, touch: Any,
 ) -> None:  # fmt: skip
-    """Row ``at`` of the record, and the ``substeps`` from it to the next, of every recording.
+    """Compute row ``at`` of the record and the ``substeps`` to the next, for every recording.
 
     The first of ``mass`` (upper half) and ``bias`` hold at the first substep, the second a record
     before, and they go on as they went; nothing was before where ``fresh``. ``q`` and ``v`` are
@@ -179,7 +179,7 @@ def advance(
             tick = k // per_tick
             for i in range(n):
                 j, s = p[i], state[i]
-                # The recorded encoder sits on the link; the servo closes its loop on the motor.
+                # The recorded encoder is on the link; the servo uses the motor position.
                 if first:
                     position[at, r, i], velocity[at, r, i] = s.q, s.v
                 motor_q, motor_v = (s.theta, s.omega) if j.soft else (s.q, s.v)
@@ -232,7 +232,7 @@ def advance(
                     level += j.warm * np.exp(-t / j.warm_time)
                 level += j.pos_m + j.pos_s * np.sin(s.q) + j.pos_c * np.cos(s.q)
                 level = max(level, 1e-9)
-                # LuGre: the bristle yields, then slides; damped so that it does not ring.
+                # LuGre friction; the bristle is damped so that it does not oscillate.
                 rate_z = motor_v - abs(motor_v) * s.bristle / YIELD
                 s.bristle = _clip(s.bristle + step * rate_z, -YIELD, YIELD)
                 friction[i] = level * s.bristle / YIELD

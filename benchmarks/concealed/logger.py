@@ -1,6 +1,6 @@
-"""A logger of a real cell: dropped and late messages, jitter, driver-made velocities; writes MCAP.
+"""Simulate a logger of a real cell, with dropped and late messages and jitter; writes MCAP.
 
-Takes traces of any plant and writes what a recorder beside it would have on disk.
+It converts traces of any plant to the files that a real recorder would write.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from plant import Hidden
 from robots import Robot
 
 DRIVER = 1e-3
-"""s between the readings that a driver differences for its velocity."""
+"""Time between the readings from which a driver computes its velocity, s."""
 RATES = (20.0, 50.0, 100.0, 125.0, 200.0, 250.0, 500.0, 1000.0)
 RATE_SHARES = (0.05, 0.1, 0.2, 0.15, 0.2, 0.15, 0.1, 0.05)
 
 
 @dataclass(frozen=True)
 class Logger:
-    """What a recorder does to readings.
+    """Properties of a recorder.
 
     Attributes:
-        rate: Hz, of state messages.
-        jitter: s, standard deviation of when a state is read and stamped.
-        latency: s, mean of the time from the reading to its stamp, exponential; 0: none.
-        late_share, late_by: of messages that are stamped late, and s by how much at most.
-        drop_share, command_drop_share: of messages that are missing.
-        hole: s, of one stretch without states in one of the recordings; 0: none.
-        noise, count: rad or m, of position readings.
+        rate: rate of state messages, Hz.
+        jitter: standard deviation of the time at which a state is read and stamped, s.
+        latency: mean of the exponential time from the reading to its stamp, s; 0 for none.
+        late_share, late_by: fraction of messages with a late stamp, and largest delay, s.
+        drop_share, command_drop_share: fraction of missing messages.
+        hole: length of a gap without states in one of the recordings, s; 0 for none.
+        noise, count: noise and resolution of position readings, rad or m.
         velocity: none, sensor, differenced or filtered (``velocity_cutoff``, Hz).
         effort: none, sensor, or command (what the servo demands).
     """
@@ -52,7 +52,7 @@ class Logger:
     effort: str
 
     def facts(self) -> list[dict[str, Any]]:
-        """What of this a diagnosis may rightly name beside what is hidden."""
+        """Return properties that a diagnosis may report correctly besides hidden effects."""
         if self.latency == 0.0:
             return []
         return [{"effect": "sensor_delay", "joint": None, "parameters": {"delay": self.latency}}]
@@ -63,7 +63,7 @@ class Logger:
 
 
 def draw_logger(rng: np.random.Generator, *, effort_sensor: bool = False) -> Logger:
-    """A logger; with an effort sensor where what is hidden shows there alone."""
+    """Draw a logger; with an effort sensor if the hidden effect is visible only there."""
     kinds = ("none", "sensor", "differenced", "filtered")
     velocity = str(rng.choice(kinds, p=(0.4, 0.2, 0.2, 0.2)))
     effort = str(rng.choice(("none", "sensor", "command"), p=(0.6, 0.25, 0.15)))
@@ -87,10 +87,11 @@ def draw_logger(rng: np.random.Generator, *, effort_sensor: bool = False) -> Log
 
 @dataclass
 class Traces:
-    """One recording as perfect sensors and buses would have it.
+    """One recording with ideal sensors and buses.
 
     Attributes:
-        period: s between rows of ``position``, ``velocity``, ``effort``, ``demand`` (rows, joints).
+        period: time between rows of ``position``, ``velocity``, ``effort``, ``demand`` (rows,
+            joints), s.
         commands: (commands, joints), one every ``command_period`` s.
     """
 
@@ -118,13 +119,13 @@ class Traces:
 
 
 def read_at(stamps: np.ndarray, hidden: Hidden) -> np.ndarray:
-    """When in s a reading is taken that a late sensor and another clock stamp at ``stamps``."""
+    """Times of readings, s, whose ``stamps`` include sensor delay and clock drift."""
     late: np.ndarray = stamps * (1 - hidden.robot("clock_drift", "drift"))
     return late - hidden.robot("sensor_delay", "delay")
 
 
 def driver_velocity(traces: Traces, logger: Logger, time: np.ndarray) -> np.ndarray:
-    """(times, joints): a driver's velocity, from differences of what its encoder counts."""
+    """(times, joints) velocity of a driver, from differences of quantized positions."""
     grid = np.arange(0.0, traces.seconds, DRIVER)
     counts = np.round(traces.at("position", grid) / logger.count) * logger.count
     if logger.velocity == "differenced":
@@ -160,7 +161,7 @@ def stamped(
 
 
 def _in_order(stamps: np.ndarray) -> np.ndarray:
-    """Stamps that do not go back; those of messages that wait for a late one are 1 us apart."""
+    """Make stamps monotonic; messages that wait for a late one are 1 us apart."""
     out = np.maximum.accumulate(stamps)
     for k in range(1, len(out)):
         out[k] = max(out[k], out[k - 1] + 1e-6)

@@ -1,9 +1,9 @@
-"""Reality for blind cases: a plant that is not MuJoCo and shares no code with pytest_twin.
+"""Plant of blind cases, which is independent of MuJoCo and of the code of pytest_twin.
 
-Pinocchio's rigid-body terms, a semi-implicit integrator at 40 kHz, motor side and link side apart
-where the transmission gives, friction with a bristle state (LuGre, Canudas de Wit et al. 1995)
-where the package fits static curves, a drive with its own current lag, a compliant contact of its
-own law.
+It uses Pinocchio's rigid-body terms and a semi-implicit integrator at 40 kHz. Elastic transmissions
+have separate motor and link positions. Friction has a bristle state (LuGre, Canudas de Wit et al.
+1995), while the package fits static curves. The drive has a current lag, and the contact has its
+own compliant law.
 
 Friction, transmission, drive, contact and the solution for the accelerations are stepped at 40 kHz
 by :mod:`kernel`, compiled. Pinocchio's mass matrix and bias effort are evaluated at 20 kHz and
@@ -23,16 +23,16 @@ from robots import Robot, pinocchio_model
 STEP = 2.5e-5
 """s, of the integrator."""
 RECORD = 5e-5
-"""s between samples that are kept and between evaluations of Pinocchio's terms."""
+"""Time between stored samples and between evaluations of Pinocchio's terms, s."""
 TICK = 0.01
-"""s between commands."""
+"""Time between commands, s."""
 RESTART = 0.25
-"""s between the states that a run keeps."""
+"""Time between complete states that a run stores, s."""
 
 
 @dataclass
 class Hidden:
-    """What reality has and the nominal model lacks: effect -> joint index (or -1) -> parameters."""
+    """Hidden effects: effect -> joint index (or -1) -> parameters."""
 
     effects: dict[str, dict[int, dict[str, Any]]] = field(default_factory=dict)
 
@@ -48,7 +48,7 @@ class Hidden:
         return float(self.effects.get(effect, {}).get(-1, {}).get(name, neutral))
 
     def without(self, effect: str, joint: int) -> Hidden:
-        """The same with one effect taken away."""
+        """Return the hidden effects without one of them."""
         kept = {e: {i: p for i, p in at.items() if (e, i) != (effect, joint)}
                 for e, at in self.effects.items()}  # fmt: skip
         return Hidden({e: at for e, at in kept.items() if at})
@@ -56,15 +56,15 @@ class Hidden:
 
 @dataclass
 class Motion:
-    """What the plant did.
+    """Simulated motion of the plant.
 
     Attributes:
-        position, velocity, effort: (samples, recordings, joints), as perfect sensors read them,
-            one per :data:`RECORD`.
+        position, velocity, effort: (samples, recordings, joints) exact sensor readings, one per
+            :data:`RECORD`.
         setpoint: (ticks, recordings, joints) commands, one per :data:`TICK`.
-        outside: (samples, recordings) force of an effect that is in no catalogue; empty without.
+        outside: (samples, recordings) force that is not in the catalogue; empty without one.
         touch: (samples, recordings) normal contact force, N; empty without a contact.
-        kept: (instants, recordings, joints) whole states, every :data:`RESTART` s.
+        kept: (instants, recordings, joints) complete states, every :data:`RESTART` s.
     """
 
     position: np.ndarray
@@ -81,7 +81,7 @@ class Motion:
 
 
 def parameters(robot: Robot, hidden: Hidden, step: float) -> np.ndarray:
-    """(joints,) records of :data:`kernel.PARAMETERS`: the nominal robot with what is hidden."""
+    """(joints,) records of :data:`kernel.PARAMETERS`: the nominal robot with hidden effects."""
     n = len(robot.joints)
     j = robot.joints
     p = np.zeros(n, PARAMETERS)
@@ -138,7 +138,7 @@ def parameters(robot: Robot, hidden: Hidden, step: float) -> np.ndarray:
 
 
 def rigid_bodies(robot: Robot, hidden: Hidden) -> pin.Model:
-    """Pinocchio's model of the robot as it really is."""
+    """Return Pinocchio's model of the true robot."""
     scale = {
         i: 1.0 + v["relative_error"]
         for i, v in hidden.effects.get("inertial_parameters", {}).items()
@@ -160,7 +160,7 @@ def holding_effort(robot: Robot, reference: np.ndarray) -> np.ndarray:
 
 
 def contact_row(robot: Robot, hidden: Hidden) -> np.ndarray:
-    """(1,) record of :data:`kernel.CONTACT`: the nominal contact with what is hidden."""
+    """(1,) record of :data:`kernel.CONTACT`: the nominal contact with hidden effects."""
     row = np.zeros(1, CONTACT)
     c = robot.contact
     if c is not None:
@@ -188,17 +188,18 @@ def simulate(
     step: float = STEP,
     record: float = RECORD,
 ) -> Motion:
-    """Run the plant under references (ticks, recordings, joints), one per :data:`TICK`.
+    """Simulate the plant under references (ticks, recordings, joints), one per :data:`TICK`.
 
-    All recordings run side by side; ``start`` is (recordings, joints). A position or velocity servo
-    follows them itself; an effort drive gets the effort of an outer PD loop with gravity
+    All recordings are simulated together; ``start`` is (recordings, joints). A position or velocity
+    servo follows the references. An effort drive gets the effort of an outer PD loop with gravity
     compensation, which is then the recorded command.
 
     Args:
-        outside: (1,) record of :data:`kernel.OUTSIDE`, a force that is in no catalogue.
-        sent: (ticks, recordings, joints) commands that take the place of the outer loop's.
-        restart: ``kept`` of another run, whose states this one takes every :data:`RESTART` s.
-        step, record: s, in place of :data:`STEP` and :data:`RECORD`.
+        outside: (1,) record of :data:`kernel.OUTSIDE`, a force that is not in the catalogue.
+        sent: (ticks, recordings, joints) commands that replace those of the outer loop.
+        restart: ``kept`` of another run, from whose states this one is restarted every
+            :data:`RESTART` s.
+        step, record: replacements of :data:`STEP` and :data:`RECORD`, s.
     """
     ticks, rows, n = reference.shape
     per_tick = round(TICK / step)

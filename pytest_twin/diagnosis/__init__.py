@@ -1,1 +1,1 @@
-"""Locate the mismatch, name the missing physics, model it, show what it buys."""
+"""Diagnosis: locate model errors, identify the missing effects, fit them and test them."""

@@ -20,8 +20,9 @@ intervals, test recordings, report), ``LAST`` for those after the final paramete
 on two cores, imports, reading and the report take 8 to 10 s."""
 COMPARED = 0.25
 """Share of the time limit that the search leaves for the comparison of its result with other sets
-of effects. A name without its rivals is of little use: with one joint a late command and a late
-sensor predict the same. The comparison takes a quarter of the time of a complete diagnosis."""
+of effects. A finding without its alternatives is of little use: with one joint, a command delay and
+a sensor delay predict the same. The comparison takes a quarter of the time of a complete
+diagnosis."""
 STRETCH = 5.0
 """Largest ratio of wall-clock time to the time limit, if other programs use the processors."""
 MOST_SIMULATIONS = 1200

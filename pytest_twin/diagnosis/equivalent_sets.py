@@ -197,7 +197,8 @@ def _near(
     for removed, left in zip(places, lefts, strict=True):
         rest = own.without(*removed)
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
-        # One elastic transmission can be another; whether there is one, the search has simulated.
+        # An elastic transmission is only replaced by another one. The search has decided by
+        # simulation whether there is one.
         exchanged = any(t.law.is_elastic_transmission for t in removed)
         barred = own.terms if exchanged else (*own.terms, *elastic)
         lens = NormalEquations(
@@ -268,8 +269,8 @@ def _most_similar(
 ) -> list[tuple[float, tuple[int, ...]]]:
     """Single effects that predict most of a change, with the share of its square, 0 to 1.
 
-    What else the recordings hold does not count: an effect at another joint may explain more of
-    them, but it is no other name for this one.
+    The rest of the residual is ignored. An effect at another joint may explain more of it, but it
+    is no alternative to this effect.
 
     Args:
         equations: with the change as residual.

@@ -13,28 +13,28 @@ class EquivalentSetSettings:
     search before it. Evidence is a log-likelihood ratio.
 
     Attributes:
-        most_simulations: of all recordings, that the comparison takes. What it saves is not needed
-            again.
-        largest: effects of a subset that is taken out of the final set.
-        most_subsets: subsets: single effects, whole joints, pairs, triples.
-        single: single effects that a beam search begins with.
-        children: children of each larger set.
-        grown: sets that are grown.
-        of_size: for each subset, sets of one, two and three effects that are kept; of one effect as
-            many again that may be reported.
-        fitted_along_motion: sets that are fitted along the linearized motion, of all subsets.
-        starts: starts of one set.
-        similar: share of the square of a change by effects of the final set, from which a single
-            effect that predicts it is simulated instead of them: most of it.
-        closest: sets of this kind that are simulated, those with the fewest parameters first.
-        simulated: sets that are simulated before they are fitted.
+        most_simulations: largest number of simulations of all recordings for the comparison.
+        largest: largest number of effects in a subset that is removed from the final set.
+        most_subsets: largest number of subsets: single effects, whole joints, pairs, triples.
+        single: number of single effects with which a beam search begins.
+        children: number of children of each larger set.
+        grown: number of sets of each size that get one more effect.
+        of_size: number of sets of one, two and three effects that are kept for each subset; of one
+            effect as many again that may be reported.
+        fitted_along_motion: number of sets of all subsets that are fitted in the linearized motion.
+        starts: number of starts of one set.
+        similar: smallest share of a squared change by effects of the final set that a single effect
+            must predict to be simulated in their place.
+        closest: number of such sets that are simulated, those with the fewest parameters first.
+        simulated: number of sets that are simulated before they are fitted.
         with_same_parameters: of these, sets with the parameters of the effects that they replace.
         with_fewer_effects: of these, sets with fewer effects.
-        kept_by_step: sets that remain for each step of the fit.
-        far_behind: evidence behind the final set beyond which no other remains after one step.
-        nearly_all: share of the evidence that a set gains over the worst one, from which a smaller
-            set within it explains nearly as much.
-        ahead: evidence by which another set must be ahead to replace the final one.
+        kept_by_step: number of sets that remain at each step of the fit.
+        far_behind: difference in evidence to the final set above which a set is dropped after one
+            step.
+        nearly_all: share of a set's evidence, relative to the worst set, from which a subset of it
+            explains nearly as much.
+        ahead: smallest gain of evidence for which another set replaces the final one.
     """
 
     most_simulations: float = 60.0

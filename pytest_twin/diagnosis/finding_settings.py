@@ -1,4 +1,4 @@
-"""Settings of what findings say: each with its unit and its reason."""
+"""Settings of reported findings: each with its unit and its reason."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class HiddenState:
         model: the model of the trial.
         joints: names of the recorded joints.
         modes: (joints,) kinds of their commands.
-        asked: commands on the trial's clock, in the model's coordinates; NaN columns for joints
+        asked: setpoints on the trial's clock, in the model's coordinates; NaN columns for joints
             without a command.
         motion: measured motion.
 

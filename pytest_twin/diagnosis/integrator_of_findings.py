@@ -39,9 +39,10 @@ _NOISE_ALONE = 1.2
 """Largest RMS residual that counts as noise only, in standard deviations of the encoder noise. The
 noise is estimated from neighbouring samples, to within a tenth: 0.18 mrad where 0.2 were added."""
 _EARLIER = 1
-"""Place of the step before among the neighbouring steps of an effort."""
+"""Index of the previous step among the neighbouring steps of an effort."""
 _FAR_CLOSER = 0.5
-"""Share of the deviation of efforts that a simulation leaves of what a robot would leave."""
+"""Largest ratio of the effort residual of a simulation to that of a robot for which the recording
+comes from a simulation."""
 _SEEN = 0.2
 """Smallest RMS integration error that is tested, in standard deviations of the encoder noise. A
 smaller one is not detectable with a thousand samples."""
@@ -84,7 +85,7 @@ def with_detected_timestep(
         known = trials is not found.trials and _forces_of_the_step(
             problem, start, there.problem, rival.hypothesis
         )
-        # Where the efforts tell, the positions need only not speak against it.
+        # If the efforts show a simulation, the positions must only not contradict it.
         ratio = _log_likelihood_ratios(there.problem, left, robot)
         told = min(ratio) > -_NATS and sum(ratio) > 0.0 if known else _by_positions(ratio)
         if not told or not _noise_alone(left, noise):
@@ -97,7 +98,7 @@ def with_detected_timestep(
 
 
 def _with_and_without_efforts(trials: TrialSet) -> list[TrialSet]:
-    """The recordings as they are, and without their efforts if they have any.
+    """The recordings with their efforts and, if they have efforts, without them.
 
     MuJoCo computes an actuator's force before it integrates the step. A force that is logged with
     the positions after the step is one step old, and so precise that it would bias the fit.
@@ -145,9 +146,10 @@ def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int
 def _forces_of_the_step(
     robot: Problem, found: Hypothesis, stepped: Problem, refitted: Hypothesis
 ) -> bool:
-    """Whether the logged efforts of every recording are those that a simulation applied in the step
-    before: they leave less than half of what the prediction for a robot leaves, at its best of
-    three neighbouring steps.
+    """Whether the logged efforts of every recording are those of the previous simulation step.
+
+    Their residual must be less than half of the residual of the prediction for a robot, at the
+    best of three neighbouring steps.
 
     Args:
         robot, found: the problem with the correction of the integration error, and its findings.
@@ -171,19 +173,19 @@ def _forces_of_the_step(
 
 
 def _noise_alone(left: FloatArray, noise: FloatArray) -> bool:
-    """Whether no more than noise remains of any joint."""
+    """Whether only noise remains at every joint."""
     if not np.isfinite(left).all():
         return False
     return bool((np.sqrt(np.mean(left**2, axis=0)) <= _NOISE_ALONE * noise).all())
 
 
 def _by_positions(ratio: Sequence[float]) -> bool:
-    """Whether every recording is predicted better, and all together clearly."""
+    """Whether every recording is predicted better, and all together significantly."""
     return sum(ratio) >= _NATS and min(ratio) > 0.0
 
 
 def _log_likelihood_ratios(problem: Problem, left: FloatArray, robot: FloatArray) -> list[float]:
-    """Of each recording: a simulation's over a robot's; minus infinity where one diverges."""
+    """Log-likelihood ratio of simulation to robot by recording; minus infinity if it diverges."""
     owner = [s.trial for s in problem.simulator.segments]
     ends = np.cumsum([0, *problem.lengths(problem.everywhere)])
     ratio = []

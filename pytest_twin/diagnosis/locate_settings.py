@@ -1,4 +1,4 @@
-"""Settings of where a residual occurs: each with its unit and its reason."""
+"""Settings of the localization of a residual: each with its unit and its reason."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class LocateSettings:
         merge: s between two windows up to which they are one.
         cover: share of the squared error that the windows contain.
         most_windows: windows of one recording.
-        touching: m from a surface of the model that counts as contact.
+        touching: largest distance to a surface of the model that is treated as contact, m.
         still: share of the largest speed below which a joint is at rest.
         lift: factor by which a regime's share of the error must exceed its share of the time.
         share: share of the error that a regime must contain.

@@ -26,16 +26,16 @@ def replace_closest_known(
     """The likeliest set without the rejected effects, where it explains as much as they did.
 
     It must be as likely as the chosen set to within the odds by which the search accepts an effect,
-    with model error counted, and stand the same pruning with more effects than now remain.
+    with model error included, and must keep more effects after pruning than the present set.
 
     Args:
         problem: what is explained.
         comparison: of the problem.
         selected: result of the search.
-        pruned: what pruning leaves of it.
+        pruned: the set after pruning.
 
     Returns:
-        The other set and what pruning leaves of it; else what was given.
+        The other set before and after pruning; or the given sets.
     """
     if not pruned.closest:
         return selected, pruned

@@ -1,1 +1,1 @@
-"""What every candidate would add along the measured motion, to first order, unsimulated."""
+"""First-order effect of every candidate along the measured motion, without simulation."""

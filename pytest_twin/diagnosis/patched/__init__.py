@@ -1,1 +1,1 @@
-"""The model with what was found: written, read back and replayed."""
+"""Realization with the diagnosed effects: write, read and replay it."""

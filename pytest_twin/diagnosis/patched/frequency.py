@@ -1,4 +1,4 @@
-"""Frequency responses of recordings beside those that a fitted model predicts for them."""
+"""Compare frequency responses of recordings with those of a fitted model."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pytest_twin.trial import Trial
 
 
 def frequency_responses(realization: Realization, trials: Sequence[Trial]) -> list[dict[str, Any]]:
-    """Every joint's responses in the recording that supports the most frequencies, in Hz, dB, rad.
+    """Return each joint's responses in the recording with the most frequencies, Hz, dB, rad.
 
     Args:
-        realization: the fitted model, loaded from its folder.
-        trials: recordings, of which the measured motion and the prediction are compared.
+        realization: fitted model, loaded from its folder.
+        trials: recordings with measured motion.
     """
     return best_responses(trials, lambda at: _predicted(realization, trials[at]))
 
@@ -31,8 +31,9 @@ def best_responses(
     """Every joint's responses in the recording that supports the most frequencies, in Hz, dB, rad.
 
     Args:
-        trials: with measured motion.
-        predicted: number of a trial -> joint -> (n,) predicted positions.
+        trials: trials with measured motion.
+        predicted: function from the index of a trial to joint -> (n,) predicted positions, rad or
+            m.
     """
     chosen: dict[tuple[str, str], tuple[int, int]] = {}
     for at, trial in enumerate(trials):
@@ -51,7 +52,7 @@ def best_responses(
 
 
 def _predicted(realization: Realization, trial: Trial) -> dict[str, FloatArray]:
-    """Joint -> (n,) predicted positions; empty where the simulation diverges."""
+    """Return joint -> (n,) predicted positions, rad or m; empty if the simulation diverges."""
     patched = patched_of(realization)
     try:
         if patched is None:

@@ -28,9 +28,9 @@ class AppliedEffect:
 
     Attributes:
         effect, joint: id and joint name; joint None for an effect of the whole robot.
-        values: parameter -> SI value, as the equation takes it.
+        values: parameter -> value in the effect's equation, SI units.
         is_in_mjcf: whether the MJCF contains it.
-        written: the changed elements of the MJCF; empty if it is not in there.
+        written: the changed elements of the MJCF; empty if the MJCF does not contain it.
     """
 
     effect: str

@@ -1,4 +1,4 @@
-"""Effects that MJCF can express, and how they are written."""
+"""Write effects that MJCF can express into the model."""
 
 from __future__ import annotations
 
@@ -121,7 +121,8 @@ class NativeWriter:
 
 
 Written = tuple[str, dict[str, float]] | None
-"""What of the MJCF says it, and the parameters that are left over."""
+"""Description of the changed MJCF elements, and the parameters that MJCF cannot express; None if it
+cannot express the effect."""
 
 
 def _viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
@@ -348,5 +349,5 @@ _NATIVE: Mapping[str, Callable[[NativeWriter, int, dict[str, float]], Written]] 
 
 
 def mjcf_expresses(effect: str) -> bool:
-    """Whether MuJoCo has the equation of an effect, so that an MJCF file alone holds it."""
+    """Whether MuJoCo has the equation of an effect, so that an MJCF file can contain it."""
     return effect in _NATIVE

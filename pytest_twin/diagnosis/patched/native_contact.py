@@ -1,4 +1,4 @@
-"""Contact effects written into a spec: positions, ``solref`` and friction of geoms and pairs."""
+"""Write contact effects into a spec: positions, ``solref`` and friction of geoms and pairs."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def write_contact(
     """Write one contact effect.
 
     Args:
-        spec: is changed.
-        contact: the geoms that it acts on.
-        effect: its id.
-        values: its parameters, SI units.
+        spec: spec that is changed in place.
+        contact: geoms that the effect acts on.
+        effect: id of the effect.
+        values: parameters of the effect, SI units.
 
     Returns:
-        The changed elements in words, or None where the spec cannot express it.
+        Description of the changed elements, or None if the spec cannot express the effect.
     """
     model = compiled(spec)[0]
     fields = ModelFields.neutral(np.zeros((1, 3)), 1)
@@ -70,9 +70,9 @@ def _set(element: Any, attribute: str, value: FloatArray) -> None:
 
 
 def _move(spec: mujoco.MjSpec, geom: Any, shift: FloatArray) -> None:
-    """Move a geom by (3,) m in its body's frame."""
+    """Move a geom by ``shift``, (3,) m in its body's frame."""
     if geom.frame is not None:
-        # MJCF frames have many forms of rotation: let the compiler apply them.
+        # MJCF frames have many forms of rotation, so the compiler applies the shift.
         start = compiled(spec)[0].geom_pos[geom.id]
         place = np.array(geom.pos, dtype=float), np.array(geom.fromto, dtype=float)
         columns = []

@@ -1,4 +1,4 @@
-"""Where a replay leaves the range in which a table of a patched realization is known."""
+"""Report where a replay leaves the range of the data behind a table of a patched realization."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from pytest_twin.realization import Realization
 def outside_in_words(
     realization: Realization, patched: Patched, time: FloatArray, predicted: Predicted
 ) -> tuple[str, ...]:
-    """A line for each table over position or velocity whose known range the motion leaves.
+    """Return a line for each table over position or velocity whose data range the motion leaves.
 
     Args:
-        realization: for the types of joints.
-        patched: its effects.
+        realization: realization with the types of joints.
+        patched: effects of the realization.
         time: (n,) s.
-        predicted: (n, joints), in the order of ``patched.joints``.
+        predicted: predicted motion, (n, joints), in the order of ``patched.joints``.
     """
     slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
     said = []
@@ -48,7 +48,7 @@ def outside_in_words(
 
 
 def _values_of(variable: Variable, predicted: Predicted, joint: int) -> FloatArray | None:
-    """(n,) of the variable; None where a prediction does not have it."""
+    """(n,) values of the variable; None if a prediction does not contain it."""
     if variable == POSITION:
         return predicted.position[:, joint]
     if variable in (VELOCITY, SPEED):

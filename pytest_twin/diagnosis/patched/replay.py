@@ -61,13 +61,13 @@ def replay_patched(
     Args:
         realization: loaded from the patched folder.
         patched: its effects.
-        trials: only commands and first states are read.
+        trials: trials, of which only commands and initial states are used.
 
     Returns:
         One prediction per trial: columns are ``patched.joints``, rows the trial's states.
 
     Raises:
-        RecordingError: a joint that the effects act on is not in a recording, or a temperature that
+        RecordingError: a recording lacks a joint that the effects act on, or a temperature that
             they depend on.
         SimulationError: a simulation diverged.
     """
@@ -136,15 +136,17 @@ def _with_columns(table: FloatArray, columns: list[int], values: FloatArray) -> 
 
 
 def describe_effects_outside_mjcf(patched: Patched) -> tuple[str, ...]:
-    """A line that names the effects that MJCF cannot hold; empty without any."""
+    """Return a line that names the effects that MJCF cannot express; empty without any."""
     named = (e.effect + ("" if e.joint is None else f" of {e.joint}") for e in patched.outside_mjcf)
     text = ", ".join(named)
     return (f"effects applied in addition to the MJCF: {text}",) if text else ()
 
 
 def _predict(segment: Segment, patched: Patched, values: EffectValues, threads: int) -> Predicted:
-    """The prediction as in the diagnosis: without the integration error of the model's step, or
-    with it where the recordings of a simulation have it.
+    """Return the prediction as in the diagnosis.
+
+    The integration error of the model's step is removed, unless the recordings come from a
+    simulation with this error.
     """
 
     def stepped(refine: int) -> Predicted:

@@ -1,4 +1,4 @@
-"""Writing of a patched realization: an MJCF, and a list of effects that MJCF cannot express.
+"""Write a patched realization: an MJCF, and a list of effects that MJCF cannot express.
 
 The original model is never changed. Plain MuJoCo loads the MJCF; ``pytest-twin replay`` also
 applies the listed effects.
@@ -27,13 +27,13 @@ from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Twin, load_twin
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What recordings say of how they are simulated.
+    """Simulation settings that follow from recordings.
 
     Attributes:
         cold_fractions: temperature -> cold fraction of the trials.
-        substeps: as :class:`Patched` has it.
-        between: what commands do between stamps where a recording does not say it; None where that
-            is not known.
+        substeps: substeps per step of the model, as in :class:`Patched`.
+        between: interpolation of commands between stamps if a recording does not state it; None if
+            unknown.
     """
 
     cold_fractions: ColdFractions = field(default_factory=dict)
@@ -52,15 +52,15 @@ def write_realization(
     inherited: Patched | None = None,
     recorded: Recorded = _AS_MODELLED,
 ) -> Patched:
-    """Write ``model.xml``, ``effects.json`` and, where it says something, ``twin.yaml``.
+    """Write ``model.xml``, ``effects.json`` and, if it is needed, ``twin.yaml``.
 
     Args:
-        folder: new, empty.
+        folder: new, empty folder.
         realization: the nominal model.
         problem: the diagnosed problem.
-        hypothesis: the findings.
+        hypothesis: effects of the findings with their parameters.
         inherited: effects of the nominal model, if an earlier diagnosis wrote it.
-        recorded: what the recordings say of how they are simulated.
+        recorded: simulation settings that follow from the recordings.
 
     Raises:
         PathError: the folder cannot be written.
@@ -101,17 +101,17 @@ def write_realization(
 
 
 def load_written(folder: Path) -> Realization:
-    """The fitted model of a folder, as other commands load it: the nominal twin's fit is in it.
+    """Load the fitted model of a folder like other commands; it contains the nominal twin's fit.
 
     Raises:
-        TwinError: it cannot be loaded.
+        TwinError: the model cannot be loaded.
     """
     twin_file = folder / FILE_NAME
     return load(folder / MODEL_FILE, twin=load_twin(twin_file) if twin_file.is_file() else None)
 
 
 def twin_text(twin: Twin, between: CommandBetween | None) -> str:
-    """A ``twin.yaml`` for the patched model: what trials' metadata selects stays selectable."""
+    """Return a ``twin.yaml`` for the patched model with the controllers and payloads of trials."""
     data: dict[str, Any] = {
         "name": f"{twin.name}-diagnosed",
         "model": MODEL_FILE,

@@ -1,1 +1,1 @@
-"""A free law where no effect with a name explains the residual: which variable, what curve."""
+"""Fit free laws (tables over one variable) to residuals that no catalogued effect explains."""

@@ -1,7 +1,8 @@
-"""Tables fitted and cross-validated by simulation.
+"""Fit and cross-validate tables by simulation.
 
-The force along the measured motion gives the first values. From there the fit goes on with what
-simulations leave (Gauss-Newton); the same steps without one recording predict that recording.
+The force along the measured motion gives the initial values. The fit then continues with the
+residuals of simulations (Gauss-Newton). The same steps without one recording predict that
+recording.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pytest_twin.diagnosis.unnamed_law.selection import Chosen, Data
 from pytest_twin.effects.unnamed_law import TABLES, UnnamedFriction
 
 _STEPS, _HALVINGS = 4, 3
-# Share of the objective below which another step is not worth its simulations.
+# Smallest relative reduction of the objective for which another step is made.
 _ENOUGH = 0.02
 
 
@@ -30,12 +31,12 @@ class Fitted:
     """Tables after simulation.
 
     Attributes:
-        hypothesis: the given one with the tables.
-        coefficients: (p,) N*m or N, of the tables in their order.
-        before, errors: (recordings,) weighted squared error of each without the tables, and with
-            tables that were fitted to the other recordings; both simulated.
+        hypothesis: the given hypothesis with the tables.
+        coefficients: (p,) coefficients of the tables in their order, N*m or N.
+        before, errors: (recordings,) weighted squared error of each recording, simulated without
+            tables, and with tables that were fitted to the other recordings.
         left_out: (recordings, p) coefficients without each recording.
-        covariance: (p, p) of the coefficients, (N*m)^2 or N^2.
+        covariance: (p, p) covariance of the coefficients, (N*m)^2 or N^2.
     """
 
     hypothesis: Hypothesis
@@ -53,7 +54,7 @@ def with_tables(
     tables: Sequence[Covariate],
     coefficients: FloatArray,
 ) -> Hypothesis:
-    """A hypothesis with tables, instead of those that it has at the joint."""
+    """Return the hypothesis with these tables instead of the present ones at the joint."""
     removed = [t for t in hypothesis.terms if t.joint == joint and not t.law.candidate]
     out = hypothesis.without(*removed)
     for table, values in zip(tables, np.split(coefficients, len(tables)), strict=True):
@@ -70,13 +71,13 @@ def with_tables(
 
 
 def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data) -> Fitted | None:
-    """Tables fitted by simulation; None where no simulation with them, or no slope, is finite.
+    """Fit tables by simulation; None if no simulation with them, or no derivative, is finite.
 
     Args:
-        problem: what to explain.
-        hypothesis: the findings.
-        chosen: the tables and their first values.
-        data: around the hypothesis.
+        problem: problem with the recordings.
+        hypothesis: effects of the findings.
+        chosen: tables with their initial values.
+        data: linearization and residual around the hypothesis.
     """
     values, regression = chosen.coefficients, chosen.regression
     linear = data.linear
@@ -91,7 +92,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data)
     def objective(residual: FloatArray, c: FloatArray) -> float:
         return float(np.sum((residual * data.weights) ** 2) + c @ penal @ c)
 
-    # Where the whole force is too much for the linearized motion, a part of it is closer.
+    # If the whole force is too large for the linearization, a part of it is a better start.
     for share in (1.0, 0.5, 0.25):
         residual = left(share * values)
         if np.isfinite(best := objective(residual, share * values)):
@@ -103,7 +104,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data)
     for _ in range(_STEPS):
         around = _around(problem, at(values), data, chosen.tables, residual, values)
         if not np.isfinite(around.gram).all():
-            # The linearized motion runs away, though the simulated one does not.
+            # The linearized motion diverges, but the simulated one does not.
             break
         local = around
         step = local.fitted(chosen.strength) - values
@@ -122,7 +123,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data)
     if local is None:
         return None
     recordings = np.unique(data.recording)
-    # What a recording does to the values, as the last step has it.
+    # Change of the values without each recording, from the last step.
     whole = local.fitted(chosen.strength)
     left_out = np.array([
         values + local.fitted(chosen.strength, r) - whole for r in range(len(recordings))
@@ -144,7 +145,7 @@ def _around(
     residual: FloatArray,
     values: FloatArray,
 ) -> Regression:
-    """The sums of a step from ``values``, as if the tables were fitted afresh."""
+    """Return the least-squares sums of a step from ``values``."""
     linear = Linear(problem, hypothesis, data.linear.segments)
     columns = [c for t in tables for c in t.moved_to(linear, data.joint).columns(data.joint)]
     changes = linear.readings.of(columns)
@@ -155,7 +156,7 @@ def _around(
 
 
 def _error(problem: Problem, hypothesis: Hypothesis, data: Data, recording: int) -> float:
-    """Weighted squared error of one recording, simulated."""
+    """Weighted squared error of one recording in the simulation."""
     linear, bins = data.linear, data.linear.bins
     owner = np.repeat(np.arange(len(bins.lengths)), bins.lengths)
     mine = np.unique(owner[data.recording == recording])
@@ -168,7 +169,7 @@ def _error(problem: Problem, hypothesis: Hypothesis, data: Data, recording: int)
 
 
 def _covariance(local: Regression, strength: float, values: FloatArray) -> FloatArray:
-    """Of the coefficients: a sandwich of the scores of recordings (Liang, Zeger 1986)."""
+    """Sandwich covariance of the coefficients, from scores of recordings (Liang, Zeger 1986)."""
     inverse = np.linalg.inv(local.normal(strength))
     scores = local.moment - local.gram @ values
     count = len(scores)
