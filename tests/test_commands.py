@@ -100,7 +100,7 @@ def test_a_misspelled_command_is_answered_with_the_one_that_was_meant(
         ),
         (
             ["audit", "--json", "arm.urdf"],
-            "pytest-twin audit: argument --json: 'arm.urdf' is no name for a JSON file (expected "
+            "pytest-twin audit: argument --json: 'arm.urdf' is not a name of a JSON file (expected "
             "FILE.json, or - for standard output); see pytest-twin audit --help",
         ),
     ],

@@ -1,4 +1,4 @@
-"""Kinds of goldens, one file each, found through the entry points ``pytest_twin.checks``."""
+"""Kinds of goldens, one module each, found through the entry points ``pytest_twin.checks``."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _GROUP = "pytest_twin.checks"
 
 
 def kinds() -> tuple[str, ...]:
-    """Names of all installed kinds, sorted."""
+    """Return the names of all installed kinds, sorted."""
     return tuple(sorted(points_by_name(_GROUP)))
 
 
 @functools.cache
 def check_of(kind: str) -> Check:
-    """The check that runs goldens of ``kind``.
+    """Return the check that runs goldens of ``kind``.
 
     Raises:
-        SpecError: no such kind is installed, two packages bring it, or the package that brings it
-            cannot be loaded or has no usable check.
+        SpecError: no such kind is installed, two packages define it, or its package cannot be
+            loaded or has no usable check.
     """
     points = points_by_name(_GROUP).get(kind, ())
     if not points:

@@ -1,4 +1,4 @@
-"""What a kind of golden is made of. A new kind is one class and one entry point."""
+"""Base class of checks. A new kind of golden is one class and one entry point."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ Progress = Callable[[float], None]
 
 
 class NothingToProposeError(SpecError):
-    """Why ``init`` proposes no golden of a kind for a robot: ``no joint takes a command``."""
+    """Reason why ``init`` proposes no golden of a kind, such as ``no joint takes a command``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a stimulus brought out of a realization.
+    """Result of a stimulus on a realization.
 
     Attributes:
-        values: JSON-able results; lists, not arrays; SI units.
-        trace: series, where the kind has them.
-        reference: results of the independent computation (Pinocchio, coal), same keys as
-            ``values``, where the kind has one.
-        against: series that ``trace`` is compared with where that is no stored trace, such as a
-            recording; for the plot.
+        values: results as JSON data (lists, not arrays), SI units.
+        trace: time or frequency series, or None.
+        reference: results of an independent computation (Pinocchio, coal) with keys of
+            ``values``; empty without one.
+        against: series to plot with ``trace`` if it is compared with a recording instead of a
+            stored trace, else None.
     """
 
     values: Mapping[str, Any]
@@ -63,14 +63,14 @@ class Check(ABC):
     top, only where it is used.
 
     Class attributes:
-        kind: the name in the spec.
-        version: raised when the same spec would give other numbers.
-        libraries: distributions whose version the result depends on.
-        tolerances: name -> the SI unit of the tolerance.
-        required_tolerances: those that a spec must state.
+        kind: name in the spec.
+        version: increase it when a code change alters the numbers of an unchanged spec.
+        libraries: distributions whose version affects the result.
+        tolerances: name -> SI unit of the tolerance.
+        required_tolerances: tolerances that a spec must state.
         schema: JSON Schema of ``target`` and ``stimulus``, as ``{"target": {}, "stimulus": {}}``.
         simulators: what can compute it; a realization on another is an error.
-        recorded: whether goldens hold a realization against a recording, ``target.recording``:
+        recorded: whether goldens compare a realization with a recording, ``target.recording``.
             ``trial`` then reads it, and a failure can be diagnosed.
     """
 
@@ -85,14 +85,14 @@ class Check(ABC):
 
     @abstractmethod
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Ids of the realization's parts that can move the result (``Structure`` has helpers)."""
+        """Return ids of the realization's parts that can affect the result (see ``Structure``)."""
 
     @abstractmethod
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Run the stimulus on a realization. Deterministic.
+        """Run the stimulus on a realization, deterministically.
 
         Raises:
-            SpecError: the spec names something that the realization lacks.
+            SpecError: the spec names an element that the realization lacks.
             SimulationError: the simulation diverged.
         """
 
@@ -100,31 +100,30 @@ class Check(ABC):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Hold an observation against the golden's values, trace and declarations. Pure."""
+        """Compare an observation with the golden's values, trace and declarations; pure."""
 
     def trial(self, golden: Golden, realization: Realization) -> Trial:
-        """The recording of a golden, made usable; of kinds that are ``recorded``.
+        """Return the golden's recording as a trial; only for kinds that are ``recorded``.
 
         Raises:
-            SpecError, RecordingError: no such recording, or one that cannot be used.
+            SpecError, RecordingError: the recording is missing or cannot be used.
         """
         raise NotImplementedError(self.kind)
 
     def expect(
         self, golden: Golden, observation: Observation
     ) -> tuple[Mapping[str, Any], Trace | None]:
-        """What ``--twin-update`` writes as ``expected`` and as the trace beside the spec."""
+        """Return what ``--twin-update`` writes: the spec's ``expected`` and its trace file."""
         return observation.values, observation.trace
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """First specs of this kind that a robot can have, for ``pytest-twin init``.
+        """Return specs of this kind that ``pytest-twin init`` proposes for a robot.
 
-        Each is a spec without ``schema`` and ``kind`` and with ``name``: what it is about, such as
-        a joint; unique within the kind, any text. ``notes``, where there are some, say what was
-        left out of the spec and why; they become comments at the top of its file. Empty where
-        there is nothing to propose.
+        Each spec lacks ``schema`` and ``kind`` and has a ``name``: its subject, such as a joint,
+        unique within the kind. Optional ``notes`` state what the spec omits and why; they become
+        comments at the top of its file.
 
         Raises:
-            NothingToProposeError: why there is nothing.
+            NothingToProposeError: there is no such spec; the error has the reason.
         """
         return []

@@ -1,4 +1,4 @@
-"""An accepted calibration, re-checked on its held-out observations."""
+"""Check an accepted calibration on its held-out observations."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ _ERRORS = {"position": "translation", "orientation": "rotation"}
 
 
 class CalibrationCheck(Check):
-    """Predictions with a record of ``calibrations:``, against its held-out observations.
+    """Compare predictions with a record of ``calibrations:`` with its held-out observations.
 
-    ``values``: ``held_out``: root mean squares as in ``calibration.json``, and the worst
-    observation of each kind; ``recorded``: the root mean squares when the calibration was made.
+    ``values``: ``held_out``: root mean square errors as in ``calibration.json``, and the worst
+    observation of each kind; ``recorded``: the root mean square errors at calibration time.
     """
 
     kind: ClassVar[str] = "calibration"
@@ -80,7 +80,7 @@ class CalibrationCheck(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """The record, its files, kinematics and joint zeros of the chain to the flange."""
+        """Return the record, its files, kinematics and joint zeros of the chain to the flange."""
         target = golden.target
         parts = {f"record:{target['record']}"}
         files = [target["plan"], target.get("observations"), *target.get("streams", {}).values()]
@@ -91,7 +91,7 @@ class CalibrationCheck(Check):
         return parts
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Errors of the realization's forward kinematics with the record's transforms."""
+        """Compute errors of the realization's forward kinematics with the record's transforms."""
         from pytest_twin.calibration.coincident import without_coincident
         from pytest_twin.calibration.observations import load_observations
         from pytest_twin.calibration.plan import load_plan
@@ -119,7 +119,7 @@ class CalibrationCheck(Check):
         chain = None
         if plan.robot is not None and observations.joints:
             chain = _chain(golden, plan, realization)
-        # Zeros and geometry are the realization's own.
+        # Zeros and geometry come from the realization.
         kept = tuple(name for name in plan.estimate if name not in ("joint_zeros", "geometry"))
         problem = make_problem(replace(plan, estimate=kept), held, chain)
         if record.scale is not None:
@@ -136,7 +136,7 @@ class CalibrationCheck(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Root mean squares of all coordinates, as ``accept`` of a plan bounds them."""
+        """Compare root mean square errors with tolerances, as ``accept`` of a plan does."""
         found, recorded = observation.values["held_out"], observation.values["recorded"]
         measures = []
         for name, bound in golden.tolerance.items():
@@ -166,14 +166,14 @@ class CalibrationCheck(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Nothing: a twin that is set up has no calibration yet."""
+        """Propose nothing, because a new twin has no calibration."""
         raise NothingToProposeError(
             "it needs an accepted calibration; docs/kinds/calibration.md has an example"
         )
 
 
 def _worst(errors: Errors) -> dict[str, dict[str, Any]]:
-    """``translation`` and ``rotation`` -> the observation that is furthest off, m and rad."""
+    """Return ``translation`` and ``rotation`` -> observation with the largest error, m and rad."""
     sizes = {
         "translation": np.linalg.norm(errors.translation, axis=1),
         "rotation": np.linalg.norm(errors.rotation, axis=1),
@@ -194,7 +194,7 @@ def _entry(golden: Golden, twin: Twin) -> CalibrationEntry:
 def _of_streams(
     golden: Golden, plan: Plan, record: CalibrationRecord, twin: Twin
 ) -> dict[str, Any]:
-    """Errors of the streams' held-out stretches with the offset and transforms of the record."""
+    """Compute errors of the streams' held-out sections with the record's offset and transforms."""
     from pytest_twin.calibration.clocks.recorded import held_out_errors
 
     stated = golden.target.get("streams")
@@ -221,7 +221,7 @@ def _of_streams(
 def _file(
     golden: Golden, field: str, reference: str, inputs: Mapping[str, str], twin: Twin
 ) -> Path:
-    """A file of the calibration, once it is the one that the record was made from."""
+    """Return a file of the calibration, after checking its digest in the record."""
     where = f"target.{field}"
     path = find_file(golden, where, reference, twin)
     made_from = ", ".join(inputs) or "no files"
@@ -231,7 +231,7 @@ def _file(
 
 
 def _chain(golden: Golden, plan: Plan, realization: Realization) -> SerialChain:
-    """The realization's chain to the flange, with the signs and zeros of the twin."""
+    """Return the realization's chain to the flange, with the signs and zeros of the twin."""
     from pytest_twin.realization.encoders import Encoders, calibration_of
     from pytest_twin.realization.serial_chain import load_serial_chain
 

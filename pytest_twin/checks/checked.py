@@ -1,4 +1,4 @@
-"""Whether a check states what the gate reads from it, whoever wrote it."""
+"""Validate the class attributes of a check from any package."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from pytest_twin.units import SI_UNITS
 
 
 def checked(check: object, name: str, package: str) -> Check:
-    """The check that an entry point brings, once its class attributes can be used.
+    """Return the check of an entry point, after validating its class attributes.
 
     Args:
         check: an instance of the entry point's class.
         name: the entry point's name.
-        package: the package that brings it, for the error.
+        package: the package that defines it, for the error.
 
     Raises:
-        SpecError: it is no check, or an attribute is missing or has another form.
+        SpecError: it is not a check, or an attribute is missing or invalid.
     """
     refuse = partial(_refuse, package)
     if not isinstance(check, Check):
@@ -57,7 +57,7 @@ def _check_tolerances(check: Check, refuse: Callable[[str, object, str], NoRetur
 
 def _refuse(package: str, field: str, value: object, expected: str) -> NoReturn:
     raise SpecError(
-        f"{package} brings a check that cannot be used: its {field}",
+        f"{package} defines an invalid check: its {field}",
         where="kind",
         value=value if isinstance(value, int | float | str) else type(value).__name__,
         expected=expected,

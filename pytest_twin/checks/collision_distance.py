@@ -1,4 +1,4 @@
-"""Distances of declared pairs, MuJoCo against coal, and a reason for every pair that is off."""
+"""Distances of declared pairs by MuJoCo and coal, and reasons for disabled pairs."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ _NAMES_SCHEMA: Mapping[str, Any] = {
 
 
 class CollisionDistance(Check):
-    """Signed distance of pairs of bodies or geoms: positive apart, negative the depth of overlap.
+    """Signed distance of pairs of bodies or geoms: positive if apart, else minus the overlap.
 
-    MuJoCo's distance is compared with the record and against coal's, which gets the same shapes at
-    the same places: primitives as they are, and of a mesh the convex hull of its vertices, built
-    anew. Between bodies it is the least distance of their geoms that can collide.
+    MuJoCo's distance is compared with the record and with coal's distance of the same shapes at
+    the same poses. Coal uses primitives unchanged and computes the convex hull of mesh vertices
+    itself. The distance of two bodies is the smallest distance of their colliding geoms.
 
-    A pair of bodies is disabled where an ``exclude`` element or the collision masks keep geoms of
-    theirs apart that could otherwise meet; a body and its parent, which MuJoCo never lets
-    collide, do not count. Each needs an entry under ``disabled`` with the reason.
+    A pair of bodies is disabled if an ``exclude`` element or the collision masks prevent contact
+    of geoms that could otherwise touch. A body and its parent, which MuJoCo never lets collide,
+    are not included. Each disabled pair needs an entry under ``disabled`` with the reason.
 
-    ``values``: ``poses`` (the drawn ones), ``distance`` pair ``a - b`` -> pose -> m, ``disabled``
-    pair -> what disables it.
+    ``values``: ``poses`` (drawn poses), ``distance``: pair ``a - b`` -> pose -> m, ``disabled``:
+    pair -> element that disables it.
     """
 
     kind: ClassVar[str] = "collision_distance"
@@ -107,7 +107,7 @@ class CollisionDistance(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Shapes and chains of the pairs, the masks of all bodies, and the disabled pairs."""
+        """Return shapes and chains of the pairs, masks of all bodies, and the disabled pairs."""
         names = {name for pair in golden.target["pairs"] for name in pair}
         masks = {
             part
@@ -120,7 +120,7 @@ class CollisionDistance(Check):
         )
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Distances at every pose, by MuJoCo and by coal, and the pairs that are disabled."""
+        """Compute distances at every pose with MuJoCo and coal, and find the disabled pairs."""
         import mujoco
 
         from pytest_twin.realization import collision
@@ -167,7 +167,7 @@ class CollisionDistance(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Per pair the worst pose against each source; every disabled pair without a reason."""
+        """Compare each pair's worst pose; report disabled pairs without a reason."""
         measures = []
         sources = [("coal", observation.reference["distance"])]
         if golden.expected is not None:
@@ -185,7 +185,7 @@ class CollisionDistance(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Pairs of bodies that can collide, the closest first, and what the model disables."""
+        """Propose the closest pairs of bodies that can collide, and all disabled pairs."""
         import mujoco
 
         from pytest_twin.realization import collision
@@ -246,19 +246,19 @@ class CollisionDistance(Check):
 
 
 def _bodies(golden: Golden, structure: Structure) -> set[str]:
-    """Bodies of the declared pairs."""
+    """Return the bodies of the declared pairs."""
     return {structure.geom_body.get(name, name) for pair in golden.target["pairs"] for name in pair}
 
 
 def _use(measure: Measure) -> float:
-    """Error over tolerance; NaN before all."""
+    """Return error divided by tolerance, as a sort key that puts NaN first."""
     if np.isnan(measure.error):
         return float("inf")
     return measure.error / max(measure.tolerance, 1e-300)
 
 
 def _reasons(golden: Golden, disabled: Mapping[str, str]) -> list[Measure]:
-    """One measure per disabled pair without a reason, and per reason without such a pair."""
+    """Return a measure for each disabled pair without a reason, and each reason without a pair."""
     declared: set[frozenset[str]] = set()
     for entry in golden.target["disabled"]:
         if "pair" in entry:

@@ -1,4 +1,4 @@
-"""Contact primitives on a declared pair: approach, slide, release, grip."""
+"""Contact primitives on a declared pair: approach, slide, release, grip, toss."""
 
 from __future__ import annotations
 
@@ -57,17 +57,17 @@ _VECTOR: Mapping[str, Any] = {
 
 
 class Contact(Check):
-    """A declared pair, made to touch.
+    """A declared pair that a primitive brings into contact.
 
-    - ``approach``: the first of the pair comes to the second, by commands, efforts or a press.
-    - ``slide``: the same, then a tangential force grows until the pair slips.
-    - ``release``: a free body, put above the second of the pair, is let go.
-    - ``grip``: the pair closes on an object that has no weight until it is closed on.
-    - ``toss``: the first of the pair starts as it was recorded, and is held against its recorded
-      poses; ``values`` then are those of :mod:`contact_toss`.
+    - ``approach``: the first of the pair moves to the second, by commands, efforts or a force.
+    - ``slide``: as ``approach``, then a tangential force grows until the pair slips.
+    - ``release``: a free body is released above the second of the pair.
+    - ``grip``: the pair closes on an object, which has no weight until the grip is closed.
+    - ``toss``: the first of the pair starts in its recorded state and is compared with its
+    recorded poses; ``values`` are those of :mod:`contact_toss`.
 
-    ``values``, each None where the contact does not show it: ``onset_time`` in s and ``onset``,
-    the pose of the first body in the world at first touch (m, quaternion w x y z);
+    ``values``, each None if the contact does not determine it: ``onset_time`` in s and ``onset``,
+    the pose of the first body in the world at first contact (m, quaternion w x y z);
     ``penetration`` in m and ``normal_force`` in N at rest (of the weaker finger in a grip);
     ``friction`` and ``slip_force`` in N; ``rebound`` in m and ``restitution``; ``slip`` in m
     (along the surface, or of the object in the grip) and ``opening`` of the grip in m;
@@ -203,7 +203,7 @@ class Contact(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """All that moves, all that can be touched, and the named keyframe."""
+        """Return all moving parts, all parts that can be touched, and the named keyframe."""
         target = golden.target
         own = {name for name in (OBJECT, FLOOR) if name in target}
         return (
@@ -216,7 +216,7 @@ class Contact(Check):
         )
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Set the scene, act, and read the pair's contacts."""
+        """Build the scene, run the primitive, and measure the pair's contacts."""
         if golden.target["primitive"] == contact_toss.TOSS:
             return contact_toss.observe(golden, realization, progress)
         act = contact_primitives.PRIMITIVES[golden.target["primitive"]]
@@ -225,7 +225,7 @@ class Contact(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Numbers and onset pose against the record, friction against the model's own."""
+        """Compare numbers and onset pose with the record, friction with the model's coefficient."""
         values = observation.values
         if golden.target["primitive"] == contact_toss.TOSS:
             return contact_toss.measures(golden, values)
@@ -257,8 +257,10 @@ class Contact(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """An object let go on and pushed over what stands still; a free robot let go on a floor;
-        else a ball pressed on the last link that it meets. Each is tried before it is proposed.
+        """Propose specs that run on this robot.
+
+        An object is released on and pushed over a fixed body, or a free robot is released above a
+        floor, or a ball is pressed on the last link that it touches.
         """
         specs: list[Mapping[str, Any]] = []
         for choices in _proposals(realization):
@@ -272,7 +274,7 @@ class Contact(Check):
         return specs
 
     def _rests(self, spec: Mapping[str, Any], realization: Realization) -> bool:
-        """Whether the pair touches, not from the start, and carries what is to be compared."""
+        """Whether a spec brings the pair into contact and gives all numbers to compare."""
         trial = proposals.draft(self, realization, spec)
         try:
             values = self.observe(trial, realization, lambda _: None).values
@@ -284,12 +286,12 @@ class Contact(Check):
 
 
 def _proposals(realization: Realization) -> list[list[Mapping[str, Any]]]:
-    """First specs, each as a list of places to try."""
+    """Return first specs, each as a list of variants at different positions."""
     from pytest_twin.realization import simulate
 
     structure = realization.structure
     given, colliding = realization.names("body"), structure.collision_bodies
-    # The robot and its base are no table.
+    # The robot and its base are not a support for objects.
     robot = {b for body in structure.body_tree for b in structure.ancestors(body)}
     furniture = colliding.intersection(given) - robot
     named = [geom for geom, body in structure.geom_body.items() if body in furniture]

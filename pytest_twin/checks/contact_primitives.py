@@ -1,4 +1,4 @@
-"""What each contact primitive does on its stage, and what it reads there."""
+"""Run the contact primitives in their scene, and measure the contact."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from pytest_twin.metrics import contact as metrics
 from pytest_twin.metrics.pose import pose_vector
 
 SAMPLES = 301
-_SLIP_TRAVEL = 1e-3  # m, beyond which a pair has slipped
+_SLIP_TRAVEL = 1e-3  # m: displacement beyond which a pair has slipped
 
 Geoms = frozenset[int]
 
 
 @dataclass(slots=True)
 class _Record:
-    """What one set of geoms felt of another, one entry per step."""
+    """Contact between two sets of geoms, one entry per step."""
 
     scene: Scene
     geoms: tuple[Geoms, Geoms]
@@ -55,7 +55,7 @@ class _Record:
             self.direction, self.point = touch.normal, touch.point
 
     def columns(self) -> dict[str, tuple[str, FloatArray]]:
-        """Series of the trace."""
+        """Return the series of the trace."""
         return {
             "normal_force": ("N", np.array(self.normal)),
             "tangential_force": ("N", np.array(self.tangential)),
@@ -63,7 +63,7 @@ class _Record:
         }
 
     def values(self, time: FloatArray) -> dict[str, Any]:
-        """What every primitive reads: onset and rest."""
+        """Return the values common to all primitives: onset and rest."""
         touching = np.array(self.touching)
         first = metrics.onset(touching)
         if first is None:
@@ -216,7 +216,7 @@ def _grip(golden: Golden, scene: Scene, progress: Progress) -> Observation:
     stage.set_weight(scene.model, scene.object_body, True)
     hold = scene.run(scene.seconds("hold"), observe, lambda f: progress(0.5 + 0.5 * f))
     time = np.concatenate((closed.time, hold.time[1:]))
-    # The last state of closing is seen again as the first of holding.
+    # The last state of closing is also the first of holding.
     keep = np.delete(np.arange(len(place)), steps)
     touching = np.logical_and(*(np.array(finger.touching)[keep] for finger in fingers))
     both = metrics.onset(touching)
@@ -245,7 +245,7 @@ def _grip(golden: Golden, scene: Scene, progress: Progress) -> Observation:
 
 
 def _local(position: FloatArray, rotation: FloatArray, point: FloatArray) -> FloatArray:
-    """A world point (3,) in the frame of a body."""
+    """Transform a (3,) world point into the frame of a body."""
     return np.asarray(rotation.reshape(3, 3).T @ (point - position))
 
 

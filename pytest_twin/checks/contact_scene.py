@@ -1,4 +1,4 @@
-"""The stage of a contact golden: the robot, what is set around it, and what acts on it."""
+"""The scene of a contact golden: robot, surroundings, commands and forces."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ if TYPE_CHECKING:
     from pytest_twin.realization.simulate import Run
 
 OBJECT, FLOOR = "object", "floor"
-"""Names in a pair of what the golden declares beside it."""
+"""Names in a pair for the object and floor that the golden declares."""
 SIZES: Mapping[str, int] = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
-"""Shape of an object -> how many half sizes it has."""
+"""Shape of an object -> number of half sizes."""
 _RAMP = 0.2  # s
 _GAP = 0.01  # m
 
 
 class Scene:
-    """The robot with what is set around it, and what acts on it.
+    """The robot with its surroundings, commands and forces.
 
     Attributes:
-        model, data: what to step.
-        geoms, bodies: of the first and the second of the pair.
+        model, data: model and state to step.
+        geoms, bodies: geoms and bodies of the first and the second of the pair.
         object_body: the free object's body, or None.
 
     Raises:
-        SpecError: a name that the model lacks, a value out of bounds, or a primitive without
-            what it needs.
+        SpecError: the model lacks a name, a value is out of bounds, or a field that the
+            primitive needs is missing.
     """
 
     def __init__(self, golden: Golden, realization: Realization) -> None:
@@ -85,7 +85,7 @@ class Scene:
     # -- reading the spec
 
     def seconds(self, name: str, default: float | None = None) -> float:
-        """A time of the stimulus, in s."""
+        """Return a time of the stimulus, s."""
         where = f"stimulus.{name}"
         given = self.golden.stimulus.get(name, default)
         if given is None:
@@ -209,9 +209,13 @@ class Scene:
         *,
         more: Callable[[float], None] | None = None,
     ) -> Run:
-        """Step on for ``duration`` s under commands, efforts and press.
+        """Continue the simulation for ``duration`` s under commands, efforts and pressing force.
 
-        ``more`` adds forces, called with the time since the start of this run.
+        Args:
+            duration: time to simulate, s.
+            record: called after each step.
+            progress: called with the fraction done.
+            more: adds forces; called with the time since the start of this run, s.
         """
         import mujoco
 
@@ -224,7 +228,7 @@ class Scene:
         begin = float(data.time)
 
         def before(time: float) -> None:
-            # Stepped on from one run to the next, the ramp is over in the second.
+            # The ramp ends in the first run and is not repeated in a second one.
             share = min(1.0, time / self.ramp)
             data.qfrc_applied[:] = 0.0
             for control, value in self.commands.items():
@@ -248,7 +252,7 @@ class Scene:
         )
 
     def never_touched(self) -> NoReturn:
-        """Refuse a pair that did not touch."""
+        """Raise an error for a pair that did not touch."""
         import mujoco
 
         from pytest_twin.realization import scene

@@ -1,4 +1,4 @@
-"""A recorded toss on a realization: from its first measured state, against its measured poses."""
+"""Simulate a recorded toss from its first measured state, and compare the poses."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ FIELDS: Mapping[str, Any] = {
 
 
 def observe(golden: Golden, realization: Realization, progress: Progress) -> Observation:
-    """Errors of each toss, means over its samples.
+    """Compute the mean errors of each toss over its samples.
 
     ``values``: ``position`` (m) and ``rotation`` (rad): toss -> mean error.
 
     Raises:
-        SpecError: the recording has no such toss.
+        SpecError: the recording lacks a toss of the spec.
     """
     import numpy as np
 
@@ -107,7 +107,7 @@ def observe(golden: Golden, realization: Realization, progress: Progress) -> Obs
 
 
 def measures(golden: Golden, values: Mapping[str, Any]) -> list[Measure]:
-    """The worst toss and the mean over all, as the spec bounds them."""
+    """Compare the worst toss and the mean over all with the tolerances."""
     found = []
     for name, bound in golden.tolerance.items():
         errors: Mapping[str, float] = values["position" if "position" in name else "rotation"]

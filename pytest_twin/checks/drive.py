@@ -1,5 +1,4 @@
-"""One joint driven by one input, the rest of the robot as declared: what step and frequency
-response have in common."""
+"""One joint driven by one input, for the kinds ``step`` and ``frequency_response``."""
 
 from __future__ import annotations
 
@@ -36,7 +35,7 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
 }
 
 CONTROL = "control"
-"""Mode of a command that is an actuator's control, in the actuator's own unit."""
+"""Mode of a command that is an actuator's control, in the actuator's unit."""
 
 TARGET_SCHEMA: Mapping[str, Any] = {
     "type": "object",
@@ -78,21 +77,23 @@ BENCH_SCHEMA: Mapping[str, Any] = {
         "description": "How long the robot is held before the stimulus, '0.5 s' by default.",
     },
 }
-"""Properties of a stimulus that both kinds share."""
+"""Schema properties of a stimulus that both kinds share."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A joint on the bench, at rest or settled under its hold.
+    """A prepared joint, at rest or settled under its holding command.
 
     Attributes:
-        model, data: what to step; the hold is in ``data.ctrl``.
-        input: the control that takes the command, None where it acts on the joint as a force.
-        hold: the command that holds, in ``command_unit``.
+        joint: name of the joint.
+        model, data: model and state to step; the holding command is in ``data.ctrl``.
+        input: control for the command, None if the command is a force on the joint.
+        hold: holding command, in ``command_unit``.
         at: index of the response in ``qpos`` or ``qvel``.
         dof: index of the joint in ``qvel``.
-        command, response: modes; a command is ``control`` where it is that of an actuator which
-            drives the joint through a tendon, in the actuator's own unit.
+        command, response: modes. The command mode is ``control`` for an actuator that drives
+            the joint through a tendon, with the actuator's unit.
+        command_unit, response_unit: units of command and response.
     """
 
     joint: str
@@ -108,27 +109,30 @@ class Drive:
     response_unit: str
 
     def apply(self, command: float) -> None:
-        """Write ``command`` (hold included), in ``command_unit``, into ``data``."""
+        """Write ``command`` (holding command included), in ``command_unit``, to ``data``."""
         if self.input is None:
             self.data.qfrc_applied[self.dof] = command
         else:
             self.data.ctrl[self.input.control] = self.input.scale * command
 
     def series(self, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
-        """The response out of states (..., nq) and (..., nv)."""
+        """Return the (...) response from (..., nq) positions and (..., nv) velocities."""
         return np.asarray((qpos if self.response == "position" else qvel)[..., self.at])
 
 
 def prepare(golden: Golden, realization: Realization, extremes: tuple[float, float]) -> Drive:
-    """Put the joint of ``golden.target`` on the bench and let it settle.
+    """Prepare the joint of ``golden.target`` and let it settle.
 
     Args:
-        extremes: least and greatest command of the stimulus, relative to the hold.
+        golden: the golden.
+        realization: the model.
+        extremes: smallest and largest command of the stimulus, relative to the holding
+            command.
 
     Raises:
-        SpecError: no such joint or input, or a stimulus that leaves the control's or the
-            joint's range.
-        SimulationError: it diverges while it is held.
+        SpecError: the joint or input is missing, or the stimulus exceeds the range of the
+            control or of the joint.
+        SimulationError: the simulation diverges while the joint is held.
     """
     from pytest_twin.realization import simulate
 
@@ -177,7 +181,7 @@ def prepare(golden: Golden, realization: Realization, extremes: tuple[float, flo
 
 
 def command_unit(golden: Golden, realization: Realization) -> str:
-    """SI unit of the command that the golden's joint takes; raises as ``prepare`` does."""
+    """Return the SI unit of the command to the golden's joint; raises as ``prepare``."""
     _, kind = joint_of(golden, realization)
     return _unit(_input(golden, realization)[1], kind)
 
@@ -187,7 +191,7 @@ def _unit(command: str, kind: str) -> str:
 
 
 def joint_of(golden: Golden, realization: Realization) -> tuple[str, str]:
-    """The target's joint and its type, ``hinge`` or ``slide``."""
+    """Return the target's joint and its type, ``hinge`` or ``slide``."""
     types = {j: t for j, t in realization.structure.joint_type.items() if t in POSITION_UNIT}
     joint = known_name(
         golden, "target.joint", golden.target["joint"], types, "hinge or slide joint"
@@ -212,7 +216,7 @@ def _input(golden: Golden, realization: Realization) -> tuple[CommandInput | Non
 
 
 def _tendon_input(golden: Golden, realization: Realization) -> CommandInput:
-    """The control of the actuator that drives the target's joint through a tendon."""
+    """Return the control of the actuator that drives the target's joint through a tendon."""
     from pytest_twin.realization import simulate
     from pytest_twin.realization.inputs import CommandInput
 

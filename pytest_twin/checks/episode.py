@@ -1,4 +1,4 @@
-"""The recording that a golden names: a file, or one episode of a data set."""
+"""Read the recording of a golden: a file, or one episode of a data set."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _FIELD = "target.episode"
 
 
 def recording_of(golden: Golden, twin: Twin) -> Recording:
-    """The recording at ``target.recording``; of a data set the episode ``target.episode``.
+    """Read the recording ``target.recording``, for a data set the episode ``target.episode``.
 
     Raises:
-        PathError: no such file or folder.
-        SpecError: several episodes and none is chosen, no such episode, or an episode of a
-            recording that has no others.
-        TwinError: it cannot be read.
+        PathError: the file or folder does not exist.
+        SpecError: no episode is chosen among several, the episode does not exist, or an
+            episode is chosen for a recording without episodes.
+        TwinError: the recording cannot be read.
     """
     from pytest_twin.trial import recordings_at
     from pytest_twin.trial.roles import refuse_final
@@ -49,7 +49,7 @@ def recording_of(golden: Golden, twin: Twin) -> Recording:
         )  # fmt: skip
     if last == 0:
         raise spec_error(
-            golden, _FIELD, f"{path.name} has one episode only", value=episode,
+            golden, _FIELD, f"{path.name} has only one episode", value=episode,
             expected=f"no {_FIELD}",
         )  # fmt: skip
     if episode > last:

@@ -1,4 +1,4 @@
-"""Reads the fields of a spec: names that the model has, quantities in the units that fit."""
+"""Read fields of a spec: names in the model, and quantities with units."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ QUANTITY_SCHEMA: Mapping[str, Any] = {
 
 
 def spec_error(golden: Golden, field: str, problem: str, **details: Any) -> SpecError:
-    """A :class:`SpecError` at ``field`` (dotted) of the golden's file, or at its nearest parent."""
+    """Build a :class:`SpecError` at ``field`` (dotted) of the golden's file, or its parent."""
     place = field
     while place not in golden.lines and "." in place:
         place = place.rpartition(".")[0]
@@ -36,10 +36,10 @@ TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1, "maxLength": 1000}
 
 
 def known_name(golden: Golden, field: str, name: str, known: Iterable[str], noun: str) -> str:
-    """``name`` itself, when the model has it.
+    """Return ``name`` if the model has it.
 
     Raises:
-        SpecError: it has not; says which name was probably meant.
+        SpecError: the model lacks it; the error suggests a similar name.
     """
     names = sorted(known)
     if name in names:
@@ -55,10 +55,10 @@ def known_name(golden: Golden, field: str, name: str, known: Iterable[str], noun
 
 
 def quantity(golden: Golden, field: str, value: object, unit: str) -> float:
-    """``value`` in the SI ``unit``; a bare number already is.
+    """Convert ``value`` to the SI ``unit``; a number without unit is in SI units.
 
     Raises:
-        SpecError: not finite, or a unit of another dimension.
+        SpecError: the value is not finite, or its unit has a different dimension.
     """
     if isinstance(value, int | float) and not isinstance(value, bool):
         if not math.isfinite(value):
@@ -80,10 +80,10 @@ def quantity(golden: Golden, field: str, value: object, unit: str) -> float:
 
 
 def tolerance(golden: Golden, name: str, why: str) -> float:
-    """The golden's tolerance ``name``, in its SI unit.
+    """Return the golden's tolerance ``name``, in its SI unit.
 
     Raises:
-        SpecError: the spec states none; ``why`` says what needs it.
+        SpecError: the spec states none; ``why`` states what needs it.
     """
     stated = golden.tolerance.get(name)
     if stated is None:

@@ -1,4 +1,4 @@
-"""Files that a spec names: recordings, a user's own code."""
+"""Find the files of a spec: recordings and user code."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from pytest_twin.twin import Twin
 
 
 def find_file(golden: Golden, field: str, reference: str, twin: Twin) -> Path:
-    """The file or folder that ``reference`` names: below the twin's folder, else one of its roots.
+    """Find ``reference`` below the twin's folder, or else below one of its roots.
 
-    Paths in a spec are relative to the twin's folder, as those in ``twin.yaml`` are; the declared
-    ``roots:`` are looked through in their order after it, so that a spec does not have to say
-    where on this machine the recordings lie.
+    Paths in a spec are relative to the twin's folder, as in ``twin.yaml``. The declared ``roots:``
+    are searched next, in their order, so that specs do not depend on the machine.
 
     Raises:
-        PathError: no such file, or one outside these folders.
+        PathError: the file does not exist, or is outside these folders.
     """
     place = field
     while place not in golden.lines and "." in place:
@@ -27,7 +26,7 @@ def find_file(golden: Golden, field: str, reference: str, twin: Twin) -> Path:
 
 
 def find_recording(reference: str, twin: Twin) -> Path:
-    """The recording that ``reference`` names, found as :func:`find_file` finds a golden's.
+    """Find a recording in the folders that :func:`find_file` searches.
 
     Raises:
         PathError: as :func:`find_file`.

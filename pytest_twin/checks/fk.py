@@ -1,4 +1,4 @@
-"""Forward kinematics: named frames at poses, against the record and against Pinocchio."""
+"""Forward kinematics of named frames at poses, compared with the record and Pinocchio."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _NOWHERE = [float("nan")] * 7
 class ForwardKinematics(Check):
     """Pose of named frames (bodies or sites) in the world.
 
-    ``values``: ``poses`` (the drawn ones) and ``frames``: pose -> frame -> position in m and
+    ``values``: ``poses`` (drawn poses) and ``frames``: pose -> frame -> position in m and
     quaternion (w, x, y, z).
     """
 
@@ -77,13 +77,13 @@ class ForwardKinematics(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Kinematics of the chains to the frames, what couples them, and the named keyframes."""
+        """Return kinematics of the chains to the frames, their couplings, and named keyframes."""
         return structure.chain(golden.target["frames"]) | {
             f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
         }
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Frames at every pose, by the realization's simulator and by Pinocchio."""
+        """Compute the frames at every pose with the realization's simulator and Pinocchio."""
         from pytest_twin.realization import simulate
 
         structure = realization.structure
@@ -110,7 +110,7 @@ class ForwardKinematics(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Per frame, the worst pose in position and in orientation, against each source."""
+        """Compare position and orientation of each frame at its worst pose with each source."""
         found = observation.values["frames"]
         sources = [("pinocchio", observation.reference["frames"])]
         if golden.expected is not None:
@@ -141,7 +141,7 @@ class ForwardKinematics(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """The ends of all chains at the reference, at each keyframe, and at twenty random poses."""
+        """Propose the ends of all chains at reference, keyframes and twenty random poses."""
         frames = end_frames(realization)
         if not frames:
             raise NothingToProposeError("no joint moves a frame that has a name")
@@ -159,9 +159,9 @@ class ForwardKinematics(Check):
 
 
 def end_frames(realization: Realization) -> list[str]:
-    """Frames worth watching: moving leaf bodies, sites on moving bodies, the twin's TCP.
+    """Return frames at chain ends: moving leaf bodies, sites on moving bodies, the twin's TCP.
 
-    Of many sites (tendon routes, tactile cells) none is taken.
+    Sites are omitted if there are many, as with tendon routes or tactile cells.
     """
     structure = realization.structure
     jointed = set(structure.joint_body.values())
@@ -177,7 +177,7 @@ def end_frames(realization: Realization) -> list[str]:
 
 
 def _errors(found: list[float], expected: list[float]) -> tuple[float, float]:
-    """Distance in m and angle in rad of two poses (position, quaternion); NaN where one is."""
+    """Return distance [m] and angle [rad] of two poses (position, quaternion); NaN if one is."""
     if not np.isfinite([*found, *expected]).all() or len(found) != len(expected):
         return float("nan"), float("nan")
     return (

@@ -1,4 +1,4 @@
-"""Frequency response: command to joint, on the lines that excitation and coherence carry."""
+"""Frequency response from command to joint, at frequencies with sufficient coherence."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _SAMPLES = 1_000_000  # bound on steps of all realizations together
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """The excitation: one period of every realization, peak 1, and how often it repeats."""
+    """The excitation: one period of every realization with peak 1, and its repetitions."""
 
     signals: FloatArray  # (realizations, samples)
     harmonics: frequency.IntArray
@@ -64,15 +64,16 @@ class _Plan:
 
 
 class FrequencyResponse(Check):
-    """Periodic multisine or chirp on one joint's command, the rest as declared.
+    """Response to a periodic multisine or chirp on one joint's command.
 
-    Spectra are taken over whole periods after the transient ones, so nothing leaks. What is found
-    is the transfer function of the discrete steps: it lags that of the continuous joint by less
-    than half a timestep h, pi f h rad, which is what a command held over each step costs.
+    Spectra use whole periods after the transient ones, so there is no leakage. The result is the
+    transfer function of the discrete steps. Its phase lags that of the continuous joint by less
+    than pi f h rad (half a timestep h), because commands are held over each step.
 
-    ``values``: ``bandwidth``, ``resonance`` in Hz, ``resonance_peak`` in dB over the lowest line,
-    each None where the carried lines do not show it; ``lines_excited``, ``lines_carried``,
-    ``coherence_required``. The trace has magnitude, phase and coherence of the carried lines only.
+    ``values``: ``bandwidth`` and ``resonance`` in Hz, ``resonance_peak`` in dB relative to the
+    lowest line, each None if the lines do not determine it; ``lines_excited``, ``lines_carried``
+    (with sufficient coherence), ``coherence_required``. The trace has magnitude, phase and
+    coherence of these lines.
     """
 
     kind: ClassVar[str] = "frequency_response"
@@ -147,13 +148,13 @@ class FrequencyResponse(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """All that moves the joint, and the named keyframe."""
+        """Return all parts that affect the joint's motion, and the named keyframe."""
         return set(structure.dynamics([golden.target["joint"]])) | {
             f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
         }
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Hold, settle, excite; realizations are rows of one batch."""
+        """Hold, settle and excite the joint; realizations are rows of one batch."""
         unit = command_unit(golden, realization)
         amplitude = quantity(golden, "stimulus.amplitude", golden.stimulus["amplitude"], unit)
         if not amplitude > 0.0:
@@ -207,7 +208,7 @@ class FrequencyResponse(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Worst line of magnitude, phase and coherence; bandwidth and resonance."""
+        """Compare the worst line of magnitude, phase and coherence, bandwidth and resonance."""
         joint = golden.target["joint"]
         measures = scalar_measures(
             golden, _SCALARS, observation.values, joint, undefined=_UNDEFINED
@@ -217,7 +218,7 @@ class FrequencyResponse(Check):
         return measures + _line_measures(golden, joint, observation.trace, stored)
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """The first, middle and last joint that take a command, where lines are carried."""
+        """Propose the first, middle and last commanded joint with a coherent response."""
         joints = proposals.drivable(realization)
         chosen = sorted({0, len(joints) // 2, len(joints) - 1}) if joints else []
         timestep = float(realization.model.opt.timestep)
@@ -245,7 +246,8 @@ class FrequencyResponse(Check):
                 },
             }
             amplitude = spec["stimulus"]["amplitude"]
-            # Saturation bends large motions, dry friction small ones: the largest that is linear.
+            # Saturation distorts large motions, dry friction small ones: use the largest linear
+            # one.
             for share in (1.0, 0.1, 0.01):
                 spec["stimulus"]["amplitude"] = float(f"{share * amplitude:.3g}")
                 if self._carried(spec, realization):
@@ -255,7 +257,7 @@ class FrequencyResponse(Check):
                 swallowed.append(joint)
         if not specs:
             raise NothingToProposeError(
-                f"{', '.join(swallowed)}: no small command gets a coherent answer"
+                f"{', '.join(swallowed)}: no small command gives a coherent response"
                 if swallowed
                 else "no joint takes a command"
             )
@@ -274,7 +276,7 @@ class FrequencyResponse(Check):
         return [{**spec, "notes": notes} for spec in specs]
 
     def _carried(self, spec: Mapping[str, Any], realization: Realization) -> bool:
-        """Whether every line is carried: dry friction, a stop or saturation can swallow them."""
+        """Whether every line is coherent, despite dry friction, stops and saturation."""
         fewer = {**spec, "stimulus": {**spec["stimulus"], "realizations": 3}}
         trial = proposals.draft(self, realization, fewer)
         try:
@@ -331,12 +333,12 @@ def _plan(golden: Golden, timestep: float) -> _Plan:
 
 
 def _excite(drive: Drive, command: FloatArray, plan: _Plan, progress: Progress) -> FloatArray:
-    """Response (realizations, steps) at the time of each command sample."""
+    """Return the (realizations, steps) response at the time of each command sample."""
     from pytest_twin.realization import simulate
 
     model, data = drive.model, drive.data
     samples = plan.signals.shape[1]
-    # Faded in over the first period, the command starts no drift of a joint that nothing holds.
+    # Fade-in over the first period prevents drift of a joint that is not held.
     fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(samples) / samples)
     faded = command.copy()
     faded[:, :samples] *= fade
@@ -355,7 +357,7 @@ def _excite(drive: Drive, command: FloatArray, plan: _Plan, progress: Progress) 
 
 
 def _line_measures(golden: Golden, joint: str, now: Trace, stored: Trace) -> list[Measure]:
-    """Every stored line against the same one now; lines that are not carried now fail."""
+    """Compare every stored line with its present value; lines without coherence fail."""
     resolution = float(np.diff(stored.x).min()) if stored.x.size > 1 else float(stored.x[0])
     nearest = np.abs(stored.x[:, None] - now.x).min(axis=1)
     lost = nearest > 0.25 * resolution

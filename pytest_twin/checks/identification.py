@@ -1,4 +1,4 @@
-"""An accepted identification, re-checked on its held-out recordings."""
+"""Check an accepted identification on its held-out recordings."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 class IdentificationCheck(Check):
-    """The realization's effort along held-out motion, against what was measured.
+    """Compare the realization's effort along held-out motion with the measured effort.
 
     ``values``: ``joints``: joint -> ``relative``, ``rms``, ``slide``; ``recorded``: joint ->
-    relative error when the identification was made.
+    relative error at identification time.
     """
 
     kind: ClassVar[str] = "identification"
@@ -55,14 +55,14 @@ class IdentificationCheck(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """The record, its recordings, all that moves the joints, and the encoders' zeros."""
+        """Return the record, its recordings, all parts that affect motion, and encoder zeros."""
         target = golden.target
         parts = {f"fit:{target['record']}"} | {f"recording:{r}" for r in target["recordings"]}
         parts |= {f"calibration:{joint}" for joint in structure.joint_body}
         return parts | set(structure.dynamics(None))
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Inverse dynamics along the measured motion."""
+        """Compute inverse dynamics along the measured motion."""
         from pytest_twin.identification.recheck import recheck
 
         twin = twin_of(golden, realization, "an identification", "fit")
@@ -97,7 +97,7 @@ class IdentificationCheck(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Each joint's error, relative or root mean square, against its bound."""
+        """Compare each joint's error, relative or root mean square, with its tolerance."""
         measures = []
         recorded = observation.values["recorded"]
         for joint, one in observation.values["joints"].items():
@@ -120,7 +120,7 @@ class IdentificationCheck(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Nothing: a twin that is set up has no identification yet."""
+        """Propose nothing, because a new twin has no identification."""
         raise NothingToProposeError(
             "it needs an accepted identification; docs/kinds/identification.md has an example"
         )

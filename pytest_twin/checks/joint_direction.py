@@ -1,4 +1,4 @@
-"""Which way each joint moves, for a displacement and for a command, against the declaration."""
+"""Direction of motion of each joint for a displacement and a command, compared with the spec."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 WORLD = "world"
 _DISPLACEMENT = {"hinge": 0.02, "slide": 0.002}  # rad, m
-_STILL = 1e-9  # rad or m: a smaller motion has no direction
+_STILL = 1e-9  # rad or m: the direction of a smaller motion is undefined
 _PULSE = 0.1  # s
 _STEPS = 20_000  # bound on the steps of a pulse
-_LARGEST = 0.1  # rad or m: what a pulse may move
+_LARGEST = 0.1  # rad or m: largest motion by a pulse
 _SHRINKS = 9
 
 _VECTOR: dict[str, Any] = {
@@ -46,14 +46,14 @@ _VECTOR: dict[str, Any] = {
 
 
 class JointDirection(Check):
-    """One joint at a time: where a named frame goes when the joint's value grows.
+    """Direction in which a named frame moves when one joint's value increases.
 
     The displacement is symmetric about the pose, so that a frame on an arc moves along its
-    tangent. The command is a short, small pulse on one actuator without gravity, contact, stops and
-    dry friction; the joint's motion is what the pulse adds to the same simulation without it.
+    tangent. The command is a short, small pulse on one actuator, without gravity, contact, stops
+    and dry friction. The joint's motion is the difference to a simulation without the pulse.
 
     ``values``: ``direction`` joint -> (3,) unit vector in the declared frame, ``command`` joint
-    -> rad or m that the pulse added.
+    -> motion by the pulse, rad or m.
     """
 
     kind: ClassVar[str] = "joint_direction"
@@ -123,7 +123,7 @@ class JointDirection(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Kinematics of the watched frames; with an actuator also the dynamics of its joint."""
+        """Return kinematics of the frames, and the dynamics of joints with an actuator."""
         name = structure.realization
         joints = golden.target["joints"]
         frames = {
@@ -140,7 +140,7 @@ class JointDirection(Check):
         return parts | (structure.dynamics(commanded) if commanded else frozenset())
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Move each joint, then command it."""
+        """Displace each joint, then command it."""
         structure = realization.structure
         kinds = {j: kind for j, kind in structure.joint_type.items() if kind in POSITION_UNIT}
         pose = resolve_pose(
@@ -182,7 +182,7 @@ class JointDirection(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Angle between found and declared direction; a command the wrong way is off by pi."""
+        """Compare measured and declared direction; a wrong command direction counts as pi rad."""
         bound = tolerance(golden, "direction", "every joint_direction golden bounds it")
         measures = []
         for joint, entry in golden.target["joints"].items():
@@ -220,7 +220,7 @@ class JointDirection(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Every hinge and slide joint with the body that it moves, as the model has it."""
+        """Propose every hinge and slide joint, with the body that it moves in the model."""
         structure = realization.structure
         pose = Pose(REFERENCE, {}, None, realization.model.qpos0.copy())
         named_bodies = set(realization.names("body"))
@@ -264,7 +264,7 @@ def _drivers(structure: Structure, joint: str) -> str:
 def _displaced(
     realization: Realization, joint: str, entry: Mapping[str, Any], pose: Pose
 ) -> FloatArray:
-    """Unit direction (3,) in the declared frame; NaN where the watched frame does not move."""
+    """Return the (3,) unit direction in the declared frame; NaN if the frame does not move."""
     import mujoco
 
     model = realization.model
@@ -294,14 +294,14 @@ def _displaced(
 def pulse(
     realization: Realization, joint: str, actuator: str, qpos: FloatArray, duration: float
 ) -> float:
-    """What a growing command adds to a joint's position, in rad or m.
+    """Return the change of a joint's position by an increased command, rad or m.
 
-    Two simulations from rest at ``qpos``, without gravity, contact, stops and dry friction: one
-    that holds the command at which the actuator pushes least, one with more. The raise starts at
-    5 % of the command's range and shrinks until nothing moves further than a small displacement.
+    It is the difference of two simulations from rest at ``qpos``, without gravity, contact, stops
+    and dry friction: one with the command of smallest actuator force, one with a larger command.
+    The increase starts at 5 % of the command's range and shrinks until the motion is small.
 
     Raises:
-        SimulationError: the simulation diverges whatever the command.
+        SimulationError: the simulation diverges for every command.
     """
     import mujoco
 
@@ -340,7 +340,7 @@ def pulse(
 
 
 def _command(model: mujoco.MjModel, control: int, rest: float) -> tuple[float, float]:
-    """A command near rest, and what can be added to it within the actuator's range."""
+    """Return a command near rest, and a possible increase within the actuator's range."""
     if not model.actuator_ctrllimited[control]:
         return rest, max(0.05, 0.05 * abs(rest))
     lower, upper = (float(bound) for bound in model.actuator_ctrlrange[control])

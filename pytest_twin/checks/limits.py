@@ -1,4 +1,4 @@
-"""Hard and soft range, velocity and effort: declared, in the model, and when commanded past."""
+"""Check hard and soft range, velocity and effort limits: in the model, and under commands."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 _DURATION = 0.5  # s
-_GIVING_WAY = 0.05  # of its range: a stop that gives way further holds nothing
+_GIVING_WAY = 0.05  # fraction of the range: a stop that yields further is ineffective
 # Fraction of the effort -> (name, title) of a first spec.
 _PUSHES = {
     1.0: ("limits", "the stops hold the full effort"),
@@ -61,17 +61,17 @@ _TOLERANCE = {
 
 
 class Limits(Check):
-    """What bounds each joint, and that commands past the bounds come to nothing.
+    """Limits of each joint, and their effect on commands beyond them.
 
     - ``hard``: the range equals the model's; pushed against each stop with its effort, the joint
-      does not pass it by more than ``stop_angle`` or ``stop_length``.
-    - ``soft``: lies inside the hard range; a position servo commanded far past it aims at its
-      bounds.
-    - ``velocity``: equals the limit of the model's source; where the source has none, the joint
-      under its strongest command stays below it.
+    does not exceed it by more than ``stop_angle`` or ``stop_length``.
+    - ``soft``: is inside the hard range; a position servo commanded far beyond it has its bounds
+    as setpoint.
+    - ``velocity``: equals the limit of the model's source; if the source has none, the joint
+    under its strongest command stays below it.
     - ``effort``: equals the model's limit; the strongest command on the held joint stays below it.
 
-    The tried joint moves without gravity and contact, all others (but those coupled to it) held.
+    The tested joint moves without gravity and contact; all joints not coupled to it are held.
     """
 
     kind: ClassVar[str] = "limits"
@@ -143,12 +143,12 @@ class Limits(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """All that moves the joints: range and actuators, and the inertia that a push moves."""
+        """Return all parts that affect the joints' motion: ranges, actuators and inertia."""
         joints = golden.target["joints"]
         return structure.dynamics(joints) | structure.limits(joints)
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Read every limit of the model, then command and push each joint past it."""
+        """Read every limit of the model, then command and push each joint beyond it."""
         kinds = {
             joint: kind
             for joint, kind in realization.structure.joint_type.items()
@@ -172,7 +172,7 @@ class Limits(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Every declared limit against the model's and against what the push reached."""
+        """Compare every declared limit with the model's and with the result of the push."""
         measures: list[Measure] = []
         for joint, found in observation.values["joints"].items():
             declared = _declared(golden, joint, found["type"])
@@ -182,10 +182,10 @@ class Limits(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Every limit that the model or its source states, as it stands there.
+        """Propose every limit that the model or its source states.
 
-        Stops that give way to the full effort by more than a twentieth of the range are pushed
-        with a tenth or a hundredth of it, or not at all, each in a spec of its own.
+        Stops that yield to the full effort by more than a twentieth of the range are pushed with a
+        tenth or a hundredth of it, or not at all, each in a separate spec.
         """
         structure = realization.structure
         groups: dict[float, dict[str, Any]] = {fraction: {} for fraction in _PUSHES}
@@ -213,7 +213,7 @@ class Limits(Check):
         return specs
 
     def _holding(self, realization: Realization, joint: str, entry: Mapping[str, Any]) -> float:
-        """The greatest fraction of its effort that a joint's stops hold."""
+        """Return the largest fraction of its effort that a joint's stops withstand."""
         if not isinstance(entry["hard"], list):
             return 1.0
         lower, upper = entry["hard"]
@@ -237,7 +237,7 @@ class Limits(Check):
         for name, unit in self.tolerances.items():
             errors = [measure.error for measure in measures if measure.name == name]
             if errors:
-                # Half as much again as the model's own stops give way, two digits.
+                # 1.5 times the deflection of the model's stops, two digits.
                 least = 1e-4 if name in _TOLERANCE["stop"].values() else 1e-6
                 bounds[name] = f"{_round_up(max(1.5 * max(errors), least)):g} {unit}"
         return bounds
@@ -260,7 +260,7 @@ class Limits(Check):
 
 @dataclass(frozen=True, slots=True)
 class _Declared:
-    """What a spec says of one joint, in SI units; ``hard`` is False where it says 'none'."""
+    """Declared limits of one joint, SI units; ``hard`` is False if the spec states 'none'."""
 
     hard: tuple[float, float] | bool | None
     soft: tuple[float, float] | None
@@ -306,7 +306,7 @@ def _declared(golden: Golden, joint: str, kind: str) -> _Declared:
 
 
 def _stated(realization: Realization, joint: str) -> dict[str, Any]:
-    """A first declaration of one joint, from the model and its source."""
+    """Return a declaration of one joint from the model and its source."""
     model = realization.model
     entry: dict[str, Any] = {}
     hard = model_range(model, realization.joint_index(joint))
@@ -437,7 +437,7 @@ def _compare_effort(
             measures.append(_measure(golden, "effort", kind, subject, end, sign * bound, error))
     if reached is not None:
         for side, end, sign in zip(("negative", "positive"), reached, (-1.0, 1.0), strict=True):
-            # Without a limit of its own the model must saturate at the declared effort.
+            # A model without an effort limit must saturate at the declared effort.
             error = abs(end) - bound
             error = max(0.0, error) if limit is not None else abs(error)
             subject = f"{joint}: {side} effort, commanded past"
@@ -466,6 +466,6 @@ def _compare_velocity(
 
 
 def _round_up(value: float) -> float:
-    """To two digits, never below ``value``."""
+    """Round to two digits, never below ``value``."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return math.ceil(value / step - 1e-9) * step

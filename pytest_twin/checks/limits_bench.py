@@ -1,4 +1,4 @@
-"""What a model states of a joint's limits, and what commands and pushes past them reach."""
+"""Measure the response of a joint to commands and forces beyond its limits."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
     from pytest_twin.realization import Realization
 
-_BEYOND = 1e3  # how many times past its range a command goes
+_BEYOND = 1e3  # commands exceed the range by this factor
 
 
 def _bench(realization: Realization, free: frozenset[str]) -> mujoco.MjModel:
-    """The robot without gravity and contact, all joints held but ``free``."""
+    """Return the robot without gravity and contact, with all joints except ``free`` held."""
     import mujoco
 
     from pytest_twin.realization import simulate
@@ -33,9 +33,9 @@ def _bench(realization: Realization, free: frozenset[str]) -> mujoco.MjModel:
 def _start(
     realization: Realization, model: mujoco.MjModel, values: Mapping[str, float]
 ) -> mujoco.MjData:
-    """At rest with ``values`` (rad or m), the other joints at the reference or their next stop.
+    """Return a state at rest with ``values`` (rad or m), other joints at reference or next stop.
 
-    A held joint beyond its stop would be pushed back by the full force of the solver.
+    The solver would push a held joint beyond its stop back with full force.
     """
     from pytest_twin.realization import simulate
 
@@ -52,7 +52,7 @@ def _start(
 
 
 def _far(model: mujoco.MjModel, control: int, sign: float) -> float:
-    """A command far past the actuator's range, or far from zero where it has none."""
+    """Return a command far beyond the actuator's range, or far from zero without a range."""
     largest = 1.0
     if model.actuator_ctrllimited[control]:
         largest = max(1e-3, *(abs(float(end)) for end in model.actuator_ctrlrange[control]))
@@ -66,7 +66,7 @@ def _command(
     drivers: list[str],
     sign: float,
 ) -> None:
-    """Set every driver of a joint to push it the way of ``sign`` as hard as it can."""
+    """Set every actuator of a joint to its largest force in the direction of ``sign``."""
     for actuator in drivers:
         i = realization.actuator_index(actuator)
         gear = float(model.actuator_gear[model.actuator_outadr[i], 0])
@@ -77,9 +77,9 @@ def _command(
 def strongest(
     realization: Realization, joint: str, drivers: list[str], duration: float
 ) -> list[float]:
-    """Least and greatest generalized force of the actuators on the held joint, N*m or N.
+    """Return smallest and largest generalized force of actuators on the held joint, N*m or N.
 
-    The joint stands at the far end of its range, where a servo pulls hardest.
+    The joint is at the far end of its range, where the force of a servo is largest.
     """
     import mujoco
 
@@ -106,7 +106,7 @@ def strongest(
 
 
 def fastest(realization: Realization, joint: str, drivers: list[str], duration: float) -> float:
-    """Greatest speed under the strongest command from one end of the range to the other."""
+    """Return the largest speed under the strongest command over the range, rad/s or m/s."""
     import mujoco
 
     from pytest_twin.realization import simulate
@@ -136,7 +136,7 @@ def fastest(realization: Realization, joint: str, drivers: list[str], duration: 
 def pushed_past(
     realization: Realization, joint: str, bounds: list[float], push: float, duration: float
 ) -> list[float]:
-    """How far past its lower and upper stop a joint gets, in rad or m, pushed from rest there."""
+    """Return the distance beyond lower and upper stop under a push from rest, rad or m."""
     import mujoco
 
     from pytest_twin.realization import simulate
@@ -158,10 +158,10 @@ def pushed_past(
 
 
 def servo_range(realization: Realization, joint: str) -> list[float] | None:
-    """Joint positions that the joint's position servo aims at when commanded far past them.
+    """Return the range of setpoints of the joint's position servo, rad or m.
 
-    None where no position servo drives the joint. The aim follows from the servo's force, which
-    is linear in the command up to where the command is clipped.
+    It follows from the servo's force under extreme commands, which is linear in the clipped
+    command. The result is None without a position servo.
     """
 
     from pytest_twin.realization import simulate
@@ -177,7 +177,7 @@ def servo_range(realization: Realization, joint: str) -> list[float] | None:
 
 
 def _aim(model: mujoco.MjModel, data: mujoco.MjData, actuator: int) -> list[float] | None:
-    """Lower and upper joint position that a servo aims at; None behind a filter."""
+    """Return smallest and largest setpoint of a servo, rad or m; None behind a filter."""
     import mujoco
 
     from pytest_twin.realization import simulate

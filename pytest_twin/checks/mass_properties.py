@@ -1,4 +1,4 @@
-"""Mass, centre of mass and gravity torque, against the record and against Pinocchio."""
+"""Mass, centre of mass and gravity torque, compared with the record and Pinocchio."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ _GRAVITY = {"hinge": "gravity_torque", "slide": "gravity_force"}
 
 
 class MassProperties(Check):
-    """What the robot weighs, where, and what each joint must hold.
+    """Mass, centre of mass and gravity torques of the robot.
 
     The gravity torque of a joint is the generalized force that keeps it still at the pose: N*m
     for a hinge, N for a slide, positive along the joint's axis.
 
-    ``values``: ``mass`` in kg, ``poses`` (the drawn ones), ``center_of_mass`` pose -> (3,) m in
+    ``values``: ``mass`` in kg, ``poses`` (drawn poses), ``center_of_mass`` pose -> (3,) m in
     the world, ``gravity`` pose -> joint -> N*m or N, ``bodies`` body -> mass in kg and centre of
     mass (3,) m in the body frame.
     """
@@ -82,7 +82,7 @@ class MassProperties(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Every body's inertia and place, what couples the joints, and gravity."""
+        """Return inertia and placement of all bodies, couplings of joints, and gravity."""
         name = structure.realization
         layers = tuple(f"{name}/{layer}:" for layer in ("inertia", "kinematics", "coupling"))
         return {
@@ -92,7 +92,7 @@ class MassProperties(Check):
         }
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Mass properties at every pose, by MuJoCo and by Pinocchio."""
+        """Compute mass properties at every pose with MuJoCo and Pinocchio."""
         import mujoco
 
         model = realization.model
@@ -158,13 +158,13 @@ class MassProperties(Check):
     def expect(
         self, golden: Golden, observation: Observation
     ) -> tuple[Mapping[str, Any], Trace | None]:
-        """All but the types of the joints, which are the model's."""
+        """Return all values except joint types, which belong to the model."""
         return {k: v for k, v in observation.values.items() if k != "joint_type"}, None
 
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Total mass, the worst pose of the centre of mass and of each joint, each body."""
+        """Compare total mass, centre of mass and torques at their worst poses, and each body."""
         found = observation.values
         sources = [("pinocchio", observation.reference)]
         if golden.expected is not None:
@@ -194,7 +194,7 @@ class MassProperties(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """The whole robot at the reference, at each keyframe, and at ten random poses."""
+        """Propose the whole robot at reference, keyframes and ten random poses."""
         import mujoco
 
         model = realization.model

@@ -1,4 +1,4 @@
-"""The tool's pose as a tracker measured it, beside the pose that a replay predicts."""
+"""Compare the tool's pose measured by a tracker with the pose predicted by a replay."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ _FEWEST = 2
 def measured_and_predicted(
     golden: Golden, realization: Realization, results: Sequence[Replayed]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Time (n,) in s from the first state, predicted and measured poses (n, 7), at the tracker's
-    own stamps: position (m) and quaternion (w x y z).
+    """Return (n,) times in s since the first state, (n, 7) predicted and measured poses.
 
-    The poses are those of the frame ``target.tcp`` in the frame that their header names: the world,
-    or a body on the way from the world to the tool.
+    Poses are at the tracker's stamps: position [m] and quaternion (w x y z) of the frame
+    ``target.tcp`` in the frame that their header names: the world, or a body between the world and
+    the tool.
 
     Args:
-        golden: names topic and frame.
+        golden: golden with topic and frame.
         realization: the model.
-        results: the replay of every stretch.
+        results: replays of all sections of the recording.
 
     Raises:
-        SpecError: no such poses in the recording, none while it was replayed, or a frame that the
-            tool's chain lacks.
-        TwinError: a recording that holds no poses.
+        SpecError: the recording lacks these poses, none is in a replayed section, or their frame
+            is not on the tool's chain.
+        TwinError: the recording cannot contain poses.
     """
     from pytest_twin import replay
 
@@ -104,7 +104,7 @@ def _check_parent(golden: Golden, realization: Realization, parent: str) -> None
 
 
 def _within(parent: FloatArray, child: FloatArray) -> FloatArray:
-    """(n, 7) poses of a frame in another one, from both in the world."""
+    """Return (n, 7) poses of ``child`` in ``parent``, from both in the world."""
     from scipy.spatial.transform import Rotation
 
     base = Rotation.from_quat(parent[:, 3:], scalar_first=True).inv()

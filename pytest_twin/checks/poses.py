@@ -1,4 +1,4 @@
-"""Poses as a spec gives them: the model's own, joint by joint, or drawn from a seed."""
+"""Resolve the poses of a spec: named, given by joint values, or drawn from a seed."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 
 REFERENCE = "reference"
-_DRAWS = 200  # redraws of a coupled group before a seed is given up
-_ENDLESS = 1e3  # rad or m, a range that is none
-_GRID = 65  # values of a joint that others follow that are looked at
-_CLOSED = 1e-10  # residual of a closed loop, m or rad
+_DRAWS = 200  # largest number of draws for a coupled group
+_ENDLESS = 1e3  # rad or m: a larger limit does not limit the joint
+_GRID = 65  # number of values of a leading joint that are tested
+_CLOSED = 1e-10  # largest residual of a closed loop, m or rad
 
 POSE_SCHEMA: Mapping[str, Any] = {
     "description": (
@@ -90,10 +90,10 @@ class Pose:
     """One configuration that satisfies the model's couplings.
 
     Attributes:
-        name: unique within its golden; ``seed 7 #3`` for a drawn one.
+        name: name, unique within its golden; ``seed 7 #3`` for a drawn pose.
         joints: every hinge and slide joint of the model -> value, rad or m.
-        drawn: the independent joints of a drawn pose, as they are recorded; None for others.
-        qpos: (nq,) MuJoCo's coordinates; ball and free joints stand at the reference.
+        drawn: recorded values of the independent joints of a drawn pose; None for other poses.
+        qpos: (nq,) MuJoCo's coordinates; ball and free joints are at the reference.
     """
 
     name: str
@@ -109,20 +109,20 @@ def resolve_poses(
     moved: frozenset[str] | None = None,
     field: str = "stimulus.poses",
 ) -> list[Pose]:
-    """All poses of a golden, in order.
+    """Return all poses of a golden, in order.
 
-    Drawn poses are taken from the golden's ``expected.poses`` where it has them: a changed joint
-    range then moves no recorded result.
+    Drawn poses come from the golden's ``expected.poses`` if recorded there, so that a changed
+    joint range does not change recorded results.
 
     Args:
-        golden: its stimulus holds ``poses`` as ``POSES_SCHEMA`` says.
+        golden: golden whose stimulus has ``poses`` of the form ``POSES_SCHEMA``.
         realization: the model.
-        moved: joints that seeds draw, with what they are coupled to; None: all.
-        field: dotted place of the list.
+        moved: joints to draw, together with joints coupled to them; None for all.
+        field: dotted field of the list.
 
     Raises:
-        SpecError: a joint or keyframe that the model lacks, a value in the wrong unit, two poses
-            of one name, or no pose that satisfies the couplings.
+        SpecError: the model lacks a joint or keyframe, a value has a wrong unit, two poses have
+            the same name, or no pose satisfies the couplings.
     """
     recorded = (golden.expected or {}).get("poses", {})
     solver = _Coupled(realization.model)
@@ -156,22 +156,22 @@ def resolve_poses(
 
 
 def resolve_pose(golden: Golden, realization: Realization, entry: object, field: str) -> Pose:
-    """One pose, as ``POSE_SCHEMA`` says; raises as ``resolve_poses`` does."""
+    """Return one pose, given in the form ``POSE_SCHEMA``; raises as ``resolve_poses``."""
     return _given(golden, field, entry, 0, _Coupled(realization.model))
 
 
 def configuration(realization: Realization, values: Mapping[str, float]) -> FloatArray:
-    """(nq,) with ``values`` (rad or m), the joints coupled to them following."""
+    """Return (nq,) coordinates with ``values`` (rad or m) and the joints coupled to them."""
     return _Coupled(realization.model).configuration(values)
 
 
 class Configurations:
-    """What a model's limits and couplings leave to be chosen.
+    """Joint values that a model's limits and couplings permit.
 
     Attributes:
-        independent: joint that follows no other -> (lower, upper) of the values with which it and
-            all that follow it stay within their limits, rad or m. One that couplings leave no
-            such value is left out, and stands at the reference.
+        independent: joint that follows no other -> (lower, upper) of the values with which it
+            and all its followers are within their limits, rad or m. A joint without such values
+            is omitted and stays at the reference.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -182,35 +182,36 @@ class Configurations:
         }
 
     def complete(self, values: Mapping[str, float]) -> dict[str, float] | None:
-        """All hinge and slide joints, rad or m: ``values``, and what follows from them.
+        """Return all hinge and slide joints, rad or m: ``values`` and the joints that follow.
 
         Returns:
-            None where a closed loop of the model does not close, or a joint leaves its limits.
+            None if a closed loop of the model does not close, or a joint leaves its limits.
         """
         return self._solver.complete(values)
 
 
 def recorded_poses(poses: list[Pose]) -> dict[str, dict[str, float]]:
-    """What ``expected.poses`` holds: the drawn ones."""
+    """Return the drawn poses, for ``expected.poses``."""
     return {pose.name: dict(pose.drawn) for pose in poses if pose.drawn is not None}
 
 
 def joints_above(structure: Structure, bodies: Iterable[str]) -> frozenset[str]:
-    """Joints on the chains from the world to ``bodies``."""
+    """Return the joints on the chains from the world to ``bodies``."""
     above = {link for body in bodies for link in structure.ancestors(body)}
     return frozenset(joint for joint, body in structure.joint_body.items() if body in above)
 
 
 def joints_to_give(realization: Realization, joints: Iterable[str]) -> frozenset[str]:
-    """Hinge and slide joints whose values give those of ``joints``: followers count as what they
-    follow, and joints that a constant holds are left out."""
+    """Return the independent hinge and slide joints that determine ``joints``.
+
+    A follower is replaced by its leader; joints held by a constant are omitted."""
     solver = _Coupled(realization.model)
     roots = {solver.root(joint) for joint in joints if joint in solver.joint_type}
     return frozenset(root for root in roots if root is not None)
 
 
 def keyframes_of(golden: Golden) -> list[str]:
-    """Keyframes that the poses of a golden name."""
+    """Return the keyframes that a golden's poses name."""
     entries = [*golden.stimulus.get("poses", []), golden.stimulus.get("pose")]
     return [entry for entry in entries if isinstance(entry, str) and entry != REFERENCE]
 
@@ -282,9 +283,10 @@ class _Coupled:
         held: frozenset[str] | None,
         drawn: bool = False,
     ) -> Pose:
-        """Values with what follows from them; ``held``: joints that closing a loop may not move.
+        """Complete ``values`` with the joints that follow from them.
 
-        None closes no loop: the model's own poses are taken as they stand.
+        ``held`` are the joints that closing a loop must not move. If it is None, loops are not
+        closed, because the model's own poses are used unchanged.
         """
         qpos = self.configuration(values)
         if self._loops and held is not None:
@@ -303,10 +305,10 @@ class _Coupled:
     def draw(
         self, golden: Golden, place: str, seed: int, index: int, moved: frozenset[str] | None
     ) -> dict[str, float]:
-        """Independent joints of one random pose.
+        """Draw the independent joints of one random pose.
 
-        Every joint has its own stream, keyed by its name: another joint, or another order of the
-        joints in the file, changes nothing here.
+        Every joint has its own random stream, keyed by its name, so that other joints or another
+        order in the file do not change its values.
         """
         groups: dict[str, list[str]] = {}
         for joint in sorted(self._joint):
@@ -340,12 +342,12 @@ class _Coupled:
         )
 
     def _draw_group(self, stream: np.random.Generator, root: str, members: list[str]) -> float:
-        """A value of ``root`` that keeps all that follow it within their limits."""
+        """Draw a value of ``root`` that keeps all its followers within their limits."""
         lower, upper = self._range(root)
         qpos = self._model.qpos0.copy()
         value = 0.0
         for _ in range(_DRAWS):
-            # Six digits: a recorded pose stays readable.
+            # Six digits keep a recorded pose readable.
             value = min(max(round(lower + (upper - lower) * stream.random(), 6), lower), upper)
             qpos[self._address(root)] = value
             self._follow(qpos)
@@ -354,14 +356,14 @@ class _Coupled:
         return value
 
     def roots(self) -> list[str]:
-        """Joints that follow no other, in model order."""
+        """Return the joints that follow no other, in model order."""
         return [joint for joint in self._joint if self.root(joint) == joint]
 
     def span(self, root: str) -> tuple[float, float] | None:
-        """Values of ``root`` with which it and all that follow it stay within their limits."""
+        """Return the range of ``root`` in which it and all its followers are within limits."""
         lower, upper = self._range(root)
         if upper - lower > _ENDLESS:
-            # A limit beyond all reach limits nothing.
+            # An extremely large limit is no limit.
             reach = math.pi if self.joint_type[root] == "hinge" else 1.0
             lower, upper = max(lower, -reach), min(upper, reach)
         members = [joint for joint in self._joint if self.root(joint) == root]
@@ -404,7 +406,7 @@ class _Coupled:
         return int(self._model.jnt_qposadr[self._joint[joint]])
 
     def root(self, joint: str) -> str | None:
-        """The independent joint that ``joint`` follows; None where a constant holds it."""
+        """Return the independent joint that ``joint`` follows; None if a constant holds it."""
         seen = {joint}
         while joint in self._masters:
             master = self._masters[joint][0]
@@ -417,7 +419,7 @@ class _Coupled:
         return joint
 
     def _follow(self, qpos: FloatArray) -> None:
-        """Set the joints that follow others; a chain of n couplings settles in n rounds.
+        """Set the joints that follow others; a chain of n couplings needs n iterations.
 
         MuJoCo: y - y0 = a0 + a1 (x - x0) + ... + a4 (x - x0)^4, at the reference x0, y0.
         """
@@ -436,10 +438,10 @@ class _Coupled:
                 return
 
     def _close(self, qpos: FloatArray, held: frozenset[str]) -> frozenset[str]:
-        """Close kinematic loops in place by Gauss-Newton steps of the joints that are not held.
+        """Close kinematic loops in place by Gauss-Newton steps on the joints that are not held.
 
         Returns:
-            Joints of the loops that stay open; empty where all are closed.
+            Joints of the loops that remain open; empty if all are closed.
         """
         mujoco = self._mujoco
         model = copy.copy(self._model)
@@ -460,7 +462,7 @@ class _Coupled:
             mujoco.mj_makeConstraint(model, data)
             rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
             residual = data.efc_pos[rows]
-            # Rows that turn out empty are counted, but not filled: the array is longer.
+            # MuJoCo counts empty rows but does not fill them, so the array is longer.
             filled = data.efc_J[: data.nefc * model.nv]
             jacobian = filled.reshape(data.nefc, model.nv)[rows]
             if np.all(np.abs(residual) <= _CLOSED):
@@ -477,7 +479,7 @@ class _Coupled:
 
 
 def encoder_parts(structure: Structure, chain: Iterable[str]) -> frozenset[str]:
-    """Parts of the encoders of all joints that move the bodies of a chain."""
+    """Return the parts of the encoders of all joints on a chain."""
     placed = frozenset(chain)
     return frozenset(
         f"calibration:{joint}"

@@ -1,4 +1,4 @@
-"""What first specs have in common: what drives and holds a robot, small commands, tolerances."""
+"""Helpers for first specs: actuation of a robot, small commands, tolerances."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
 MOTION_FRACTION = 5e-3
-"""Tolerance of a trace as a fraction of its motion: computations of one model on two machines agree
-to about 1e-9, and an inertia that is wrong by a percent moves a torque step by twice as much."""
+"""Tolerance of a trace as a fraction of its motion. Computations of one model on two machines agree
+to about 1e-9; an inertia error of 1 % changes the response to a torque step by twice this
+tolerance."""
 _LEAST_FRACTION = 1e-4
 _NO_ROOM = 1e-5  # rad or m: a joint with a narrower range is held in place
-_MASS_CHANGE = 0.05  # a link's mass that is wrong by this fraction should fail a torque step
+_MASS_CHANGE = 0.05  # a torque step should fail if a link's mass is wrong by this fraction
 
 
 @dataclass(frozen=True, slots=True)
 class Actuation:
-    """What acts on the joints of a robot.
+    """Actuation of the joints of a robot.
 
     Attributes:
-        held: joints that a position servo drives, and those coupled to them.
-        loose: all other joints, in model order; free joints of objects too.
-        floating: free joints of robots: they carry other joints, or the model has no others.
-        commands: what actuators of joints take: position, velocity or effort.
+        held: joints with a position servo, and joints coupled to them.
+        loose: all other joints, in model order, including free joints of objects.
+        floating: free joints of robots, which carry other joints or are the only joints.
+        commands: command modes of the actuators: position, velocity or effort.
     """
 
     held: frozenset[str]
@@ -46,7 +47,7 @@ class Actuation:
 
     @classmethod
     def of(cls, realization: Realization) -> Actuation:
-        """The actuation of a realization."""
+        """Return the actuation of a realization."""
         from pytest_twin.realization import simulate
 
         servoed: set[str] = set()
@@ -71,7 +72,7 @@ class Actuation:
         return cls(held, loose, floating, frozenset(commands))
 
     def no_controller(self, realization: Realization) -> str | None:
-        """What to say where no servo holds any joint; None where one does."""
+        """Return a note if no servo holds any joint, else None."""
         if self.commands - {"effort"} or not self.loose:
             return None
         if realization.path.suffix.lower() != ".urdf":
@@ -100,7 +101,7 @@ def _carries_robot(realization: Realization, free_joint: str) -> bool:
 
 
 def fixed_base(realization: Realization) -> str | None:
-    """What to say of a URDF whose base might float: it has mass and carries no or several limbs."""
+    """Return a note on a URDF whose base may float: it has mass, and not exactly one limb."""
     if realization.path.suffix.lower() != ".urdf":
         return None
     model = realization.model
@@ -116,7 +117,7 @@ def fixed_base(realization: Realization) -> str | None:
 
 
 def _limb(model: mujoco.MjModel, body: int) -> int:
-    """The first body with a joint on the chain from the world to ``body``."""
+    """Return the first body with a joint on the chain from the world to ``body``."""
     first = body
     while body:
         if model.body_jntnum[body]:
@@ -126,13 +127,13 @@ def _limb(model: mujoco.MjModel, body: int) -> int:
 
 
 def listed(names: tuple[str, ...] | list[str], most: int = 6) -> str:
-    """Names for a sentence; the first ``most`` of many."""
+    """Join names for a sentence; at most ``most`` names."""
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
 def draft(check: Check, realization: Realization, spec: Mapping[str, Any]) -> Golden:
-    """A first spec as a golden without tolerances, to try before it is proposed."""
+    """Return a first spec as a golden without tolerances, for a trial run."""
     return Golden(
         id=str(spec["name"]),
         path=realization.path,
@@ -149,7 +150,7 @@ def draft(check: Check, realization: Realization, spec: Mapping[str, Any]) -> Go
 def fraction_of(
     motion: float, unit: str, fraction: float = MOTION_FRACTION, least: float = 1e-9
 ) -> str:
-    """A tolerance: a fraction of a motion in SI, rounded down to two digits, with its unit."""
+    """Return a tolerance with unit: a fraction of a motion (SI), rounded down to two digits."""
     value = fraction * motion
     value = max(value, least)
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
@@ -157,11 +158,11 @@ def fraction_of(
 
 
 def torque_fraction(realization: Realization, joint: str) -> tuple[float, list[str]]:
-    """Tolerance of a torque step as a fraction of its motion, and the links that it cannot weigh.
+    """Return the tolerance of a torque step, as a fraction of its motion, and undetected links.
 
-    With the other joints locked, the motion goes with one over the inertia about the joint, which
-    is the sum of what each carried link adds. The tolerance is half of what a mass that is wrong
-    by 5 % in the link that adds least would change, within 0.01 % and 0.5 %.
+    With the other joints locked, the motion is inversely proportional to the inertia about the
+    joint, the sum of the contributions of the carried links. The tolerance is half the change by a
+    mass error of 5 % in the link with the smallest contribution, within 0.01 % and 0.5 %.
     """
     import mujoco
 
@@ -192,9 +193,9 @@ def torque_fraction(realization: Realization, joint: str) -> tuple[float, list[s
 
 
 def drivable(realization: Realization) -> list[tuple[str, str]]:
-    """(joint, command) of joints for first specs: those with an input, or all if none has.
+    """Return (joint, command) for first specs: joints with an input, or all if none has.
 
-    Followers of a coupling are left out, and joints whose range leaves no room to move.
+    Followers of a coupling and joints with a too narrow range are omitted.
     """
     import mujoco
 
@@ -227,7 +228,7 @@ def drivable(realization: Realization) -> list[tuple[str, str]]:
 
 
 def room(realization: Realization, joint: str) -> float:
-    """Width of a hinge or slide joint's range in rad or m, infinite without one."""
+    """Return the width of a hinge or slide joint's range, rad or m; infinite without a range."""
     model, index = realization.model, realization.joint_index(joint)
     if not model.jnt_limited[index]:
         return math.inf
@@ -235,7 +236,7 @@ def room(realization: Realization, joint: str) -> float:
 
 
 def tendon_drives(realization: Realization) -> list[tuple[str, str]]:
-    """(actuator, joint) of actuators that drive joints through a tendon; the first such joint."""
+    """Return (actuator, first joint) of actuators that drive joints through a tendon."""
     import mujoco
 
     from pytest_twin.realization import simulate
@@ -254,7 +255,7 @@ def tendon_drives(realization: Realization) -> list[tuple[str, str]]:
 
 
 def tendon_amplitude(realization: Realization, actuator: str) -> float | None:
-    """A tenth of an actuator's control range, to the side with more room; None without a range."""
+    """Return a tenth of an actuator's control range, signed to the farther limit, or None."""
     import mujoco
 
     from pytest_twin.realization import simulate
@@ -272,8 +273,9 @@ def tendon_amplitude(realization: Realization, actuator: str) -> float | None:
 
 
 def first_bench(realization: Realization, command: str) -> dict[str, Any]:
-    """Pose and surroundings of a first spec: alone on the bench where nothing holds the rest,
-    without contact where bodies overlap at the pose."""
+    """Return pose and surroundings of a first spec.
+
+    Other joints are locked if no servo holds them. Contact is off if bodies overlap at the pose."""
     from pytest_twin.realization import simulate
 
     alone = command != "position" or "free" in realization.structure.joint_type.values()
@@ -286,10 +288,11 @@ def first_bench(realization: Realization, command: str) -> dict[str, Any]:
 
 
 def first_amplitude(realization: Realization, joint: str, command: str, duration: float) -> float:
-    """A small command step, to the side with more room, in the command's unit, three digits.
+    """Return a small command step to the farther limit, in the command's unit, three digits.
 
-    Position: 5 % of the range, at most 0.1 rad or 0.02 m. Velocity: what travels that far. Effort:
-    what accelerates the joint that far in ``duration`` s, and dry friction.
+    Position: 5 % of the range, at most 0.1 rad or 0.02 m. Velocity: the speed that travels this
+    distance in ``duration`` s. Effort: the effort that accelerates over this distance in
+    ``duration`` s, plus dry friction.
     """
     import mujoco
 
@@ -323,7 +326,7 @@ def first_amplitude(realization: Realization, joint: str, command: str, duration
 
 
 def first_qpos(realization: Realization) -> FloatArray:
-    """(nq,) of the pose that first specs start from."""
+    """Return (nq,) coordinates of the initial pose of first specs."""
     from pytest_twin.realization import simulate
 
     pose = simulate.first_pose(realization)
@@ -334,7 +337,7 @@ def first_qpos(realization: Realization) -> FloatArray:
 
 
 def first_pose(realization: Realization) -> str | dict[str, dict[str, float]]:
-    """The pose that first specs start from, as a spec states it."""
+    """Return the initial pose of first specs, in the form of a spec."""
     from pytest_twin.realization import simulate
 
     return simulate.first_pose(realization)

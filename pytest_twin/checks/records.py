@@ -1,4 +1,4 @@
-"""What goldens share that re-check a record of the twin: a calibration or an identification."""
+"""Helpers of goldens that check a calibration or identification record of the twin."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ if TYPE_CHECKING:
 
 
 def twin_of(golden: Golden, realization: Realization, what: str, key: str) -> Twin:
-    """The twin that lists the record.
+    """Return the twin that lists the record.
 
     Args:
-        what: the record, as "an identification".
-        key: of ``twin.yaml``, under which it is listed.
+        golden: the golden.
+        realization: its realization.
+        what: noun for the record, such as "an identification".
+        key: key of ``twin.yaml`` that lists it.
 
     Raises:
         SpecError: the realization has no twin.
@@ -38,17 +40,18 @@ def twin_of(golden: Golden, realization: Realization, what: str, key: str) -> Tw
 def check_unchanged(
     golden: Golden, where: str, reference: str, path: Path, inputs: Mapping[str, str], expected: str
 ) -> None:
-    """Check that a record was made from a file as it is now.
+    """Check that a file is unchanged since the record was made from it.
 
     Args:
+        golden: the golden.
         where: field of the spec that names the file.
-        reference: what stands there.
+        reference: value of this field.
         path: the file.
-        inputs: of the record, file -> SHA-256, hex.
-        expected: the files that would do.
+        inputs: inputs of the record: file -> SHA-256, hex.
+        expected: description of valid files.
 
     Raises:
-        SpecError: it was made from other files, or the file has changed.
+        SpecError: the file is not an input of the record, or has changed.
     """
     if file_sha256(path) not in inputs.values():
         raise spec_error(

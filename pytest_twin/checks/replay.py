@@ -1,4 +1,4 @@
-"""Replay: a recording's commands on a realization, open loop, against what was measured."""
+"""Replay: simulate a recording's commands open loop, and compare with the measured states."""
 
 from __future__ import annotations
 
@@ -80,15 +80,15 @@ _NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
 
 
 class Replay(Check):
-    """How far a realization is from a recording, joint by joint and at the tool.
+    """Residual between a realization and a recording, for each joint and at the tool.
 
-    The golden's tolerance is written by people before they see the result; ``expected`` keeps the
-    residuals of the day of recording, so that an update shows what moved, and bounds nothing.
+    People write the golden's tolerance before they see the result. ``expected`` has the residuals
+    at the last update and shows changes; it does not limit the result.
 
     ``values``: ``joints`` (joint -> ``type``, ``rms``, ``maximum``, ``mean``, ``at`` in s,
     ``predicted`` and ``recorded`` there, ``velocity_rms`` or None; where a tolerance bounds them
     ``effort_rms`` and ``frequency``), ``tcp`` (likewise, in m and rad) or None, ``sensors``
-    (sensor -> ``rms`` and ``unit`` by channel), ``marks`` (what is doubtful in the recording:
+    (sensor -> ``rms`` and ``unit`` by channel), ``marks`` (doubtful sections of the recording:
     kind -> count),
     ``command_between`` (held, interpolated or ramped), ``notes``.
     """
@@ -151,17 +151,17 @@ class Replay(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """All that moves the joints, the recording, its controller and payload, and how the
-        joints' encoders relate to the model."""
+        """Return all parts that affect the joints' motion, the recording, its controller and
+        payload, and the calibration of the joints' encoders."""
         target = golden.target
         joints = list(target["joints"]) if "joints" in target else None
         parts = set(structure.dynamics(joints)) | {f"recording:{target['recording']}"}
         parts |= structure.effects()
         parts |= {f"{key}:{target[key]}" for key in ("controller", "payload") if key in target}
         if "controller" in target or "payload" in target:
-            # The variant is compiled anew.
+            # A variant is compiled separately.
             parts |= structure.additions()
-        # Every recorded joint starts where its encoder says, whichever are compared.
+        # Every recorded joint starts at its encoder's reading, even if it is not compared.
         parts |= {f"calibration:{joint}" for joint in structure.joint_body}
         parts |= {"encoder:*"} | {f"sensor:{name}" for name in target.get("sensors", ())}
         if "tcp" in target:
@@ -169,7 +169,7 @@ class Replay(Check):
         return parts
 
     def trials(self, golden: Golden, realization: Realization) -> list[Trial]:
-        """Read the recording: one trial, or one for each stretch between holes."""
+        """Read the recording as trials: one, or one for each section between gaps."""
         from pytest_twin.trial import make_trials
 
         twin = realization.twin
@@ -183,21 +183,21 @@ class Replay(Check):
         trials = make_trials(recording, realization.structure, twin.recordings)
         if all(len(t.time) < 2 for t in trials):
             raise spec_error(
-                golden, "target.recording", "one state: nothing to compare a replay with",
-                value=recording.path.name, expected="a recording with states to the end",
+                golden, "target.recording", "only one state: no comparison with a replay",
+                value=recording.path.name, expected="a recording with states during the motion",
             )  # fmt: skip
         return trials
 
     def trial(self, golden: Golden, realization: Realization) -> Trial:
-        """The longest stretch of the recording, all joints at the same stamps."""
+        """Return the longest section of the recording, all joints at the same stamps."""
         from pytest_twin.trial.one_base import on_one_base
 
         return on_one_base(max(self.trials(golden, realization), key=lambda t: t.duration))
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Nothing: ``init`` proposes one for each recording that it is given."""
+        """Propose nothing: ``init`` itself proposes one for each given recording."""
         raise NothingToProposeError(
-            "no recording was given; name some after the robot: pytest-twin init ROBOT RECORDING..."
+            "no recording was given; add some after the robot: pytest-twin init ROBOT RECORDING..."
         )
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
@@ -256,7 +256,7 @@ class Replay(Check):
         )  # fmt: skip
 
     def _check_variant(self, golden: Golden, realization: Realization, trial: Trial) -> None:
-        """The spec says under which controller and payload, so that a change of them is felt."""
+        """Check that the spec states the recording's controller and payload."""
         for key, declared in (
             ("controller", realization.twin.controllers if realization.twin else {}),
             ("payload", realization.twin.payloads if realization.twin else {}),
@@ -283,7 +283,7 @@ class Replay(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Hold each joint's residual, and the tool's, against the tolerances."""
+        """Compare the residuals of each joint and of the tool with the tolerances."""
         measures = list(_joint_measures(golden, observation.values["joints"]))
         bounded = {measure.subject.partition(",")[0] for measure in measures}
         for joint in golden.target.get("joints", ()):
@@ -306,19 +306,19 @@ class Replay(Check):
     def expect(
         self, golden: Golden, observation: Observation
     ) -> tuple[Mapping[str, Any], Trace | None]:
-        """The residuals of the day; the recording itself stays where it is."""
+        """Return the residuals; the recording itself is not copied."""
         return observation.values, None
 
 
 def _asked(golden: Golden, joint: str) -> set[str]:
-    """Tolerances that bound a joint."""
+    """Return the tolerances that apply to a joint."""
     stated = golden.target.get("joints", {})
     own = (stated.get(joint) or {}) if isinstance(stated, Mapping) else {}
     return {*golden.tolerance, *own}
 
 
 def _replayed(realization: Realization, trial: Trial, progress: Progress) -> Replayed:
-    """The replay, with what a diagnosis put beside the model where it did."""
+    """Replay a trial, with effects that a diagnosis steps together with the model."""
     from pytest_twin.diagnosis.patched.model import patched_of
     from pytest_twin.diagnosis.patched.replay import replay_whole
     from pytest_twin.replay import replay
@@ -330,12 +330,12 @@ def _replayed(realization: Realization, trial: Trial, progress: Progress) -> Rep
 
 
 def _time(trials: Sequence[Trial]) -> FloatArray:
-    """(n,) s from the recording's first state, of the states of all trials."""
+    """Return (n,) times since the recording's first state, of all trials' states, s."""
     return np.concatenate([t.offset + t.time for t in trials])
 
 
 def _of_joint(results: Sequence[Replayed], joint: str, structure: Structure) -> dict[str, Any]:
-    """Residuals of one joint at the samples that the recording has of it."""
+    """Compute residuals of one joint at its recorded samples."""
     column = results[0].trial.joints.index(joint)
     trials = [r.trial for r in results]
     predicted = np.concatenate([r.position[:, column] for r in results])
@@ -366,7 +366,7 @@ def _velocity(trial: Trial, column: int) -> FloatArray:
 
 
 def _of_tcp(frame: str, time: FloatArray, predicted: FloatArray, measured: FloatArray) -> Any:
-    # A frame has a measured pose where one stamp has the position of every joint.
+    # The measured pose of a frame needs the positions of all joints at one stamp.
     seen = np.isfinite(measured).all(axis=1)
     time, predicted, measured = time[seen], predicted[seen], measured[seen]
     distance = np.linalg.norm(predicted[:, :3] - measured[:, :3], axis=1)
@@ -388,7 +388,7 @@ def _numbers(found: Residual, time: FloatArray) -> dict[str, float]:
 
 
 def _commands(trial: Trial) -> FloatArray:
-    """(n, j) position commands at the states' stamps; NaN where there were none."""
+    """Return (n, j) position commands at the states' stamps; NaN without a command."""
     asked = trial.setpoint.at(trial.time)
     table = np.full_like(trial.position, np.nan)
     for column, joint in enumerate(trial.joints):
@@ -402,7 +402,7 @@ def _series(
     joints: Mapping[str, Any],
     tables: Callable[[int], Mapping[str, FloatArray]],
 ) -> Trace:
-    """Columns of all trials; ``tables`` gives those of one. A column with a gap is left out."""
+    """Return columns of all trials; ``tables`` gives those of one. Incomplete ones are omitted."""
     time, first = np.unique(_time(trials), return_index=True)
     columns = {}
     each = [tables(i) for i in range(len(trials))]

@@ -1,4 +1,4 @@
-"""Sensors of a twin in a replay golden: what they would have read along the predicted motion."""
+"""Predict the readings of a twin's sensors along the motion of a replay golden."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BY_UNIT: Mapping[str, str] = {
     "m/s^2": "acceleration_rms",
     "rad": "angle_rms",
 }
-"""Unit of a channel -> the tolerance that bounds it."""
+"""Unit of a channel -> its tolerance."""
 _NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
 SENSORS_SCHEMA: Mapping[str, Any] = {
     "type": "object",
@@ -40,7 +40,7 @@ SENSORS_SCHEMA: Mapping[str, Any] = {
 
 
 def as_read(results: Sequence[Replayed], realization: Realization) -> list[Replayed]:
-    """The replays with positions as the encoders of the twin's records would have read them."""
+    """Return the replays with positions quantized as by the encoders of the twin's records."""
     from pytest_twin.identification.sensing.predicted import encoders_of
 
     encoders = encoders_of(realization.twin)
@@ -59,15 +59,15 @@ def as_read(results: Sequence[Replayed], realization: Realization) -> list[Repla
 def sensor_values(
     golden: Golden, realization: Realization, results: Sequence[Replayed]
 ) -> dict[str, Any]:
-    """Sensor -> ``rms`` of each channel, predicted less recorded, and its ``unit``.
+    """Return sensor -> ``rms`` of predicted minus recorded values and ``unit``, by channel.
 
     Args:
-        golden: names the sensors.
-        realization: with its twin.
-        results: before encoders round them.
+        golden: golden that names the sensors.
+        realization: the model, with its twin.
+        results: replays before quantization by encoders.
 
     Raises:
-        SpecError: a sensor that no record has, or that the recording has no readings of.
+        SpecError: no record has a sensor, or the recording lacks its readings.
     """
     from pytest_twin.identification.sensing.predicted import compared, sensors_of
 
@@ -93,10 +93,10 @@ def sensor_values(
 
 
 def sensor_measures(golden: Golden, values: Mapping[str, Any]) -> Iterator[Measure]:
-    """Each channel of each sensor against its tolerance.
+    """Compare each channel of each sensor with its tolerance.
 
     Raises:
-        SpecError: a tolerance that bounds no channel of the sensor.
+        SpecError: a tolerance applies to no channel of the sensor.
     """
     for name, one in values.items():
         own = golden.target["sensors"][name]
@@ -124,7 +124,7 @@ def sensor_measures(golden: Golden, values: Mapping[str, Any]) -> Iterator[Measu
 
 
 def _motion(results: Sequence[Replayed]) -> JointSeries:
-    """The predicted motion as one topic, in ns of the recording."""
+    """Return the predicted motion as one topic, with stamps in ns."""
     stamp = np.concatenate([r.trial.stamps for r in results])
     return JointSeries(
         topic="",

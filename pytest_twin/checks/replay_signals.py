@@ -1,4 +1,4 @@
-"""What a replay compares beside positions and velocities: efforts, and frequency responses."""
+"""Compare efforts and frequency responses of a replay."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ MISSING = {
     "are no positions, or the coherence with the command is too low",
 }
 MISSING["phase"] = MISSING["magnitude"]
-"""Why a number is not there, for an error."""
+"""Tolerance -> reason why its number is missing, for errors."""
 
 
 def effort_rms(results: Sequence[Replayed], joint: str) -> float | None:
-    """Root mean square of predicted less measured effort, N*m or N; None without any measured."""
+    """Return root mean square of predicted minus measured effort, N*m or N, or None."""
     measured, predicted = [], []
     for result in results:
         trial = result.trial
@@ -40,9 +40,9 @@ def effort_rms(results: Sequence[Replayed], joint: str) -> float | None:
 
 
 def frequency(results: Sequence[Replayed], joint: str) -> dict[str, Any] | None:
-    """How far the response from command to position is off, over the longest stretch.
+    """Compare frequency responses from command to position, over the longest section.
 
-    None where excitation, sensor and coherence support no line: see
+    The result is None if excitation, sensor and coherence support no frequency: see
     :func:`pytest_twin.metrics.recorded_frequency.recorded_response`.
     """
     result = max(results, key=lambda one: one.trial.duration)

@@ -1,4 +1,4 @@
-"""Single numbers against their record, where either may not exist."""
+"""Compare single numbers with their record, when either may be missing."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ def scalar_measures(
     *,
     undefined: Mapping[str, str] | None = None,
 ) -> list[Measure]:
-    """Numbers against the golden's expected ones, for every name that has a tolerance.
+    """Compare numbers with the golden's expected ones, for every name with a tolerance.
 
-    A metric that neither carries is not reported. One that only one carries fails, in words.
+    A metric that both lack is not reported. A metric that only one has fails with a reason.
 
     Args:
-        names: metric, a key of tolerance and of the expected values -> SI unit.
-        measured: metric -> number, or None where the response has none.
-        undefined: metric -> why it can be None, such as ``it never settles``.
+        golden: the golden.
+        names: metric (key of tolerances and of expected values) -> SI unit.
+        measured: metric -> number, or None if undefined.
+        subject: subject of the measures.
+        undefined: metric -> reason why it can be undefined, such as ``it never settles``.
     """
     measures = []
     expected = golden.expected or {}
@@ -62,7 +64,7 @@ def scalar_measures(
 def declared_measure(
     golden: Golden, name: str, unit: str, measured: float, subject: str, declared: float = 0.0
 ) -> list[Measure]:
-    """One number against what is declared, not recorded; empty without a tolerance."""
+    """Compare a number with a declared one instead of a recorded one; empty without tolerance."""
     bound = golden.tolerance.get(name)
     if bound is None:
         return []
@@ -81,5 +83,5 @@ def declared_measure(
 
 
 def sample_grid(duration: float, samples: int) -> FloatArray:
-    """Times (samples,) in s from 0 to ``duration``: the same for every timestep of a simulator."""
+    """Return (samples,) times from 0 to ``duration``, s, independent of the timestep."""
     return np.linspace(0.0, duration, samples)

@@ -1,4 +1,4 @@
-"""The lag between two sensor streams of a recording, re-checked."""
+"""Check the lag between two sensor streams of a recording."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
 _LEAST_CORRELATION = 0.5
-"""Below it both streams do not show one motion: streams of one motion have 0.8 and more."""
+"""Smallest correlation of two streams of one motion; they usually have 0.8 or more."""
 _MOST_RIVAL = 0.95
-"""A second lag above this part of the best correlation may be the right one."""
+"""Largest ratio of second-best to best correlation; above it the lag is ambiguous."""
 _SAME_PEAK_S = 0.2
 _STREAM: Mapping[str, Any] = {
     "type": "object",
@@ -46,10 +46,10 @@ _STREAM: Mapping[str, Any] = {
 
 
 class SensorTiming(Check):
-    """How much later one sensor's stamps are than another's, from the motion that both show.
+    """Lag of one sensor's stamps relative to another's, from a motion that both measure.
 
-    ``values``: ``lag`` in s, positive where the second stream is stamped later; ``correlation`` of
-    both there.
+    ``values``: ``lag`` in s, positive if the second stream is stamped later; ``correlation`` of
+    both at this lag.
     """
 
     kind: ClassVar[str] = "sensor_timing"
@@ -81,11 +81,11 @@ class SensorTiming(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """The recording: no part of the model moves a measured lag."""
+        """Return the recording, because no part of the model affects a measured lag."""
         return {f"recording:{golden.target['recording']}"}
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """The lag at which both signals are most alike."""
+        """Compute the lag with the highest correlation of both signals."""
         from pytest_twin.formats.sensor_streams import read_streams
         from pytest_twin.metrics.lag import best_lag
 
@@ -103,7 +103,7 @@ class SensorTiming(Check):
         found = best_lag(_on_grid(first, step), _on_grid(second, step), _SAME_PEAK_S / step)
         if found.correlation < _LEAST_CORRELATION or found.rival > _MOST_RIVAL:
             problem = (
-                "both streams do not show one motion"
+                "the two streams do not measure the same motion"
                 if found.correlation < _LEAST_CORRELATION
                 else "the motion repeats itself, so several lags fit"
             )
@@ -111,7 +111,7 @@ class SensorTiming(Check):
                 golden, "target.streams", problem,
                 value=f"correlation {found.correlation:.2f}, of another lag "
                 f"{found.rival * found.correlation:.2f}",
-                expected="two sensors that see the same irregular motion",
+                expected="two sensors that measure the same irregular motion",
             )  # fmt: skip
         lag = -(found.steps * step + first.time[0] - second.time[0])
         progress(1.0)
@@ -120,7 +120,7 @@ class SensorTiming(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """The lag against the recorded one; without a record, against none."""
+        """Compare the lag with the recorded one, or with zero without a record."""
         lag = float(observation.values["lag"])
         then = 0.0 if golden.expected is None else float(golden.expected["lag"])
         names = " after ".join(one["topic"] for one in reversed(golden.target["streams"]))
@@ -128,7 +128,7 @@ class SensorTiming(Check):
         return [Measure("lag", names, lag, then, abs(lag - then), bound.value, bound.unit)]
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Nothing: which streams a recording has is not the robot's to say."""
+        """Propose nothing, because the robot does not determine the streams of a recording."""
         raise NothingToProposeError(
             "it needs a recording of two sensors; docs/kinds/sensor_timing.md has an example"
         )

@@ -1,4 +1,4 @@
-"""Settling: let go, with nothing commanded but rest, and see where and how it comes to rest."""
+"""Settling: release the robot without motion commands, and check its rest position and energy."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ _DEFAULT_BAND = {"rad": 1e-3, "m": 1e-4}
 
 
 class Settling(Check):
-    """Free motion from a pose, under zero input.
+    """Free motion from a pose, without motion commands.
 
-    ``values``: where it rests, ``angle`` (hinge -> rad), ``position`` (slide -> m) and ``pose``
+    ``values``: rest position: ``angle`` (hinge -> rad), ``position`` (slide -> m) and ``pose``
     (free joint -> position in m and quaternion w x y z, ball joint -> quaternion);
     ``settling_time`` in s or None; ``energy_growth``, ``energy_start`` and ``energy_end`` in J;
     ``penetration`` in m and the ``deepest`` pair.
@@ -108,13 +108,13 @@ class Settling(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """All that moves anything, and the named keyframe."""
+        """Return all parts that affect motion, and the named keyframe."""
         return set(structure.dynamics()) | {
             f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
         }
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Let go and step until the duration has passed."""
+        """Release the robot and simulate for the duration."""
         from pytest_twin.realization import simulate
 
         stimulus = golden.stimulus
@@ -192,7 +192,7 @@ class Settling(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Rest per joint and settling time against the record; energy and depth against zero."""
+        """Compare rest positions and settling time with the record, energy and depth with zero."""
         values = observation.values
         measures = []
         if golden.expected is not None:
@@ -218,7 +218,7 @@ class Settling(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Held by servos, let go beside the pose, or falling: what the robot's drives allow."""
+        """Propose settling under servos, after a displacement, or a fall, as the drives allow."""
         from pytest_twin.checks.settling_first import first_specs
 
         return first_specs(self, realization)
@@ -236,7 +236,7 @@ def _positive(golden: Golden, field: str, value: object) -> float:
 def _joints(
     realization: Realization, run: Run, wanted: Iterable[str], bands: Mapping[str, float]
 ) -> tuple[dict[str, Any], FloatArray, dict[str, tuple[str, FloatArray]]]:
-    """Final values, distance to them in bands (n, k), and columns of the trace."""
+    """Return final values, (n, k) distances to them in bands, and columns of the trace."""
     types = realization.structure.joint_type
     final: dict[str, Any] = {"angle": {}, "position": {}, "pose": {}}
     excess: list[FloatArray] = []
@@ -266,7 +266,7 @@ def _joints(
 
 
 def _rest(golden: Golden, now: Mapping[str, Any], then: Mapping[str, Any]) -> list[Measure]:
-    """Where each joint came to rest, against the record; NaN where only one of them has it."""
+    """Compare each joint's rest position with the record; NaN if only one has it."""
     measures = []
     for name in ("angle", "position"):
         bound = golden.tolerance.get(name)
@@ -286,7 +286,7 @@ def _rest(golden: Golden, now: Mapping[str, Any], then: Mapping[str, Any]) -> li
 
 
 def _pose_errors(now: list[float], then: list[float]) -> dict[str, float]:
-    """Distances of two poses: of position, where they have one, and of orientation."""
+    """Return the distances of two poses in position, if they have one, and orientation."""
     if len(now) != len(then):
         return {"angle": math.nan}
     errors = {"angle": orientation_error(rotation_of(now[-4:]), rotation_of(then[-4:]))}

@@ -1,4 +1,4 @@
-"""First specs of kind ``settling``: what the drives of a robot, its base and its floor allow."""
+"""Propose specs of kind ``settling`` that fit the robot's drives, base and floor."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from pytest_twin.checks.fields import POSITION_UNIT
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
-_STILL = 1e-6  # rad or m: less than this in 0.3 s is no fall, and no tolerance is tighter
+_STILL = 1e-6  # rad or m: a motion below this in 0.3 s is not a fall; also the smallest tolerance
 _ON_FLOOR = {"angle": "5 mrad", "position": "1 mm", "settling_time": "50 ms"}
 
 
 def first_specs(check: Check, realization: Realization) -> list[Mapping[str, Any]]:
-    """First specs of kind ``settling``.
+    """Return first specs of kind ``settling``.
 
     Raises:
-        NothingToProposeError: why the robot has none.
+        NothingToProposeError: the robot has none; the error has the reason.
     """
     if not realization.joints:
         jointed = realization.model.njnt > 0
@@ -63,14 +63,14 @@ def _under_gravity(
     actuation: proposals.Actuation,
     bench: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Servos against gravity, a free base on its floor, or a fall where nothing holds."""
+    """Propose servos against gravity, a free base on its floor, or a fall of unheld joints."""
     stimulus: dict[str, Any] = {**bench, "gravity": True}
     spec: dict[str, Any] = {"name": "gravity", "target": {}}
     if actuation.floating:
         spec["title"] = "Come to rest on the floor under gravity"
         if actuation.held:
             spec["title"] += ", servos holding the joints"
-        # Feet that touch the floor at the pose are no overlap.
+        # Feet that touch the floor at the pose do not count as overlap.
         stimulus.pop("contact", None)
         spec["stimulus"] = {"duration": "3 s", **stimulus}
         found = _tried(check, spec, realization)
@@ -98,8 +98,8 @@ def _under_gravity(
             f"{len(actuation.held)} joints held by servos under gravity, the rest swinging"
         )
         spec["notes"] = [
-            f"No position servo holds {proposals.listed(actuation.loose)}: watched for 0.3 s "
-            "only, because a swing amplifies the last digit of every computation."
+            f"No position servo holds {proposals.listed(actuation.loose)}: simulated for 0.3 s "
+            "only, because a swinging motion amplifies rounding errors."
         ]
     else:
         spec["title"] = "Servos hold the pose under gravity"
@@ -113,7 +113,7 @@ def _beside_the_pose(
     actuation: proposals.Actuation,
     bench: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Servos that bring the joints back, without gravity."""
+    """Propose servos that return displaced joints, without gravity."""
     types = realization.structure.joint_type
     displaced = {
         joint: 0.05 if types[joint] == "hinge" else 0.002
@@ -146,11 +146,11 @@ def _tried(check: Check, spec: Mapping[str, Any], realization: Realization) -> M
 
 
 def _bounds(found: Mapping[str, Any], motion: Mapping[str, float] | None = None) -> dict[str, str]:
-    """Tolerances of a first spec; those against zero leave room for what is there today.
+    """Return tolerances of a first spec; those against zero exceed the present values.
 
     Args:
-        found: values of a trial.
-        motion: unit -> how far joints fall; then rest is bounded by a fraction of it.
+        found: values of a trial run.
+        motion: unit -> fall of the joints; tolerances of the rest position are a fraction of it.
     """
     growth = max(1e-3, 2.0 * found["energy_growth"])
     depth = max(1e-4, 2.0 * found["penetration"])
@@ -171,7 +171,7 @@ def _bounds(found: Mapping[str, Any], motion: Mapping[str, float] | None = None)
 
 
 def _motion(found: Mapping[str, Any], realization: Realization) -> dict[str, float]:
-    """How far the joints are from where they started: unit -> the largest, rad and m."""
+    """Return unit -> largest distance of the joints from their start, rad and m."""
     start = proposals.first_qpos(realization)
     return {
         unit: max(

@@ -1,4 +1,4 @@
-"""Step: one joint, one bounded step of its command, and how it answers."""
+"""Step: response of one joint to a step of its command."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ _FIRST_BOUNDS = {
     "settling_time": "20 ms",
     "steady_state_error": "1 %",
 }
-_STILL = 1e-9  # fraction of the step; below it nothing answered
+_STILL = 1e-9  # fraction of the step below which there is no response
 
 
 class Step(Check):
-    """A step of one joint's command, after the robot has settled under its hold.
+    """Response to a step of one joint's command, after the robot has settled under its hold.
 
     ``values``: ``rise_time`` (10 to 90 %) and ``settling_time`` (2 %) in s, ``overshoot`` and
-    ``steady_state_error`` as fractions of the step, each None where the response does not carry
-    it, and ``final`` in the response's unit. The trace has command and response from the step on.
+    ``steady_state_error`` as fractions of the step, each None if the response does not determine
+    it, and ``final`` in the response's unit. The trace has command and response after the step.
     """
 
     kind: ClassVar[str] = "step"
@@ -83,13 +83,13 @@ class Step(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """All that moves the joint, and the named keyframe."""
+        """Return all parts that affect the joint's motion, and the named keyframe."""
         return set(structure.dynamics([golden.target["joint"]])) | {
             f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
         }
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Hold, settle, step."""
+        """Hold the joint, let it settle, and apply the step."""
         from pytest_twin.realization import simulate
 
         unit = command_unit(golden, realization)
@@ -150,7 +150,7 @@ class Step(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Metrics and the worst sample of the response against the record."""
+        """Compare metrics and the worst sample of the response with the record."""
         joint = golden.target["joint"]
         measures = scalar_measures(
             golden, _METRICS, observation.values, joint, undefined=_UNDEFINED
@@ -183,7 +183,7 @@ class Step(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """A small step of every drive; of every joint as a torque where the robot has no drive."""
+        """Propose a small step of every drive, or a torque step of every joint without drives."""
         actuation = proposals.Actuation.of(realization)
         specs = [
             self._joint_step(realization, joint, command, actuation)
@@ -252,7 +252,7 @@ class Step(Check):
         fraction: float,
         notes: list[str],
     ) -> Mapping[str, Any]:
-        """The spec with tolerances on what its response has."""
+        """Add tolerances for the values of the spec's response."""
         trial = proposals.draft(self, realization, spec)
         found = self.observe(trial, realization, lambda _: None)
         assert found.trace is not None

@@ -1,4 +1,4 @@
-"""Task: a user's own Python function of a realization, with its declared outputs."""
+"""Task: a user's Python function of a realization, with declared outputs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _LARGEST_OUTPUT = 10_000
 
 
 class Task(Check):
-    """What a user's function computes from a realization.
+    """Outputs that a user's function computes from a realization.
 
     The function runs with the rights of the user who runs pytest, unless goldens are confined. It
     is called ``function(realization, **stimulus)`` in the child process and returns
@@ -97,8 +97,8 @@ class Task(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Everything of the realization, the function's file (or the version of the distribution
-        that brought it), and the files that the spec declares."""
+        """Return all parts of the realization, the function's file (or the version of its
+        distribution), and the files that the spec declares."""
         parts = set(structure.everything())
         place, _, _ = golden.target["function"].partition(":")
         if place.endswith(".py"):
@@ -107,17 +107,17 @@ class Task(Check):
             parts |= {f"library:{name}" for name in _distributions(place)}
         parts |= {f"file:{name}" for name in golden.target.get("files", ())}
         parts |= {f"calibration:{joint}" for joint in structure.joint_body}
-        # The function may ask for any variant.
+        # The function may use any variant.
         parts |= {"controller:*", "payload:*", "calibration:*", "record:*"}
         parts.add("base:calibration")
         return parts
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Nothing: no tool can know what the robot is for."""
+        """Propose nothing, because the robot's task is unknown."""
         raise NothingToProposeError("a task is code of your own; docs/kinds/task.md has an example")
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """Call the function and hold what it returns against what the spec declares."""
+        """Call the function, and check its result against the declared outputs."""
         outputs = golden.target["outputs"]
         with _function(golden, realization) as function:
             try:
@@ -134,7 +134,7 @@ class Task(Check):
         progress(1.0)
         if not isinstance(returned, Mapping):
             raise _refuse(
-                golden, "the function returned no mapping", type(returned).__name__, outputs
+                golden, "the function did not return a mapping", type(returned).__name__, outputs
             )
         for problem, names in (
             ("outputs that the function did not return", outputs.keys() - returned.keys()),
@@ -147,7 +147,7 @@ class Task(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """Hold each number against the recorded one."""
+        """Compare each number with the recorded one."""
         expected = golden.expected or {}
         measures: list[Measure] = []
         for name, declared in golden.target["outputs"].items():
@@ -204,10 +204,10 @@ def _refuse(golden: Golden, problem: str, value: str, outputs: Mapping[str, Any]
 
 
 def _numbers(golden: Golden, name: str, value: Any) -> float | list[float]:
-    """``value`` as JSON-able numbers.
+    """Return ``value`` as a number or list of numbers for JSON.
 
     Raises:
-        SpecError: no number or list of numbers, too many, or not finite.
+        SpecError: not a number or list of numbers, too many, or not finite.
     """
     if hasattr(value, "tolist"):
         value = value.tolist()
@@ -227,7 +227,7 @@ def _numbers(golden: Golden, name: str, value: Any) -> float | list[float]:
             raise spec_error(
                 golden,
                 where,
-                "the function returned no number",
+                "the function did not return a number",
                 value=type(item).__name__,
                 expected="a number or a list of numbers",
             )
@@ -245,13 +245,13 @@ def _numbers(golden: Golden, name: str, value: Any) -> float | list[float]:
 
 @functools.cache
 def _distributions(module: str) -> tuple[str, ...]:
-    """Installed distributions that bring the top package of ``module``."""
+    """Return the installed distributions that contain the top package of ``module``."""
     return tuple(metadata.packages_distributions().get(module.partition(".")[0], ()))
 
 
 @contextlib.contextmanager
 def _function(golden: Golden, realization: Realization) -> Iterator[Callable[..., Any]]:
-    """The function, while its own folder can be imported from."""
+    """Load the function in a context in which its folder is importable."""
     place, _, name = golden.target["function"].partition(":")
     field = "target.function"
     with contextlib.ExitStack() as stack:
@@ -299,9 +299,9 @@ def _installed(golden: Golden, field: str, place: str) -> ModuleType:
 
 @contextlib.contextmanager
 def _importable(folder: Path) -> Iterator[None]:
-    """Let modules beside a file be imported; forget them afterwards.
+    """Make modules in a folder importable, and remove them afterwards.
 
-    The child lives on, and another golden's ``helper.py`` is another module.
+    The child process runs several goldens, whose modules may have equal names.
     """
     before = set(sys.modules)
     sys.path.insert(0, str(folder))
@@ -316,7 +316,7 @@ def _importable(folder: Path) -> Iterator[None]:
 
 
 def _load(path: Path) -> ModuleType:
-    """Run a file as a module of its own."""
+    """Load a file as a separate module."""
     spec = importlib.util.spec_from_file_location(f"pytest_twin_task_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise SpecError("cannot be loaded", path=path, expected="a Python file")

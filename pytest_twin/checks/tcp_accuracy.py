@@ -1,4 +1,4 @@
-"""Accuracy of a frame: forward kinematics against poses that an external instrument measured."""
+"""Accuracy of a frame: forward kinematics compared with externally measured poses."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class TcpAccuracy(Check):
-    """Pose of a frame in the world at recorded joint positions, against external measurements.
+    """Error of a frame's pose at recorded joint positions, relative to external measurements.
 
     ``values``: ``position`` and ``orientation``: measurement -> error in m and rad.
     """
@@ -60,7 +60,7 @@ class TcpAccuracy(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Kinematics of the chain to the frame, zeros of its joints, the base, the file."""
+        """Return kinematics of the chain to the frame, its joint zeros, the base and the file."""
         chain = structure.chain([golden.target["frame"]])
         return (
             chain
@@ -69,7 +69,7 @@ class TcpAccuracy(Check):
         )
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
-        """The frame at every measured configuration, by MuJoCo."""
+        """Compute the frame at every measured configuration with MuJoCo."""
         import mujoco
 
         from pytest_twin.realization.encoders import Encoders, calibration_of
@@ -104,11 +104,11 @@ class TcpAccuracy(Check):
     def compare(
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
-        """The worst measurement, or the root mean square over all, as the spec bounds them."""
+        """Compare the worst measurement, or the root mean square error, with the tolerances."""
         return _measures(golden, observation.values, golden.target["frame"], self.tolerances)
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Nothing: only an instrument knows where the frame is."""
+        """Propose nothing, because the check needs external measurements."""
         raise NothingToProposeError(
             "it needs measured poses of a frame; docs/kinds/tcp_accuracy.md has an example"
         )
@@ -120,16 +120,16 @@ def _measures(
     subject: str,
     units: Mapping[str, str],
 ) -> list[Measure]:
-    """A measure for each tolerance of a spec: ``NAME`` the worst, ``NAME_rms`` over all.
+    """Return a measure for each tolerance: ``NAME`` for the worst, ``NAME_rms`` for all.
 
     Args:
-        golden: states the tolerances.
+        golden: golden with the tolerances.
         errors: ``position`` and ``orientation`` -> measurement -> error, m and rad.
-        subject: what was measured.
+        subject: subject of the measurements.
         units: tolerance -> SI unit.
 
     Raises:
-        SpecError: no tolerance, or one of something that was not measured.
+        SpecError: no tolerance, or a tolerance of a quantity that was not measured.
     """
     if not golden.tolerance:
         raise spec_error(
@@ -167,7 +167,7 @@ def _measures(
 
 
 def _measurements(golden: Golden, realization: Realization) -> Observations:
-    """The rows of the file that hold a measurement of the frame."""
+    """Return the rows of the file with a measurement of the frame."""
     twin = realization.twin
     if twin is None:
         raise spec_error(
@@ -197,7 +197,7 @@ def _measurements(golden: Golden, realization: Realization) -> Observations:
 
 
 def _readings(golden: Golden, measured: Observations, joints: list[str]) -> np.ndarray:
-    """(rows, joints) encoder readings, rad or m."""
+    """Return the (rows, joints) encoder readings, rad or m."""
     columns = np.zeros((len(measured), len(joints)))
     for at, joint in enumerate(joints):
         values = measured.joints.get(joint, np.full(len(measured), np.nan))

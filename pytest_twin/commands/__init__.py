@@ -1,1 +1,1 @@
-"""One file per command: ``HELP``, ``add_arguments(parser)``, ``run(args) -> exit status``."""
+"""Commands of the CLI. Each module has ``HELP``, ``add_arguments(parser)`` and ``run(args)``."""

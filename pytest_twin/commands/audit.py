@@ -1,4 +1,4 @@
-"""``pytest-twin audit``: faults and unknown properties of a robot's file."""
+"""``pytest-twin audit``: report faults and unknown properties of a robot's file."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 without a critical finding, 1 with one.
+    """Audit a file; return 0 without and 1 with a critical finding.
 
     Raises:
-        TwinError: an asset that cannot be read.
+        TwinError: the file cannot be read.
     """
     asset: Path = args.asset
     out: Path = args.out
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _call(args: argparse.Namespace) -> tuple[str, dict[str, object]]:
-    """The function of the child process, and its arguments."""
+    """Return the function of the child process, and its arguments."""
     asset: Path = args.asset
     for path in (asset, args.urdf, args.evidence):
         if path is not None and not path.is_file():

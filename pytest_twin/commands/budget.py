@@ -1,4 +1,4 @@
-"""``pytest-twin budget``: how far each measured uncertainty moves the task's frame."""
+"""``pytest-twin budget``: write the error budget of the task's frame."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EXAMPLES = (
     "pytest-twin budget twin.yaml --out budget/",
     "pytest-twin budget cell/ --out cell/budget/ --json - | jq .total",
 )
-EXIT_STATUS = {0: "the budget is written; what nothing measured is named in it"}
+EXIT_STATUS = {0: "the budget is written, with a list of unmeasured error sources"}
 JSON_NAME, PAGE_NAME = "budget.json", "budget.html"
 
 
@@ -41,10 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once the budget is written.
+    """Write the budget; return 0.
 
     Raises:
-        TwinError: a twin, a record or a recording that cannot be used.
+        TwinError: a twin, record or recording cannot be used.
     """
     twin: Path = args.twin / FILE_NAME if args.twin.is_dir() else args.twin
     if not twin.is_file():
@@ -65,12 +65,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _words(document: dict[str, Any]) -> list[str]:
-    """What people read: the total, then each category."""
+    """Return the summary for people: the total, then each category."""
     output, total = document["output"], document["total"]
     lines = [f"error budget of {document['twin']!r}: pose of {output['frame']!r}"]
     lines.append(f"  {output['frame_source']}; {output['poses_source']}")
     if total["sampled"] is None:
-        lines.append("  total: no record of this twin moves the frame")
+        lines.append("  total: no record of this twin affects the frame")
     else:
         lines.append(f"  total: {_size(total['sampled'])}{_share(total['share'])}")
     for one in document["categories"]:

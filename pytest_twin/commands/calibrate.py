@@ -1,4 +1,4 @@
-"""``pytest-twin calibrate``: joint zeros, geometry and frames, with their held-out error."""
+"""``pytest-twin calibrate``: estimate joint zeros, geometry and frames, with held-out errors."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ EXAMPLES = (
 )
 EXIT_STATUS = {
     0: "the held-out errors are accepted",
-    1: "they are not, or the observations do not determine what was asked for",
+    1: "they are rejected, or the observations do not determine a requested parameter",
 }
 ACCEPTED, NOT_ACCEPTED = 0, 1
 FILE_NAME, PAGE_NAME = "calibration.json", "calibration.html"
 OBSERVATIONS = "observations"
-"""Folder in which tables and images of recordings are kept, so that they can be tried again."""
+"""Folder for tables and images extracted from recordings, for repeated calibrations."""
 
 EXPORTS = (
     "static_transforms.sh",
@@ -63,10 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 accepted, 1 rejected or not determined.
+    """Calibrate; return 0 if accepted, 1 if rejected or not determined.
 
     Raises:
-        TwinError: input that cannot be used.
+        TwinError: the input cannot be used.
     """
     plan: Path = args.plan
     if not plan.is_file():
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         )
     atomic.write_text(out / FILE_NAME, json.dumps(document, indent=2) + "\n")
     for name in EXPORTS:
-        # Those of an earlier, accepted run say something else.
+        # Exports of an earlier, accepted run would contradict this result.
         (out / name).unlink(missing_ok=True)
     for name, text in exports.items():
         atomic.write_text(out / name, text)

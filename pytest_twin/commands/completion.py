@@ -1,7 +1,6 @@
-"""``pytest-twin completion``: what a shell needs to complete the command line.
+"""``pytest-twin completion``: print a script with which a shell completes the command line.
 
-The script is written once by shtab. A completer that asks the program at every key press would
-load the program each time.
+shtab generates a static script. A dynamic completer would start the program at every key press.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once the script is printed.
+    """Print the script; return 0.
 
     Raises:
         TwinError: the extra ``completion`` is not installed.

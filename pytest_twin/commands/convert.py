@@ -1,4 +1,4 @@
-"""``pytest-twin convert``: any recording that can be read, as MCAP."""
+"""``pytest-twin convert``: write recordings of any format as MCAP."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ EXAMPLES = (
 EXIT_STATUS = {0: "every recording is written"}
 DONE = 0
 _SECOND = 1_000_000_000
-# Positions follow their commands with at least this correlation and about their size. On the
-# SO-101's recordings the least is 0.67; a force of EMPS has 650 times the size.
+# Smallest correlation of positions with position commands, and largest ratio of their sizes. On the
+# SO-101's recordings the smallest correlation is 0.67; a force command of EMPS has 650 times the
+# size of the positions.
 _FOLLOWS = 0.6
 _SAME_SIZE = 3.0
 
@@ -67,10 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once all files are written.
+    """Convert the inputs; return 0.
 
     Raises:
-        TwinError: input that cannot be used.
+        TwinError: an input cannot be used.
     """
     out: Path = args.out
     _check_out(out, args.inputs)
@@ -88,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         )
     atomic.write_text(out.with_suffix(".json"), json.dumps(summary, indent=2) + "\n")
     json_output.give(args, summary)
-    # Names come from files and may carry terminal escapes.
+    # Names come from files and may contain terminal escape sequences.
     show("\n".join(printable(line) for line in _words(summary["written"])))
     return DONE
 
@@ -101,10 +102,10 @@ def convert_files(
     units: str | None,
     command_mode: str | None,
 ) -> dict[str, Any]:
-    """Read all inputs, then write; runs in the child process.
+    """Read all inputs, then write all files; runs in the child process.
 
     Returns:
-        The content of the JSON file beside the recordings.
+        The content of the JSON file that accompanies the recordings.
     """
     recordings = [
         recording
@@ -123,7 +124,7 @@ def convert_files(
 
 
 def names_of(out: Path, count: int) -> list[Path]:
-    """``FILE.mcap`` for one recording, ``FILE_000.mcap`` and so on for several."""
+    """Return ``FILE.mcap`` for one recording, ``FILE_000.mcap`` and so on for several."""
     if count == 1:
         return [out]
     width = max(3, len(str(count - 1)))
@@ -133,14 +134,14 @@ def names_of(out: Path, count: int) -> list[Path]:
 def converted(
     recording: Recording, command_mode: str | None
 ) -> tuple[dict[str, JointSeries], list[str]]:
-    """The series as they are written, and notes about what had to be decided.
+    """Return the series to write, and notes about assumptions.
 
     Args:
-        recording: as read.
-        command_mode: what commands are that do not say it.
+        recording: the recording.
+        command_mode: quantity of commands whose format does not state it.
 
     Raises:
-        RecordingError: neither states nor commands.
+        RecordingError: the recording has neither states nor commands.
     """
     if not recording.series:
         raise RecordingError(
@@ -179,7 +180,7 @@ def converted(
 
 
 def _without(recording: Recording, role: str) -> str:
-    """That a role is missing, and what else in the file could be it."""
+    """Return a note that a role is missing, with candidate topics."""
     found = pairs(recording)
     return f"no {role}s" + (f"; to read them: {topics_option(*found[0])}" if found else "")
 
@@ -194,7 +195,7 @@ def _of_any_quantity(series: JointSeries) -> bool:
 
 
 def _followed(command: JointSeries, state: JointSeries | None) -> str | None:
-    """``position`` where the positions of most joints follow the commands."""
+    """Return ``position`` if the positions of most joints follow the commands, else None."""
     if state is None or state.position is None or command.position is None:
         return None
     follows = []
@@ -242,7 +243,7 @@ def _summary(
 
 
 def _words(written: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A line for each file, with its notes; what is noted of all comes once, last."""
+    """Return a line for each file with its notes; notes common to all files come once, last."""
     several = len(written) > 1
     of_all = [n for n in written[0]["notes"] if several and all(n in w["notes"] for w in written)]
     lines = []
@@ -261,11 +262,11 @@ def _words(written: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _check_out(out: Path, inputs: Sequence[Path]) -> None:
     if out.suffix != ".mcap":
-        raise TwinError("no name for a recording", path=out, expected="--out FILE.mcap")
+        raise TwinError("not a file name of a recording", path=out, expected="--out FILE.mcap")
     if not out.absolute().parent.is_dir():
         raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
     for path in inputs:
-        # A file of the bag folder would be replaced by what is read from it.
+        # Writing would replace a file of the bag that is being read.
         if out.resolve() == path.resolve() or path.resolve() in out.resolve().parents:
             raise TwinError(
                 "would overwrite the recording itself", path=out, expected="another file"

@@ -1,4 +1,4 @@
-"""``pytest-twin diagnose``: what a model lacks, where, how surely, and what it would buy."""
+"""``pytest-twin diagnose``: find effects that a model lacks, with confidence and held-out gain."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ EXAMPLES = (
     "pytest-twin diagnose --fleet fleet.yaml --out diagnoses",
 )
 EXIT_STATUS = {
-    0: "nothing is left unexplained",
-    1: "a mismatch is left that no known effect explains",
+    0: "no residual is unexplained",
+    1: "a residual remains that no known effect explains",
 }
 EXPLAINED, LEFT_OVER = 0, 1
 SECONDS = 120.0
-"""Time of a diagnosis where none is given, s."""
-# Bound on a diagnosis that takes as long as it takes, s.
+"""Default time of a diagnosis, s."""
+# Limit of a diagnosis without a time limit, s.
 _SECONDS = 4 * 3600.0
-# As diagnosis.diagnose and gate.diagnosis_folder report the fraction done.
+# Fractions reported by diagnosis.diagnose and gate.diagnosis_folder at the start of each stage.
 _STAGES = (
     (0.0, "reading the recordings"),
     (0.02, "measuring the noise floor"),
@@ -114,10 +114,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 where nothing is left unexplained, 1 where something is.
+    """Diagnose; return 0 if no residual is unexplained, else 1.
 
     Raises:
-        TwinError: input that cannot be used.
+        TwinError: the input cannot be used.
     """
     seconds = SECONDS if args.seconds is None else args.seconds
     arguments = {
@@ -131,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     if args.fleet is not None:
         if args.model is not None:
             raise TwinError(
-                "MODEL and --fleet exclude each other",
+                "MODEL and --fleet cannot be combined",
                 where="--fleet",
                 value=args.model,
                 expected="one of them",
@@ -166,23 +166,23 @@ def diagnose_into(
     arguments: Mapping[str, Any],
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Diagnose in a child process and write the folder as a whole; the summary of the child.
+    """Diagnose in a child process, write the folder atomically, and return the child's summary.
 
     Args:
-        out: absolute; new, empty, or that of an earlier diagnosis.
-        model, recordings, held_out: as the command has them.
+        out: absolute path of a new or empty folder, or of an earlier diagnosis.
+        model, recordings, held_out: files and folders, as on the command line.
         arguments: further fields of :class:`DiagnosisRequest`.
-        progress: shows how far it is; Ctrl-C then ends the search early.
+        progress: shows the progress; if given, Ctrl-C ends the search early.
 
     Raises:
-        TwinError: input that cannot be used.
+        TwinError: the input cannot be used.
     """
     folders.check_replaceable(out, DIAGNOSIS_FILE, "diagnosis")
     found = find_model(model)
     with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
         staging = Path(scratch) / "diagnosis"
         staging.mkdir()
-        # The simulator writes its log into the working folder, so that is one that goes.
+        # The simulator writes its log to the working folder, so use one that is deleted.
         with (
             Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox,
             contextlib.nullcontext()
@@ -209,19 +209,19 @@ def diagnose_into(
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisRequest:
-    """What a diagnosis is asked for, as one process tells another.
+    """Arguments of a diagnosis, passed to the child process.
 
     Attributes:
-        model: file of the model.
+        model: path of the model.
         recordings, held_out: files and folders.
-        out: empty folder.
-        topics: role -> topic, before those of the twin.
-        options: how recordings are read, before what the twin says.
-        packages, roots: where the model's files may lie.
-        seconds: that the search may take; 0: as long as it takes.
-        own_time: whether these are the command's own and not the user's.
-        answer_first: whether one recording is diagnosed quickly before.
-        threads: of the simulations, 0 for all cores.
+        out: an empty folder.
+        topics: role -> topic, overrides the twin's topics.
+        options: options for reading recordings, override the twin's options.
+        packages, roots: folders that may contain the model's files.
+        seconds: time limit of the search, s; 0 for no limit.
+        own_time: whether ``seconds`` is the command's default, not the user's choice.
+        answer_first: whether a quick diagnosis of one recording comes first.
+        threads: number of simulation threads, 0 for all cores.
     """
 
     model: str
@@ -245,12 +245,12 @@ def diagnose_files(
 ) -> dict[str, Any]:
     """Load, diagnose, write; runs in the child process.
 
-    An interruption (SIGINT) ends the search early: the best so far is written.
+    SIGINT ends the search early; the best result so far is written.
 
     Args:
         request: fields of :class:`DiagnosisRequest`.
-        progress: told the fraction done.
-        tell: told states and lines for the terminal.
+        progress: called with the fraction done.
+        tell: called with states and lines for the terminal.
 
     Returns:
         The verdict and the lines to print.
@@ -305,7 +305,7 @@ def diagnose_files(
 
 
 def _seconds(text: str) -> float:
-    """A time in s, 0 or more."""
+    """Parse a time in s, 0 or more."""
     try:
         seconds = float(text)
     except ValueError:
@@ -319,7 +319,7 @@ def _seconds(text: str) -> float:
 
 @contextlib.contextmanager
 def _stopped_by_interrupt(sandbox: Sandbox, progress: Progress) -> Iterator[None]:
-    """The first Ctrl-C inside ends the search early; the second one aborts."""
+    """Let the first Ctrl-C end the search early and the second one abort."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

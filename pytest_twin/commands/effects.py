@@ -1,4 +1,4 @@
-"""``pytest-twin effects``: what a diagnosis can name."""
+"""``pytest-twin effects``: list the effects that a diagnosis can identify."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ EXIT_STATUS = {0: "the catalogue is printed"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """It takes none."""
+    """Do nothing: the command has no arguments."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the catalogue as Markdown; always 0."""
+    """Print the catalogue as Markdown; return 0."""
     effects = catalogue()
     json_output.give(args, as_json(effects))
     sys.stdout.write(cards(effects))

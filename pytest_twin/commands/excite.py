@@ -1,4 +1,4 @@
-"""``pytest-twin excite``: safe motions for identification, and what they will and will not tell."""
+"""``pytest-twin excite``: design safe motions for identification, and predict identifiability."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ EXAMPLES = (
     "pytest-twin excite cell/twin.yaml --out excitation/ --seed 7 --json -",
 )
 EXIT_STATUS = {
-    0: "all that is asked for is identifiable by motions that keep the approved limits",
-    1: "something is not, or no motion for it is safe",
+    0: "all requested parameters are identifiable by motions within the approved limits",
+    1: "a parameter is not identifiable, or no motion for it is safe",
 }
 IDENTIFIABLE, NOT_IDENTIFIABLE = 0, 1
 FILE_NAME, ABORT_NAME, PAGE_NAME = "excitation.json", "abort.json", "excitation.html"
 _SECONDS = 3600.0
-"""Bound on the design: an arm of seven joints takes about two minutes."""
+"""Time limit of the design, s: an arm of seven joints takes about two minutes."""
 _MOST_LINES = 12
 
 
@@ -63,10 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 all identifiable, 1 not.
+    """Design the motions; return 0 if all parameters are identifiable, else 1.
 
     Raises:
-        TwinError: input that cannot be used, or limits that nobody has approved.
+        TwinError: the input cannot be used, or its limits are not approved.
     """
     model = str(find_model(args.model))
     search = model_files.search_folders(args)
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _seed(word: str) -> int:
     if not word.isdigit() or len(word) > 6:
-        raise argparse.ArgumentTypeError(f"{word!r} is no seed (expected 0 to 999999)")
+        raise argparse.ArgumentTypeError(f"{word!r} is not a seed (expected 0 to 999999)")
     return int(word)
 
 

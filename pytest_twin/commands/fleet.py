@@ -1,4 +1,4 @@
-"""``pytest-twin diagnose --fleet``: many robots, one diagnosis each."""
+"""``pytest-twin diagnose --fleet``: diagnose several robots."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class Robot:
     """One robot of a fleet.
 
     Attributes:
-        name: of the robot and of its folder.
+        name: name of the robot and of its folder.
         model: MJCF, URDF or ``twin.yaml``, or the folder of an earlier diagnosis.
-        recordings, held_out: as ``diagnose`` takes them.
+        recordings, held_out: files and folders, as for ``diagnose``.
     """
 
     name: str
@@ -44,13 +44,13 @@ class Robot:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one robot.
+    """Result for one robot.
 
     Attributes:
-        name: of the robot.
-        verdict: of its diagnosis; None where its input cannot be used.
-        error: the message then.
-        seconds: wall time.
+        name: name of the robot.
+        verdict: verdict of its diagnosis; None if its input cannot be used.
+        error: the message in that case.
+        seconds: wall time, s.
     """
 
     name: str
@@ -61,12 +61,12 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What all robots of a fleet share.
+    """Options that all robots of a fleet share.
 
     Attributes:
-        out: folder that gets a folder for each robot.
+        out: parent of the folders of all robots.
         threads: cores of each diagnosis, 0 for all.
-        arguments: fields of ``DiagnosisRequest`` beside the files.
+        arguments: fields of ``DiagnosisRequest`` other than files.
     """
 
     out: Path
@@ -75,10 +75,10 @@ class Options:
 
 
 def read_fleet(path: Path) -> list[Robot]:
-    """The robots of a fleet file; paths are relative to it.
+    """Read the robots of a fleet file; paths are relative to it.
 
     Raises:
-        SpecError: a field is missing, unknown or no path; with its line.
+        SpecError: a field is missing, unknown or not a path; with its line.
         FormatError: not strict YAML.
     """
     document = yaml.load(path)
@@ -99,7 +99,7 @@ def read_fleet(path: Path) -> list[Robot]:
     for name, item in robots.items():
         here = f"robots.{name}"
         if portable_name(name) != name:
-            raise refuse(here, "no name for a folder", f"a plain name: {portable_name(name)}", name)
+            raise refuse(here, "not a folder name", f"a plain name: {portable_name(name)}", name)
         if not isinstance(item, dict) or not {"model", "recordings"} <= set(item) <= _FIELDS:
             raise refuse(here, "wrong fields", "model, recordings and, if wanted, held_out")
         files = {}
@@ -119,7 +119,7 @@ def read_fleet(path: Path) -> list[Robot]:
 
 
 def diagnose_robot(robot: Robot, options: Options) -> Outcome:
-    """Diagnose one robot into its folder; an unusable input is an outcome, not an error."""
+    """Diagnose one robot into its folder; unusable input gives an outcome instead of an error."""
     from pytest_twin.commands.diagnose import diagnose_into
 
     since = time.perf_counter()
@@ -137,23 +137,25 @@ def diagnose_robot(robot: Robot, options: Options) -> Outcome:
 
 
 def diagnose_fleet(robots: Sequence[Robot], options: Options, executor: Executor) -> list[Outcome]:
-    """Diagnose every robot; outcomes in their order.
+    """Diagnose every robot, and return the outcomes in the same order.
 
     Args:
-        robots: of different names.
-        options: what they share.
-        executor: where the diagnoses run.
+        robots: robots with different names.
+        options: options that they share.
+        executor: executor of the diagnoses.
     """
     options.out.mkdir(exist_ok=True)
     return executor.map(partial(diagnose_robot, options=options), robots)
 
 
 def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
-    """0 where nothing is left unexplained, 1 where something is, 2 where an input cannot be used.
+    """Diagnose a fleet; return the exit status.
+
+    It is 0 if no residual is unexplained, 1 if one is, 2 if an input cannot be used.
 
     Args:
-        args: of ``diagnose``.
-        arguments: fields of ``DiagnosisRequest`` beside the files.
+        args: parsed arguments of ``diagnose``.
+        arguments: fields of ``DiagnosisRequest`` other than files.
 
     Raises:
         TwinError: the fleet file or the output folder cannot be used.

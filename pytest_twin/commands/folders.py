@@ -1,4 +1,4 @@
-"""The folder that a command writes to."""
+"""Create and check the folder that a command writes to."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from pytest_twin.errors import PathError, TwinError
 
 
 def make(folder: Path) -> Path:
-    """``folder``, made where it is not there.
+    """Create ``folder`` if it is missing, and return it.
 
     Raises:
-        PathError: a file is in the way, or the place cannot be written.
+        PathError: a file has that name, or the parent cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PathError(
-            f"no folder to write to: {error.strerror}", path=folder, where="--out"
+            f"not a folder that can be written: {error.strerror}", path=folder, where="--out"
         ) from None
     return folder
 
 
 def check_replaceable(folder: Path, file_name: str, what: str) -> None:
-    """Check that a folder may be replaced whole: it is new, empty, or holds an earlier result.
+    """Check that a folder may be replaced: it is new, empty, or an earlier result.
 
     Args:
-        folder: absolute.
-        file_name: file by which an earlier result is known.
-        what: the result, in words, such as ``diagnosis``.
+        folder: absolute path.
+        file_name: file that identifies an earlier result.
+        what: noun for the result, such as ``diagnosis``.
 
     Raises:
-        TwinError: no folder to put it in.
-        PathError: something else is there.
+        TwinError: the parent folder does not exist.
+        PathError: a file or a folder with other content has that name.
     """
     if not folder.parent.is_dir():
         raise TwinError("no such folder", path=folder.parent, expected="a folder that exists")

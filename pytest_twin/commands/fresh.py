@@ -1,4 +1,4 @@
-"""``pytest-twin fresh``: what has changed in a twin since a data set was stamped."""
+"""``pytest-twin fresh``: list changes of a twin since a data set was stamped."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 fresh, 1 not.
+    """List the changes; return 0 if none matters to the data, else 1.
 
     Raises:
-        TwinError: no stamp that holds, no twin, or a release that is not there.
+        TwinError: the stamp is invalid, or the twin or the release is missing.
     """
     dataset: Path = args.dataset
     found = stamps.read(dataset)
@@ -92,7 +92,7 @@ def _root(given: Path) -> Path:
 
 
 def _released(dataset: Path, found: list[stamps.Stamped], root: Path) -> release.Release:
-    """The release that the stamp states, once the stamp holds."""
+    """Return the release of the stamp, after verifying the stamp."""
     verdicts = stamps.judge(found, stamps.keys_of(dataset, found, root / "keys"))
     for path, verdict in verdicts.items():
         if not verdict.holds or verdict.release is None:
@@ -107,7 +107,7 @@ def _released(dataset: Path, found: list[stamps.Stamped], root: Path) -> release
 
 
 def _words(document: dict[str, Any]) -> list[str]:
-    """What people read: what matters first."""
+    """Return the summary for people, relevant changes first."""
     changes = document["changes"]
     matter = [one for one in changes if one["matters"]]
     verdict = "fresh" if document["verdict"] == "fresh" else "not fresh"

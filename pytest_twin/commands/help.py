@@ -1,4 +1,4 @@
-"""What ``--help`` says, and how a wrong command line is answered: in one line."""
+"""Format ``--help``, and errors of the command line on one line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def epilog(examples: Sequence[str], exit_status: Mapping[int, str]) -> str:
-    """The end of a command's help: examples, one a line, and what each exit status means."""
+    """Return the end of a command's help: examples, and the meaning of each exit status."""
     rows = {**exit_status, UNUSABLE_INPUT: _UNUSABLE}
     return "\n".join(
         [
@@ -46,5 +46,5 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def options_of(parser: argparse.ArgumentParser) -> list[str]:
-    """The long options that a parser knows."""
+    """Return the long options of a parser."""
     return sorted(set(re.findall(r"--[a-z][a-z-]*", parser.format_usage())))

@@ -1,4 +1,4 @@
-"""``pytest-twin identify``: a robot's parameters from recordings, stage by stage."""
+"""``pytest-twin identify``: identify a robot's parameters from recordings, in stages."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EXIT_STATUS = {
 ACCEPTED, NOT_ACCEPTED = 0, 1
 FILE_NAME, PAGE_NAME = "identification.json", "identification.html"
 _SECONDS = 4 * 3600.0
-"""Bound on one identification, s."""
+"""Time limit of an identification, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -117,7 +117,7 @@ def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def mounted(text: str) -> dict[str, str]:
-    """``NAME=TOPIC@FRAME`` of a command line."""
+    """Parse ``NAME=TOPIC@FRAME`` of a command line."""
     name, _, rest = text.partition("=")
     topic, _, frame = rest.partition("@")
     if not (name and topic and frame):
@@ -126,21 +126,21 @@ def mounted(text: str) -> dict[str, str]:
 
 
 def positive(text: str) -> float:
-    """A finite number of more than 0 of a command line."""
+    """Parse a finite number greater than 0 of a command line."""
     try:
         value = float(text)
     except ValueError:
         value = 0.0
     if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number of more than 0")
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number greater than 0")
     return value
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 accepted, 1 a stage is rejected.
+    """Identify; return 0 if accepted, 1 if a stage is rejected.
 
     Raises:
-        TwinError: input that cannot be used.
+        TwinError: the input cannot be used.
     """
     out: Path = args.out.absolute()
     folders.check_replaceable(out, FILE_NAME, "identification")

@@ -1,4 +1,4 @@
-"""``pytest-twin init``: a working twin around a robot's file."""
+"""``pytest-twin init``: set up a twin for a robot's file."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ EXAMPLES = (
     "pytest-twin init vendor/arm.xml --out arm_twin",
     "pytest-twin init arm.urdf moves.mcap --tolerance 5mrad,wrist=2mrad",
 )
-EXIT_STATUS = {0: "the twin stands and its goldens are recorded"}
+EXIT_STATUS = {0: "the twin is set up and its goldens are recorded"}
 DONE = 0
 _NAMES_AND_LINES = re.compile(r"'[^']*'|:\d+:")
 _FOR_THE_READER = ("Tolerance", "To write", "Not tested by this step")
-"""Notes that the reader of a golden needs, and nobody before."""
+"""Prefix of notes that are relevant only to readers of a golden."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,10 +80,10 @@ def _tolerance(text: str) -> TaskTolerance:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once the twin stands and its first goldens are recorded.
+    """Set up the twin and record its first goldens; return 0.
 
     Raises:
-        TwinError: no model that could be loaded, or a twin that is there already.
+        TwinError: the model cannot be loaded, or a twin exists already.
     """
     robot: Path = args.robot.resolve()
     folder: Path = args.out.resolve()
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
             "no robot file", path=args.robot, expected="a URDF (.urdf) or an MJCF (.xml) file"
         )
     if (folder / FILE_NAME).exists():
-        raise SpecError("there is a twin already", path=folder / FILE_NAME, expected="a new folder")
+        raise SpecError("a twin exists already", path=folder / FILE_NAME, expected="a new folder")
     with writing.all_or_nothing(folder):
         return _set_up(robot, folder, args)
 
@@ -183,7 +183,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
     for why in unwritten:
         show(f"to write: {why}")
     for where, why in failing.items():
-        show(f"FAILS as it stands: {where}: {why}")
+        show(f"FAILS now: {where}: {why}")
     if failing:
         show("next: pytest says why; pytest --twin-release signs once no golden fails")
     else:
@@ -192,16 +192,16 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
 
 
 def _some(goldens: list[str]) -> str:
-    """Names of goldens for a line of the summary: all of two, the first of more."""
+    """Return names of goldens for the summary: both of two, the first of more."""
     if len(goldens) <= 2:
         return ", ".join(goldens)
     return f"{goldens[0]} and {len(goldens) - 1} more"
 
 
 def _condensed(notes: Iterable[str], folder: Path) -> list[str]:
-    """Notes for the terminal: of several that differ in names and lines only, the first.
+    """Condense notes for the terminal: of several that differ only in names and lines, keep one.
 
-    A repair changes the physics of a link: each stays in sight.
+    Repairs change the physics of a link, so all of them are kept.
     """
     kinds: dict[str, list[str]] = {}
     for note in notes:
@@ -219,13 +219,13 @@ def _condensed(notes: Iterable[str], folder: Path) -> list[str]:
 
 
 def _reading(args: argparse.Namespace) -> dict[str, Any]:
-    """What the command line says of how recordings are read, as ``twin.yaml`` states it."""
+    """Return the options for reading recordings, in the form of ``twin.yaml``."""
     topics = {"topics": args.topics} if args.topics else {}
     return topics | recording_options(args)
 
 
 def _notes(specs: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
-    """What goldens say of themselves: note -> the goldens."""
+    """Return note -> goldens that have it."""
     told: dict[str, list[str]] = {}
     for spec in specs:
         for note in spec.get("notes", ()):
@@ -237,11 +237,11 @@ def _notes(specs: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
 def _record(
     twin_file: Path, specs: list[Path]
 ) -> tuple[list[str], dict[str, str], dict[str, str], list[str]]:
-    """Record every first golden; one that cannot run on this robot is taken out again.
+    """Record every first golden, and remove those that cannot run on this robot.
 
     Returns:
-        ids of what was recorded, what of it fails and why, what was taken out and why, and which
-        tolerances are to write.
+        ids of recorded goldens, failing goldens -> reason, removed goldens -> reason, and goldens
+            whose tolerances have to be written.
     """
     recorded: list[str] = []
     failing: dict[str, str] = {}

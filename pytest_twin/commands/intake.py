@@ -1,4 +1,4 @@
-"""``pytest-twin intake``: a supplier's files, frozen."""
+"""``pytest-twin intake``: copy a supplier's files unchanged, with digests."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pytest_twin.words import counted
 
 HELP = "copy a supplier's archive or folder unchanged, with a digest of every file"
 EXAMPLES = ("pytest-twin intake arm_v3.zip --out arm --supplier 'Arms Ltd'",)
-EXIT_STATUS = {0: "the files are kept and the manifest is written"}
+EXIT_STATUS = {0: "the files are copied and the manifest is written"}
 DONE = 0
 SOURCE = manifest.SOURCE_FOLDER
 _MEMORY_BYTES = 2 * 2**30
@@ -45,10 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once the source is frozen and the manifest stands.
+    """Copy the files and write the manifest; return 0.
 
     Raises:
-        TwinError: no archive that could be unpacked, or an asset that is there already.
+        TwinError: the archive cannot be unpacked, or the asset exists already.
     """
     origin: Path = args.origin
     if not origin.exists():
@@ -61,13 +61,13 @@ def run(args: argparse.Namespace) -> int:
     out: Path = (args.out or Path(name)).resolve()
     if (out / SOURCE).exists() or (out / manifest.FILE_NAME).exists():
         raise SpecError(
-            "there is an asset already, and its source is never written again",
+            "an asset exists already, and its source is never overwritten",
             path=out,
             expected="a new folder",
         )
     if origin.is_dir() and out.is_relative_to(origin.resolve()):
         raise SpecError(
-            "the asset would lie in its own source",
+            "the asset would be inside its own source",
             path=out,
             expected=f"a folder outside {origin} for --out",
         )

@@ -1,8 +1,8 @@
-"""``--json``, the same for every command: its result for programs.
+"""The option ``--json`` of every command: write the result for programs.
 
-``--json -`` makes standard output hold the JSON document and nothing else; what people read goes
-to standard error. ``--json FILE.json`` writes the document to a file and leaves the rest as it is.
-A command that ends with exit status 2 writes no document.
+With ``--json -`` standard output has only the JSON document, and text for people goes to standard
+error. ``--json FILE.json`` writes the document to a file and does not change the other output. A
+command that ends with exit status 2 writes no document.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ def add_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def give(args: argparse.Namespace, document: Mapping[str, Any]) -> None:
-    """Hand over the command's result; it is written once the command has ended."""
+    """Store the command's result, which is written when the command ends."""
     args.result = document
 
 
 def text_stream(args: argparse.Namespace) -> AbstractContextManager[object]:
-    """Where the command's text goes while it runs."""
+    """Return a context in which the command's text goes to the right stream."""
     if getattr(args, "json", None) == STANDARD_OUTPUT:
         return contextlib.redirect_stdout(sys.stderr)
     return contextlib.nullcontext()
 
 
 def write(args: argparse.Namespace) -> None:
-    """Write the result where ``--json`` asked for it.
+    """Write the result as requested by ``--json``.
 
     Raises:
         PathError: the file cannot be written.
@@ -63,10 +63,10 @@ def write(args: argparse.Namespace) -> None:
 
 
 def _target(word: str) -> str:
-    # Without this rule `audit --json robot.urdf` would replace the robot by its own report.
+    # Without this rule `audit --json robot.urdf` would overwrite the robot with its report.
     if word != STANDARD_OUTPUT and not word.endswith(".json"):
         raise argparse.ArgumentTypeError(
-            f"{word!r} is no name for a JSON file (expected FILE.json, or - for standard output)"
+            f"{word!r} is not a name of a JSON file (expected FILE.json, or - for standard output)"
         )
     if word != STANDARD_OUTPUT and not Path(word).absolute().parent.is_dir():
         raise argparse.ArgumentTypeError(f"{word!r}: its folder does not exist")

@@ -1,4 +1,4 @@
-"""``--root`` and ``--package``: the same for every command that reads a model."""
+"""The options ``--root`` and ``--package`` of every command that reads a model."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def search_folders(args: argparse.Namespace) -> SearchFoldersJson:
-    """The folders that the two options name, absolute, as a child process gets them.
+    """Return the folders of the two options as absolute paths, for a child process.
 
     Raises:
-        SpecError: no name, or no such folder.
+        SpecError: a package has no name, or a folder does not exist.
     """
     packages = {}
     for word in args.package:

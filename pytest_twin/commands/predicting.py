@@ -1,4 +1,4 @@
-"""What a model predicts for the trials of a recording, and how far it is from what was measured."""
+"""Predict the trials of a recording with a model, and compare with the measured states."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def predict(
     trials: Sequence[Trial],
     progress: Callable[[float], None],
 ) -> tuple[list[JointSeries], tuple[str, ...]]:
-    """The joint states that a model predicts for each trial, and notes.
+    """Return the predicted joint states of each trial, and notes.
 
     Args:
         realization: the model.
-        patched: effects that are stepped beside it, where a diagnosis wrote it.
-        trials: commands and first states are read, nothing else.
-        progress: told the fraction done.
+        patched: effects of a diagnosis that are stepped together with the model, or None.
+        trials: trials, of which only commands and first states are used.
+        progress: called with the fraction done.
 
     Raises:
         SimulationError: a simulation diverged.
@@ -65,7 +65,7 @@ def _series(trial: Trial, names: tuple[str, ...], values: Replayed | Predicted) 
 
 
 def joined(parts: Sequence[JointSeries], trials: Sequence[Trial]) -> JointSeries:
-    """The predictions of all trials as one topic."""
+    """Concatenate the predictions of all trials as one topic."""
     keep = [predicted_rows(trial) for trial in trials]
 
     def of(name: str) -> Any:
@@ -76,16 +76,16 @@ def joined(parts: Sequence[JointSeries], trials: Sequence[Trial]) -> JointSeries
 
 
 def predicted_positions(part: JointSeries) -> dict[str, FloatArray]:
-    """Joint -> (n,) positions, rad or m."""
+    """Return joint -> (n,) positions, rad or m."""
     return {} if part.position is None else dict(zip(part.names, part.position.T, strict=True))
 
 
 def distances(
     trials: Sequence[Trial], parts: Sequence[JointSeries], types: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Joint -> root mean square, maximum and mean of predicted less measured positions.
+    """Return joint -> root mean square, maximum and mean of predicted minus measured positions.
 
-    Samples that a message did not carry do not count; None where a trial is its first state alone.
+    Missing samples are ignored. Values are None for a trial with only its first state.
     """
     found = {}
     for column, joint in enumerate(parts[0].names):

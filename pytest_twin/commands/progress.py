@@ -1,4 +1,4 @@
-"""How far long work is: a live line on a terminal, a plain line each minute in a log."""
+"""Show the progress of long work: a live line on a terminal, a line each minute in a log."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Progress:
     """Shows stage, fraction done and time left on standard error while it is entered.
 
     Args:
-        work: what is done, ``diagnosing``.
+        work: description of the work, such as ``diagnosing``.
         stages: fraction at which each stage begins, ascending, and the stage's name.
     """
 
@@ -36,7 +36,7 @@ class Progress:
         self._ended = threading.Event()
 
     def __enter__(self) -> Self:
-        # A terminal alone is worth the time that rich takes to load.
+        # rich takes time to load, so only a terminal uses it.
         if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
             self._live = _live_line()
             self._live.start()
@@ -57,7 +57,7 @@ class Progress:
             self._live = None
 
     def begin(self, work: str) -> None:
-        """Start the next piece of work, at nothing done."""
+        """Start the next piece of work, with fraction 0."""
         self.work = work
         self._done = 0.0
         self._state = ""
@@ -77,9 +77,9 @@ class Progress:
         """Show a message of the work.
 
         Args:
-            kind: ``line`` for a line of its own, ``state`` for what belongs to the stage until the
-                next one.
-            text: without line breaks.
+            kind: ``line`` for a separate line, ``state`` for text shown with the stage until the
+                next stage.
+            text: the message, without line breaks.
         """
         if kind == "state":
             self._state = printable(text)
@@ -94,7 +94,7 @@ class Progress:
         return "; ".join(part for part in (stage, self._state) if part)
 
     def _each_minute(self) -> None:
-        # A step of the work may take many minutes, in which it reports nothing.
+        # A step of the work may take many minutes without a report.
         while not self._ended.wait(_LOOK_SECONDS):
             if (line := self._log.line(self._done, self._stage())) is not None:
                 print(line, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""``pytest-twin randomize``: ranges of what a twin's records leave uncertain, and their check."""
+"""``pytest-twin randomize``: compute randomization ranges from a twin's records and check them."""
 
 from __future__ import annotations
 
@@ -30,9 +30,8 @@ EXAMPLES = (
     "pytest-twin randomize cell/ --against events_cfg.py --out ranges/",
 )
 EXIT_STATUS = {
-    0: "the final recordings lie in the predicted envelope at the stated share, and it is no wider "
-    "than it need be",
-    1: "they do not, it is too wide, or there are no final recordings",
+    0: "the envelope contains the stated share of the final recordings and is not too wide",
+    1: "the envelope contains a smaller share or is too wide, or there are no final recordings",
 }
 JSON_NAME, PAGE_NAME = "ranges.json", "ranges.html"
 SECONDS = 3600.0
@@ -89,10 +88,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 if the final recordings lie in a useful envelope, else 1.
+    """Write the ranges; return 0 if the final recordings are within a useful envelope, else 1.
 
     Raises:
-        TwinError: a twin, a record or a recording that cannot be used.
+        TwinError: a twin, record or recording cannot be used.
     """
     twin: Path = args.twin / FILE_NAME if args.twin.is_dir() else args.twin
     if not twin.is_file():
@@ -125,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _words(document: dict[str, Any]) -> list[str]:
-    """What people read."""
+    """Return the summary for people."""
     lines = [f"randomization ranges of {document['twin']!r}"]
     lines += [f"  {line}" for line in document["words"]]
     return [*lines, *(f"  note: {note}" for note in document["notes"])]

@@ -1,4 +1,4 @@
-"""``pytest-twin realize``: a normalized URDF, MJCF and USD, and what each conversion lost."""
+"""``pytest-twin realize``: convert a URDF to normalized URDF, MJCF and USD, with a loss matrix."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXAMPLES = (
     "pytest-twin realize arm.urdf --out arm --accept inertia-repair:wrist",
 )
 EXIT_STATUS = {
-    0: "every form holds what the URDF states",
+    0: "every form represents what the URDF states",
     1: "a critical field is lost or invalid",
 }
 CLEAN, CRITICAL = 0, 1
@@ -47,15 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 where every form holds what the URDF states, 1 where a critical field fails.
+    """Convert; return 0 if every form represents the URDF, 1 if a critical field fails.
 
-    The normalized form is held to what ``audit`` calls critical as well: a repair that was
-    accepted is no fault any more, one that nobody accepted still is.
+    Critical findings of ``audit`` in the normalized form also count as failures. An accepted
+    repair removes its finding.
 
-    USD is left out, and said so, where the extra ``usd`` is missing; that alone is no failure.
+    Without the extra ``usd``, USD is omitted with a note, which is not a failure.
 
     Raises:
-        TwinError: no robot that could be read.
+        TwinError: the file contains no robot that can be read.
     """
     source: Path = args.urdf
     if not source.is_file():

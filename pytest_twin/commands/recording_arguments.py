@@ -1,4 +1,4 @@
-"""Options of every command that reads recordings."""
+"""Command-line options of every command that reads recordings."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def add_recordings(
     """Declare RECORDING and ``--held-out``.
 
     Args:
-        parser: of the command.
-        nargs: how many recordings are needed.
-        held_out: what the held-out ones are for, and which they are by default.
+        parser: parser of the command.
+        nargs: number of recordings, as for argparse.
+        held_out: help text: purpose and default of the held-out recordings.
     """
     parser.add_argument(
         "recordings", metavar="RECORDING", type=Path, nargs=nargs, help=RECORDING_HELP
@@ -45,9 +45,9 @@ def add_recordings(
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that say how recordings are read."""
+    """Declare the options for reading recordings."""
     group = parser.add_argument_group(
-        "how recordings are read", "each goes before the key of the same name in twin.yaml"
+        "how recordings are read", "each overrides the key of the same name in twin.yaml"
     )
     add_topics_argument(group, "twin.yaml's, else ")
     group.add_argument(
@@ -82,7 +82,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_topics_argument(group: argparse._ActionsContainer, before: str = "") -> None:
-    """Declare ``--topics``; ``before``: what goes before the default topics."""
+    """Declare ``--topics``; ``before`` describes what overrides the default topics."""
     group.add_argument(
         "--topics",
         metavar="state=/x,command=/y",
@@ -95,7 +95,7 @@ def add_topics_argument(group: argparse._ActionsContainer, before: str = "") -> 
 
 
 def add_reading_arguments(group: argparse._ActionsContainer) -> None:
-    """Declare what readers of single formats take."""
+    """Declare the options of single formats."""
     group.add_argument(
         "--columns",
         metavar="HEADER=MEANING,...",
@@ -113,7 +113,7 @@ def add_reading_arguments(group: argparse._ActionsContainer) -> None:
 
 
 def recording_options(args: argparse.Namespace) -> dict[str, Any]:
-    """The options of a command line, as ``RecordingOptions.from_json`` takes them."""
+    """Return the options of a command line, in the form for ``RecordingOptions.from_json``."""
     given = {
         "joints": args.joints,
         "command_mode": args.command_mode,
@@ -126,7 +126,7 @@ def recording_options(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def parse_topics(text: str) -> dict[str, str]:
-    """``state=/x,command=/y`` of a command line, as a mapping."""
+    """Parse ``state=/x,command=/y`` of a command line."""
     found: dict[str, str] = {}
     for item in text.split(","):
         role, separator, topic = item.partition("=")
@@ -139,17 +139,17 @@ def parse_topics(text: str) -> dict[str, str]:
 
 
 def parse_joints(text: str) -> dict[str, str]:
-    """``prefix=left_`` or ``left_elbow=elbow,...`` of a command line, as a mapping."""
+    """Parse ``prefix=left_`` or ``left_elbow=elbow,...`` of a command line."""
     return _pairs(text, "prefix=TEXT, suffix=TEXT or RECORDED=MODEL, with commas between")
 
 
 def parse_columns(text: str) -> dict[str, str]:
-    """``t=time,q1=elbow.position`` of a command line, as a mapping."""
+    """Parse ``t=time,q1=elbow.position`` of a command line."""
     return _pairs(text, "HEADER=MEANING with commas between")
 
 
 def parse_command_mode(text: str) -> CommandMode | dict[str, str]:
-    """``position`` or ``elbow=effort,...`` of a command line."""
+    """Parse ``position`` or ``elbow=effort,...`` of a command line."""
     for mode in COMMAND_MODES:
         if text == mode:
             return mode

@@ -1,4 +1,4 @@
-"""RELEASE on a command line: a release's folder, or a twin's."""
+"""Resolve RELEASE on a command line: a release's folder, or a twin's."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pytest_twin.errors import ReleaseError
 
 
 def release_folder(given: Path) -> Path:
-    """The folder of the release that is meant: itself, or the newest of a twin.
+    """Return the folder of a release: the given one, or the newest of a twin.
 
     Raises:
-        ReleaseError: no folder, or a twin without a release.
+        ReleaseError: not a folder, or a twin without a release.
     """
     if not given.is_dir():
         raise ReleaseError("no such release", path=given, expected="the folder of a release")

@@ -1,4 +1,4 @@
-"""``pytest-twin replay``: what a model does under the commands of a recording."""
+"""``pytest-twin replay``: simulate a model under the commands of a recording."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ EXAMPLES = (
 EXIT_STATUS = {0: "the prediction is written, however far it is from the recording"}
 DONE = 0
 STATE_TOPIC = TOPICS["state"]
-# In a folder that diagnose wrote, the first of these that is there.
+# In a folder of a diagnosis, the first of these that exists.
 _IN_FOLDER = (f"realization/{FILE_NAME}", "realization/model.xml", FILE_NAME)
 
 
@@ -75,10 +75,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once both files are written.
+    """Write the prediction and its comparison; return 0.
 
     Raises:
-        TwinError: input that cannot be used, or a simulation that diverged.
+        TwinError: the input cannot be used, or the simulation diverged.
     """
     out: Path = args.out
     recording = args.recording.resolve()
@@ -107,10 +107,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def find_model(given: Path) -> Path:
-    """The model or ``twin.yaml`` that a command line names.
+    """Return the model or ``twin.yaml`` for MODEL on a command line.
 
     Raises:
-        SpecError: a folder with neither, or a file of another kind.
+        SpecError: a folder with neither, or a file of a different kind.
     """
     if given.is_dir():
         for name in _IN_FOLDER:
@@ -121,7 +121,7 @@ def find_model(given: Path) -> Path:
         raise SpecError("no such model", path=given, expected="a file or a folder")
     if given.suffix.lower() not in (*model_suffixes(), ".yaml", ".yml"):
         raise SpecError(
-            "no model that can be replayed",
+            "not a model that can be replayed",
             path=given,
             expected="MJCF (.xml, .mjcf), URDF (.urdf), twin.yaml, or the folder of a diagnosis",
         )
@@ -130,16 +130,16 @@ def find_model(given: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class ReplayRequest:
-    """What a replay is asked for, as one process tells another.
+    """Arguments of a replay, passed to the child process.
 
     Attributes:
-        model: file of the model.
+        model: path of the model.
         recording: file or folder.
-        out: file of the prediction.
-        topics: role -> topic, before those of the twin.
-        options: how recordings are read, before what the twin says.
-        episode: of a data set, from 0.
-        packages, roots: where the model's files may lie.
+        out: file for the prediction.
+        topics: role -> topic, overrides the twin's topics.
+        options: options for reading recordings, override the twin's options.
+        episode: episode of a data set, from 0.
+        packages, roots: folders that may contain the model's files.
     """
 
     model: str
@@ -160,10 +160,10 @@ def replay_file(
 
     Args:
         request: fields of :class:`ReplayRequest`.
-        progress: told the fraction done.
+        progress: called with the fraction done.
 
     Returns:
-        The content of the JSON file beside the prediction.
+        The content of the JSON file that accompanies the prediction.
     """
     import mujoco
 
@@ -182,7 +182,7 @@ def replay_file(
     topics = {**loaded.topics, **asked.topics}
     read = recording_at(Path(asked.recording), topics, chosen, asked.episode)
     trials = make_trials(read, realization.structure, chosen)
-    # One state says where the robot starts: the motion is predicted at the commands.
+    # A single state only gives the start: predict at the stamps of the commands.
     replayed = [t if len(t.time) > 1 else at_command_stamps(t) for t in trials]
     ideal, notes = predict(realization, loaded.patched, replayed, progress)
     encoders = encoders_of(realization.twin)
@@ -233,13 +233,13 @@ def replay_file(
 
 @dataclass(frozen=True, slots=True)
 class LoadedModel:
-    """What a command line's MODEL is.
+    """A loaded MODEL of a command line.
 
     Attributes:
-        realization: loaded, with its twin where it has one.
+        realization: the realization, with its twin if it has one.
         topics: role -> topic.
-        options: what its twin says of recordings.
-        patched: effects that are stepped beside the model, where a diagnosis wrote it.
+        options: the twin's options for reading recordings.
+        patched: effects of a diagnosis that are stepped together with the model, or None.
     """
 
     realization: Realization
@@ -249,13 +249,14 @@ class LoadedModel:
 
 
 def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
-    """Load what :func:`find_model` found; in the child process.
+    """Load the file found by :func:`find_model`; runs in the child process.
 
     Args:
+        file: model or ``twin.yaml``.
         search: folders that the user names for the model's files.
 
     Raises:
-        TwinError: it cannot be loaded.
+        TwinError: the model cannot be loaded.
     """
     from pytest_twin.diagnosis.patched.model import patched_of
     from pytest_twin.realization import load
@@ -274,7 +275,7 @@ def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
 
 def _check_out(out: Path, recording: Path) -> None:
     if out.suffix != ".mcap":
-        raise TwinError("no name for a recording", path=out, expected="--out FILE.mcap")
+        raise TwinError("not a file name of a recording", path=out, expected="--out FILE.mcap")
     if out.resolve() == recording:
         raise TwinError("would overwrite the recording itself", path=out, expected="another file")
     if not out.absolute().parent.is_dir():
@@ -295,7 +296,7 @@ def _words(summary: Mapping[str, Any]) -> str:
     for joint, left in summary["joints"].items():
         unit = left["unit"]
         if left["rms"] is None:
-            lines.append(f"  {joint:<{width}}  one state: nothing to compare with")
+            lines.append(f"  {joint:<{width}}  only one state: no comparison")
             continue
         lines.append(
             f"  {joint:<{width}}  rms {_short(left['rms'])} {unit}, "
@@ -317,7 +318,7 @@ def _words(summary: Mapping[str, Any]) -> str:
         said = ", ".join(f"{kind} {count}" for kind, count in kinds.items())
         lines.append(f"  doubtful stretches of the recording, all kept: {said}")
     lines += [f"  note: {note}" for note in summary["notes"]]
-    # Names and notes come from files and may carry terminal escapes.
+    # Names and notes come from files and may contain terminal escape sequences.
     return "\n".join("".join(c if c.isprintable() else "�" for c in line) for line in lines)
 
 

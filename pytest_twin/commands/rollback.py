@@ -1,4 +1,4 @@
-"""``pytest-twin rollback``: give a twin the files of its last validated release again."""
+"""``pytest-twin rollback``: restore the files of a twin's last valid release."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once the files are restored.
+    """Restore the files; return 0.
 
     Raises:
-        ReleaseError: no twin, or a release that is unsigned, damaged, or by a foreign key.
+        ReleaseError: no twin, or the release is unsigned, damaged, or signed by an untrusted key.
     """
     file = find_twin(args.twin)
     if file is None:
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         *(f"  {name}" for name in done.replaced),
     ]
     if done.kept is not None:
-        lines.append(f"  what they were before: {done.kept}")
+        lines.append(f"  replaced files are kept in: {done.kept}")
     lines.append("next: pytest --twin-release (a later release follows it; none is taken back)")
     show("\n".join(printable(line) for line in lines))
     return DONE

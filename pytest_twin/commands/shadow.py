@@ -1,4 +1,4 @@
-"""``pytest-twin shadow``: a candidate beside a release, over the same recordings."""
+"""``pytest-twin shadow``: compare a candidate with a release on the same recordings."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 better, 1 rejected.
+    """Compare; return 0 if the candidate is better, 1 if it is rejected.
 
     Raises:
-        TwinError: a release that does not hold, or a candidate or recording that cannot be used.
+        TwinError: the release is invalid, or the candidate or a recording cannot be used.
     """
     given: Path = args.candidate
     file = given / FILE_NAME if given.is_dir() else given

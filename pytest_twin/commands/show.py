@@ -1,4 +1,4 @@
-"""``pytest-twin show``: what a recording holds, and what a diagnosis could use of it."""
+"""``pytest-twin show``: summarize a recording, and its use for a diagnosis."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
 
-HELP = "show what a recording holds: topics, joints, rates, gaps, and what is missing"
+HELP = "summarize a recording: topics, joints, rates, gaps, and missing data"
 EXAMPLES = (
     "pytest-twin show moves.mcap",
     "pytest-twin show bag/ --topics state=/arm/joint_states,command=/arm/commands",
     "pytest-twin show log.csv --json - | jq '.recordings[0].missing'",
 )
-EXIT_STATUS = {0: "the recording can be read, whether a diagnosis could use it or not"}
+EXIT_STATUS = {0: "the recording can be read, even if a diagnosis cannot use it"}
 DONE = 0
 
 
@@ -37,10 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once it is shown.
+    """Show the summary; return 0.
 
     Raises:
-        TwinError: a recording that cannot be read.
+        TwinError: the recording cannot be read.
     """
     with Sandbox() as sandbox:
         found = sandbox.call(
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     json_output.give(args, found)
     one = found["recordings"]
     lines = in_words(found["kind"], one[0]) if len(one) == 1 else episodes_in_words(found)
-    # Names come from files and may carry terminal escapes.
+    # Names come from files and may contain terminal escape sequences.
     show("\n".join(printable(line) for line in lines))
     return DONE
 
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 def show_file(
     recording: str, topics: Mapping[str, str], options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Read and survey; runs in the child process.
+    """Read and summarize a recording; runs in the child process.
 
     Returns:
         The JSON document.

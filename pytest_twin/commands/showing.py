@@ -1,4 +1,4 @@
-"""A recording as ``pytest-twin show`` has it: as a table for programs and in words."""
+"""Summarize a recording for ``pytest-twin show``, as JSON data and as text."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from pytest_twin.trial import make_trials
 
 # Below this rate, Hz, a delay of a usual servo loop falls between two samples.
 _SLOW = 50.0
-# A joint that moves less, rad or m, says nothing about friction or inertia.
+# Motion of a joint, rad or m, below which friction and inertia cannot be determined.
 _STILL = 0.02
-# Log times this far apart from the stamps, s, are another clock.
+# Log times that differ more from the stamps, s, are on another clock.
 _OTHER_CLOCK = 1.0
-# A gap is an interval this many times the usual one.
+# A gap is an interval more than this many times the usual one.
 _GAP_INTERVALS = 4.0
-# Stamps after this, ns, are dates: 2001-09-09.
+# Stamps after this, ns, are absolute times: 2001-09-09.
 _DATES_NS = 10**18
 _PAIRS = 4
 
 
 def survey(recording: Recording, options: RecordingOptions) -> dict[str, Any]:
-    """What a recording holds, JSON-able.
+    """Return the summary of a recording as JSON data.
 
     Args:
-        recording: as read.
-        options: how a command would read it.
+        recording: the recording.
+        options: options with which a command would read it.
     """
     missing, advice = _missing_roles(recording), []
     usable, notes = None, list(recording.notes)
@@ -108,7 +108,7 @@ def _since(times: Integers, at: int) -> float:
 
 
 def _ranges(one: JointSeries) -> dict[str, dict[str, list[float]]]:
-    """Field -> joint -> (least, greatest)."""
+    """Return field -> joint -> [minimum, maximum]."""
     found: dict[str, dict[str, list[float]]] = {}
     for name in QUANTITIES:
         table = getattr(one, name)
@@ -162,7 +162,7 @@ def _missing_roles(recording: Recording) -> list[str]:
 
 
 def _advice(recording: Recording) -> list[str]:
-    """What a diagnosis would be surer with."""
+    """Return advice on data that would improve a diagnosis."""
     state, command = recording.series["state"], recording.series["command"]
     found = []
     rate = _series(state)["rate"]["value"]
@@ -198,7 +198,7 @@ def _advice(recording: Recording) -> list[str]:
 
 
 def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
-    """One recording, line by line."""
+    """Return the summary of one recording as lines of text."""
     clock = one["clock"]
     head = f"{one['recording']}: {kind}"
     if clock:
@@ -222,7 +222,7 @@ def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
     lines += [f"advice: {text}" for text in one["advice"]]
     usable = one["usable"]
     if usable is None:
-        lines.append("A diagnosis cannot use it as it is.")
+        lines.append("A diagnosis cannot use this recording.")
         return lines
     modes = sorted(set(usable["command_modes"].values()))
     between = usable["command_between"]
@@ -275,12 +275,12 @@ def _clock_lines(clock: Mapping[str, Any]) -> list[str]:
 
 
 def _listed(words: Sequence[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
+    """Join words: ``a``, ``a and b``, ``a, b and c``."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def episodes_in_words(found: Mapping[str, Any]) -> list[str]:
-    """A data set: a line for each episode, and the first in full."""
+    """Return the summary of a data set: a line for each episode, and the first in full."""
     recordings = found["recordings"]
     lines = [f"{found['recording']}: {found['kind']}, {len(recordings)} episodes"]
     for one in recordings:

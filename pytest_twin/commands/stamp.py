@@ -1,4 +1,4 @@
-"""``pytest-twin stamp``: write into a data set which release of which twin it was made with."""
+"""``pytest-twin stamp``: write the IDs of a release into a data set or policy."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once every file is stamped.
+    """Stamp every file; return 0.
 
     Raises:
-        TwinError: a release that does not hold, or a data set that cannot be stamped.
+        TwinError: the release is invalid, or the data set cannot be stamped.
     """
     found = stamps.put(args.dataset, release_folder(args.release))
     first = found[0].stamp

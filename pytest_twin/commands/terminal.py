@@ -1,4 +1,4 @@
-"""Text on a terminal, in colour where it has any; anywhere else, the same text plain."""
+"""Print text, coloured on a terminal that supports it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import sys
 from typing import TextIO
 
-# A word or mark at the start of a line says how grave the line is.
+# A word or mark at the start of a line determines its colour by severity.
 _RULES = (
     (r"(?m)^(?:(X|FAILS|Unexplained|does not hold)\b.*)$", "bold red"),
     (r"(?m)^\s*(?:(!|Improved|left out)(?=[ :]).*)$", "yellow"),
@@ -34,7 +34,7 @@ def show(text: str, *, error: bool = False) -> None:
 
 
 def show_error(command: str, text: str) -> None:
-    """Print the one line that a command ends with where its input cannot be used."""
+    """Print the single line with which a command ends if its input cannot be used."""
     if not _coloured(sys.stderr):
         print(f"{command}: {text}", file=sys.stderr)
         return

@@ -1,4 +1,4 @@
-"""``pytest-twin verify``: whether a release, or the stamp of a data set, holds."""
+"""``pytest-twin verify``: check a release, or the stamp of a data set."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ EXAMPLES = (
     "pytest-twin verify received/ --keys trusted-keys/ --json -",
 )
 EXIT_STATUS = {
-    0: "the release or the stamp holds",
-    1: "it does not hold; each reason is listed",
+    0: "the release or the stamp is valid",
+    1: "it is not valid; each reason is listed",
 }
 HOLDS, DOES_NOT_HOLD = 0, 1
 
@@ -48,10 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 the release or stamp holds, 1 it does not.
+    """Verify; return 0 if the release or stamp is valid, else 1.
 
     Raises:
-        TwinError: there is nothing to check, or no keys can be read.
+        TwinError: the input is missing, or no keys can be read.
     """
     if args.keys is not None and not args.keys.is_dir():
         raise ReleaseError(
@@ -105,7 +105,7 @@ def _as_verdict(verdicts: Sequence[StampVerdict]) -> release.Verdict:
 
 
 def _is_release(given: Path) -> bool:
-    """A release holds copies of recordings too; a twin's folder often lies around them."""
+    """Whether to verify a release: its folder may contain copies of recordings as well."""
     return given.parent.name == RELEASES or any(
         (given / name).exists() for name in (ENVELOPE, FILE_NAME, RELEASES)
     )
@@ -114,7 +114,7 @@ def _is_release(given: Path) -> bool:
 def _check_outside(path: Path, folder: Path) -> None:
     if path.resolve().is_relative_to(folder.resolve()):
         raise ReleaseError(
-            "would lie in the release and break it", path=path, expected="another folder"
+            "is inside the release and would invalidate it", path=path, expected="another folder"
         )
 
 
@@ -138,5 +138,5 @@ def _words(verdict: release.Verdict, folder: Path) -> str:
                 f"{counted(len(found.files), 'file')} in the release{also}"
             )
     lines += [f"  {problem.text}" for problem in verdict.problems]
-    # What a statement or a file name says may carry terminal escapes.
+    # Statements and file names may contain terminal escape sequences.
     return "\n".join(printable(line) for line in lines)

@@ -196,7 +196,7 @@ def test_the_command_writes_a_manifest(tmp_path: Path, capsys: pytest.CaptureFix
     for name, digest in told["files"].items():
         assert file_sha256(out / name) == digest
     assert main(words) == 2
-    assert "its source is never written again" in capsys.readouterr().err
+    assert "its source is never overwritten" in capsys.readouterr().err
 
 
 def test_a_manifest_that_was_touched_is_refused(tmp_path: Path) -> None:

@@ -191,7 +191,7 @@ def test_a_file_in_the_way_of_the_output_is_one_line(
         said = capsys.readouterr().err
         assert said.startswith(f"pytest-twin {command}: ")
         assert said.count("\n") == 1
-        assert "no folder to write to" in said
+        assert "not a folder that can be written" in said
     assert (tmp_path / "file").read_text() == "kept"
 
 

@@ -268,4 +268,6 @@ def test_a_file_where_the_folder_should_be(
 ) -> None:
     path = write_clean(tmp_path)
     assert main(["audit", str(path), "--out", str(tmp_path / "bar.stl")]) == 2
-    assert "bar.stl: --out: no folder to write to: File exists" in capsys.readouterr().err
+    assert (
+        "bar.stl: --out: not a folder that can be written: File exists" in capsys.readouterr().err
+    )

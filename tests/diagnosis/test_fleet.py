@@ -69,7 +69,7 @@ def test_outcomes_have_the_order_of_the_robots_with_any_executor(tmp_path: Path)
         ("robots: {a: {model: m.xml}}", r"robots\.a: wrong fields"),
         ("robots: {a: {model: m.xml, recordings: []}}", r"robots\.a\.recordings: no recording"),
         ("robots: {a: {model: m.xml, recordings: r.mcap}}", r"recordings: not files"),
-        ("robots: {a/b: {model: m.xml, recordings: [r.mcap]}}", "no name for a folder"),
+        ("robots: {a/b: {model: m.xml, recordings: [r.mcap]}}", "not a folder name"),
         ("robots: {a: {model: 3, recordings: [r.mcap]}}", r"robots\.a\.model: not a file"),
     ],
 )

@@ -43,7 +43,7 @@ def test_it_is_collected_validated_recorded_and_run(with_kind) -> None:
 
 
 LOADED = "(got 'box_rest'; expected box_rest:BoxRest to import; repair or uninstall the package)"
-UNUSABLE = "kind: package 'box_rest' 0.3 brings a check that cannot be used: its"
+UNUSABLE = "kind: package 'box_rest' 0.3 defines an invalid check: its"
 
 
 @pytest.mark.parametrize(

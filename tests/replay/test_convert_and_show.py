@@ -142,7 +142,11 @@ def test_negative_times_are_shifted_by_whole_seconds_with_a_note(
 @pytest.mark.parametrize(
     ("given", "out", "words"),
     [
-        ("log.csv", "out.csv", "out.csv: no name for a recording (expected --out FILE.mcap)"),
+        (
+            "log.csv",
+            "out.csv",
+            "out.csv: not a file name of a recording (expected --out FILE.mcap)",
+        ),
         ("log.csv", "no/out.mcap", "no: no such folder"),
         ("given.mcap", "given.mcap", "would overwrite the recording itself"),
         ("bag", "bag/out.mcap", "would overwrite the recording itself"),
@@ -225,7 +229,7 @@ def test_show_suggests_topics_when_the_usual_ones_are_missing(
     assert line.split("try ")[1].startswith(
         "--topics state=/arm/joint_states,command=/arm/commands"
     )
-    assert "A diagnosis cannot use it as it is." in said
+    assert "A diagnosis cannot use this recording." in said
     option = "state=/arm/joint_states,command=/arm/commands"
     assert "A diagnosis can use" in output_of_show(path, capsys, "--topics", option)
 

@@ -76,7 +76,7 @@ def test_a_golden_reads_the_episode_in_its_target(tmp_path: Path, number: int) -
         (3, {}, "target.recording: a data set of 3 episodes (got 'moves'; expected "
                 "target.episode: N with N from 0 to 2)"),
         (3, {"episode": 3}, "target.episode: moves has 3 episodes (got 3; expected 0 to 2)"),
-        (1, {"episode": 0}, "target.episode: moves has one episode only (got 0; expected no "
+        (1, {"episode": 0}, "target.episode: moves has only one episode (got 0; expected no "
                             "target.episode)"),
     ],
 )  # fmt: skip

@@ -112,7 +112,7 @@ def test_a_recording_with_one_state_is_predicted_at_the_command_stamps(
     assert time == pytest.approx(TIME[::3])
     assert found["samples"] == 100
     assert found["joints"]["elbow"]["rms"] is None
-    assert "elbow     one state: nothing to compare with" in capsys.readouterr().out
+    assert "elbow     only one state: no comparison" in capsys.readouterr().out
     bench.put(whole, sent_rows=slice(None, None, 3))
     bench.replay()
     assert np.array_equal(position, bench.predicted()[1][::3])
@@ -128,7 +128,7 @@ def test_the_prediction_starts_at_the_first_command_if_the_only_state_is_earlier
 
 def test_a_replay_golden_refuses_a_recording_with_one_state(bench: Bench) -> None:
     bench.put(bench.motion(), rows=np.array([0]), sent_rows=slice(None))
-    with pytest.raises(SpecError, match="one state: nothing to compare a replay with"):
+    with pytest.raises(SpecError, match="only one state: no comparison with a replay"):
         bench.observe()
 
 

@@ -107,7 +107,7 @@ def test_the_output_folder_of_diagnose_is_accepted_as_model(arm: Path, name: str
     ("model", "recording", "out", "words"),
     [
         ("none.xml", "moves.mcap", "o.mcap", "none.xml: no such model"),
-        ("moves.mcap", "moves.mcap", "o.mcap", "moves.mcap: no model that can be replayed"),
+        ("moves.mcap", "moves.mcap", "o.mcap", "moves.mcap: not a model that can be replayed"),
         ("empty", "moves.mcap", "o.mcap", "empty: no model in this folder (expected realization"),
         ("twin.yaml", "none.mcap", "o.mcap", "none.mcap: "),
         ("twin.yaml", "arm.xml", "o.mcap", "arm.xml: no recording that can be read"),
@@ -119,7 +119,7 @@ def test_the_output_folder_of_diagnose_is_accepted_as_model(arm: Path, name: str
             "the model has none of these joints (got 'shoulder, elbow'",
         ),
         ("twin.yaml", "moves.mcap", "moves.mcap", "would overwrite the recording itself"),
-        ("twin.yaml", "moves.mcap", "o.csv", "o.csv: no name for a recording"),
+        ("twin.yaml", "moves.mcap", "o.csv", "o.csv: not a file name of a recording"),
         ("twin.yaml", "moves.mcap", "no/o.mcap", "no: no such folder"),
         ("broken.xml", "moves.mcap", "o.mcap", "broken.xml"),
     ],

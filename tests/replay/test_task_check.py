@@ -114,15 +114,15 @@ def test_an_installed_function_depends_on_its_distribution(arm: Path) -> None:
          "that is not finite (got 'nan'; expected a finite number)"),
         ("pose[2, 3]", "[0.0, float('inf')]", "target.outputs.height[1]: the function returned a "
          "number that is not finite (got 'inf'; expected a finite number)"),
-        ("pose[2, 3]", "'high'", "target.outputs.height: the function returned no number "
+        ("pose[2, 3]", "'high'", "target.outputs.height: the function did not return a number "
          "(got 'str'; expected a number or a list of numbers)"),
-        ("pose[2, 3]", "True", "target.outputs.height: the function returned no number "
+        ("pose[2, 3]", "True", "target.outputs.height: the function did not return a number "
          "(got 'bool'; expected a number or a list of numbers)"),
         ('"height": pose[2, 3], ', "", "target.outputs: outputs that the function did not return "
          "(got 'height'; expected count, height, position)"),
         ('"count"', '"width": 1.0, "count"', "target.outputs: outputs that the spec does not "
          "declare (got 'width'; expected count, height, position)"),
-        ('{"height"', '3.0 or {"height"', "target.outputs: the function returned no mapping "
+        ('{"height"', '3.0 or {"height"', "target.outputs: the function did not return a mapping "
          "(got 'float'; expected count, height, position)"),
         ("def reach(realization, shoulder", "def reach(realization, elbow", "stimulus: the "
          "function cannot be called with these arguments: reach() got "

@@ -89,7 +89,7 @@ def test_the_tolerance_is_the_one_that_was_asked_for_and_not_the_result(twin: Pa
     told = json.loads((twin / ".twin" / "init.json").read_text())
     assert told["unwritten"] == []
     assert told["failing"]["golden/replay/sweep"].startswith("angle_max of elbow: ")
-    assert "FAILS as it stands: golden/replay/sweep" in made.stdout
+    assert "FAILS now: golden/replay/sweep" in made.stdout
     assert run("pytest", "golden/replay", cwd=twin).returncode == 1
 
 

@@ -87,7 +87,7 @@ def test_a_robot_in_the_folder_stays_where_it_is(tmp_path: Path) -> None:
     again = run("pytest-twin", "init", "robot.xml", cwd=tmp_path, state=tmp_path)
     assert again.returncode == 2
     assert again.stderr == (
-        f"pytest-twin init: {tmp_path}/twin.yaml: there is a twin already (expected a new folder)\n"
+        f"pytest-twin init: {tmp_path}/twin.yaml: a twin exists already (expected a new folder)\n"
     )
 
 
