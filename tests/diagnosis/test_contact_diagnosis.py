@@ -1,4 +1,4 @@
-"""An arm that touches a table other than the model's: which contact effect it is, and its size."""
+"""Diagnosis of contact: an arm touches a table whose contact parameters differ from the model."""
 
 from __future__ import annotations
 
@@ -45,8 +45,9 @@ CONTACT = {"contact_offset", "contact_stiffness", "contact_damping", "contact_fr
          {"solref": (SOLREF[0] / 1.6, SOLREF[1] * 1.6)}),
         ("contact_friction", "coefficient", -0.2, "1", TWO, {"friction": FRICTION - 0.2}),
     ],
+    ids=["offset", "stiffness", "damping", "friction"],
 )  # fmt: skip
-def test_a_contact_that_differs_is_named_with_its_size(
+def test_an_error_of_a_contact_parameter_is_found_with_its_value(
     tmp_path: Path,
     effect: str,
     parameter: str,
@@ -57,9 +58,9 @@ def test_a_contact_that_differs_is_named_with_its_size(
 ) -> None:
     words = case(tmp_path, joints, seconds=1.4, **hidden)
     assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
-    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert said["verdict"] == "explained"
-    (finding,) = said["findings"]
+    diagnosis = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert diagnosis["verdict"] == "explained"
+    (finding,) = diagnosis["findings"]
     assert (finding["effect"], finding["joint"]) == (effect, None)
     estimate = finding["parameters"][parameter]
     low, high = estimate["ci95"]
@@ -72,14 +73,14 @@ def test_a_contact_that_differs_is_named_with_its_size(
     assert "'table'" in kept["written"]
 
 
-def test_what_is_wrong_in_the_air_is_named_beside_what_is_wrong_at_the_table(
+def test_viscous_friction_and_contact_stiffness_are_found_together(
     tmp_path: Path,
 ) -> None:
     words = case(tmp_path, ONE, seconds=1.4, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
     assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
-    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert said["verdict"] == "explained"
-    found = {f["effect"]: f["parameters"] for f in said["findings"]}
+    diagnosis = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert diagnosis["verdict"] == "explained"
+    found = {f["effect"]: f["parameters"] for f in diagnosis["findings"]}
     assert found.keys() == {"contact_stiffness", "viscous_friction"}
     for estimate, hidden in (
         (found["contact_stiffness"]["relative_error"], 0.6),
@@ -89,7 +90,7 @@ def test_what_is_wrong_in_the_air_is_named_beside_what_is_wrong_at_the_table(
         assert estimate["value"] == pytest.approx(hidden, rel=0.1)
 
 
-def test_a_surface_that_was_hidden_behind_something_else_is_asked_for_again(
+def test_a_contact_effect_that_friction_hid_is_found_by_a_second_search(
     tmp_path: Path,
 ) -> None:
     model, *files = map(
@@ -99,7 +100,7 @@ def test_a_surface_that_was_hidden_behind_something_else_is_asked_for_again(
     loaded = load_model(model)
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
     prepared = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
-    # As a search that had spent its replays before it came to surfaces.
+    # As after a search whose simulations were used up before it reached contact effects.
     prepared.problem.family = "friction"
     found = search(prepared, trials, StepwiseSelection(prepared.problem))
     prepared.problem.family = None
@@ -112,7 +113,7 @@ def test_a_surface_that_was_hidden_behind_something_else_is_asked_for_again(
     assert add_contact_effects_again(more, Run()) is more
 
 
-def test_windows_in_the_air_lie_far_from_the_table(tmp_path: Path) -> None:
+def test_windows_without_contact_are_away_from_the_table(tmp_path: Path) -> None:
     words = case(tmp_path, ONE)
     realization = load_model(tmp_path / "model.xml").realization
     trials = [make_trial(read_recording(Path(w)), realization.structure) for w in words[1:]]
@@ -125,16 +126,16 @@ def test_windows_in_the_air_lie_far_from_the_table(tmp_path: Path) -> None:
     for trial, clear in zip(trials, far, strict=True):
         mine = [s for s in segments if trials[s.trial] is trial]
         kept = {float(t) for s in mine for t in s.time}
-        # Of what is in the air only ends of windows that are too short are lost.
+        # Of the samples without contact, only those in windows that are too short are lost.
         assert kept <= set(trial.time[clear])
         assert len(kept) > 0.8 * clear.sum()
     assert 0.1 < np.concatenate(far).mean() < 0.9
-    # Far from the table nothing of it competes, and motions are seen to first order.
+    # Away from the table, contact effects are no candidates, and motions are linearized.
     assert not air.problem.simulator.models.contact.world.size
     assert not {t.effect for t in candidates(air.problem)} & CONTACT
 
 
-def test_an_arm_that_never_leaves_the_table_has_no_windows_in_the_air(
+def test_an_arm_that_is_always_in_contact_has_no_windows_without_contact(
     bench: tuple[Path, Trial, Prepared],
 ) -> None:
     folder, trial, prepared = bench
@@ -145,7 +146,7 @@ def test_an_arm_that_never_leaves_the_table_has_no_windows_in_the_air(
         prepare(realization, [low], [], window=0.2, contact=contact)
 
 
-def test_contact_competes_only_where_there_is_some(tmp_path: Path) -> None:
+def test_contact_effects_are_candidates_only_if_there_is_contact(tmp_path: Path) -> None:
     for height, expected in ((0.0, CONTACT), (-2.0, set())):
         folder = tmp_path / str(height)
         folder.mkdir()
@@ -183,8 +184,16 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, Prepar
             ("geom 'table' pos", *["geoms 'table', 'elbow_geom' solref"] * 2),
         ),
     ],
+    ids=[
+        "offset up",
+        "offset down",
+        "stiffness",
+        "damping",
+        "friction",
+        "offset, stiffness and damping",
+    ],
 )
-def test_the_written_model_moves_as_the_effect(
+def test_the_written_model_predicts_the_same_motion_as_the_contact_effect(
     bench: tuple[Path, Trial, Prepared],
     tmp_path: Path,
     values: dict[str, dict[str, float]],
@@ -199,7 +208,7 @@ def test_the_written_model_moves_as_the_effect(
     found = Hypothesis(terms, np.array(theta))
     (nominal,) = problem.predict([EMPTY], np.array([0]))
     problem.refine_at(found)
-    (beside,) = problem.predict([found], np.array([0]))
+    (expected,) = problem.predict([found], np.array([0]))
     out = tmp_path / "realization"
     out.mkdir()
     patched = write_realization(out, load_model(folder / "model.xml").realization, problem, found)
@@ -208,24 +217,26 @@ def test_the_written_model_moves_as_the_effect(
     loaded = load_model(find_model(tmp_path))
     assert loaded.patched is not None
     (replayed,) = replay_patched(loaded.realization, loaded.patched, [trial])
-    moved = np.abs(beside[0].position - nominal[0].position).max()
-    assert moved > 1e-3, "the effect does nothing here: the test would hold for any model"
-    # MJCF writes six digits; impacts magnify what is cut off.
-    assert np.abs(replayed.position - beside[0].position).max() < 0.02 * moved
+    moved = np.abs(expected[0].position - nominal[0].position).max()
+    assert moved > 1e-3, "the effect must change the motion, or every model would pass"
+    # MJCF has six digits, and impacts amplify rounding errors.
+    assert np.abs(replayed.position - expected[0].position).max() < 0.02 * moved
 
 
-def test_a_regime_says_when_the_arm_is_at_the_table(bench: tuple[Path, Trial, Prepared]) -> None:
+def test_the_regime_of_an_error_states_whether_there_is_contact(
+    bench: tuple[Path, Trial, Prepared],
+) -> None:
     _, trial, prepared = bench
-    (path,) = motions(prepared, [trial])
-    assert path.touching is not None
+    (motion,) = motions(prepared, [trial])
+    assert motion.touching is not None
     shoulder, elbow = trial.position.T
     height = 0.2 - 0.02 - 0.3 * np.sin(shoulder) - 0.3 * np.sin(shoulder + elbow)
     clear = np.abs(height - 0.01) > 1e-3
     assert 0.1 < np.mean(height < 0.01) < 0.9
-    assert (path.touching == (height < 0.01))[clear].all()
+    assert (motion.touching == (height < 0.01))[clear].all()
     words = {True: "in contact or within 10 mm of a surface", False: "without contact"}
-    rare = bool(path.touching.mean() < 0.5)
-    found = place_of([path], np.where(path.touching == rare, 1.0, 0.01), 1, "rad").summary
+    rare = bool(motion.touching.mean() < 0.5)
+    found = place_of([motion], np.where(motion.touching == rare, 1.0, 0.01), 1, "rad").summary
     assert found.startswith(words[rare])
 
 
@@ -247,8 +258,9 @@ FRAMED = """\
         'name="bar" type="box" size=".3 .3 .05" pos=".3 0 -.05"',
         'name="bar" type="capsule" size=".1" fromto=".1 -.4 .2 .1 .4 .2"',
     ],
+    ids=["plane", "box", "capsule"],
 )
-def test_an_offset_is_written_through_frames_and_ends(geom: str) -> None:
+def test_a_contact_offset_is_written_for_geoms_in_frames_or_with_end_points(geom: str) -> None:
     spec = mujoco.MjSpec.from_string(FRAMED.format(geom, ""))
     before = spec.compile()
     poses = np.linspace(-1.5, 1.5, 200)[:, None]
@@ -266,13 +278,13 @@ def test_an_offset_is_written_through_frames_and_ends(geom: str) -> None:
     assert after.geom_size[0] == pytest.approx(before.geom_size[0], abs=1e-5)
 
 
-def test_a_pair_is_written_with_its_geoms() -> None:
+def test_contact_parameters_are_written_for_pairs_and_their_geoms() -> None:
     pair = '<contact><pair geom1="floor" geom2="tip" solref=".03 1" friction=".5"/></contact>'
     spec = mujoco.MjSpec.from_string(FRAMED.format('name="floor" type="plane" size="1 1 .1"', pair))
     model = spec.compile()
     contact = contact_geoms(model, np.array([0]), [np.linspace(-1.5, 1.5, 100)[:, None]])
-    said = write_contact(spec, contact, "contact_stiffness", {"relative_error": 3.0})
-    assert said == "geoms 'floor', 'tip' solref and pair number 0 solref"
+    written = write_contact(spec, contact, "contact_stiffness", {"relative_error": 3.0})
+    assert written == "geoms 'floor', 'tip' solref and pair number 0 solref"
     write_contact(spec, contact, "contact_friction", {"coefficient": -0.2})
     after = mujoco.MjModel.from_xml_string(spec.to_xml())
     assert after.pair_solref[0] == pytest.approx((0.03, 0.5))

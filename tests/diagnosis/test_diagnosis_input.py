@@ -1,4 +1,4 @@
-"""Recordings that cannot be used, wholly or in part: what is said, and that the rest goes on."""
+"""Recordings that cannot be used, in whole or in part: their notes, and the use of the others."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from pytest_twin.formats.mcap import JointSeries, write_recording
 
 
 class Bench:
-    """A folder with the nominal model, and recordings made to order."""
+    """A folder with the nominal model and its recordings."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -49,7 +49,7 @@ class Bench:
         self.sent_at, self.sent = at * STEP, wanted[at]
         self.seen_at, self.seen = seen * STEP, moved[seen] + noise
 
-    def put(
+    def add(
         self,
         name: str,
         *,
@@ -86,28 +86,30 @@ def names(trials: tuple[object, ...]) -> list[str]:
     return [t.path.name for t in trials]  # type: ignore[attr-defined]
 
 
-def test_a_role_is_what_the_command_line_says_then_the_metadata_then_a_split(bench: Bench) -> None:
-    a, b, c = bench.put("a.mcap"), bench.put("b.mcap", role="held_out"), bench.put("c.mcap")
-    said = bench.read(a, b, held_out=(c,))
-    assert (names(said.fit), names(said.held_out)) == (["a.mcap", "b.mcap"], ["c.mcap"])
+def test_the_role_comes_from_the_command_line_then_from_metadata_then_from_a_split(
+    bench: Bench,
+) -> None:
+    a, b, c = bench.add("a.mcap"), bench.add("b.mcap", role="held_out"), bench.add("c.mcap")
+    given = bench.read(a, b, held_out=(c,))
+    assert (names(given.fit), names(given.held_out)) == (["a.mcap", "b.mcap"], ["c.mcap"])
     own = bench.read(a, b, c)
     assert (names(own.fit), names(own.held_out)) == (["a.mcap", "c.mcap"], ["b.mcap"])
     assert own.notes[0] == "held out (role in the metadata): b.mcap"
     split = bench.read(a, c)
     assert len(split.fit) == len(split.held_out) == 1
     assert "held out (chosen automatically): c.mcap" in split.notes[0]
-    # A recording given twice plays one role.
+    # A recording that is given twice has one role.
     assert names(bench.read(a, c, held_out=(c,)).fit) == ["a.mcap"]
 
 
-def test_one_recording_has_nothing_to_hold_out(bench: Bench) -> None:
-    only = bench.read(bench.put("a.mcap"))
+def test_a_single_recording_is_not_held_out(bench: Bench) -> None:
+    only = bench.read(bench.add("a.mcap"))
     assert only.held_out == ()
     assert "one recording only: nothing is held out" in only.notes[0]
 
 
-def test_everything_held_out_leaves_nothing_to_fit(bench: Bench) -> None:
-    path = bench.put("a.mcap")
+def test_holding_out_all_recordings_is_an_error(bench: Bench) -> None:
+    path = bench.add("a.mcap")
     with pytest.raises(RecordingError, match="no recording remains to fit"):
         bench.read(path, held_out=(path,))
 
@@ -115,9 +117,9 @@ def test_everything_held_out_leaves_nothing_to_fit(bench: Bench) -> None:
 def test_a_recording_that_cannot_be_used_is_left_out_with_its_reason(bench: Bench) -> None:
     broken = bench.seen.copy()
     broken[40:43, 1] = np.inf
-    good = bench.put("good.mcap")
-    later = bench.put("later.mcap", sent_at=bench.sent_at + 60.0)
-    torn = bench.put("torn.mcap", seen=broken)
+    good = bench.add("good.mcap")
+    later = bench.add("later.mcap", sent_at=bench.sent_at + 60.0)
+    torn = bench.add("torn.mcap", seen=broken)
     found = bench.read(good, later, torn)
     assert names(found.fit) == ["good.mcap"]
     assert found.held_out == ()
@@ -130,16 +132,16 @@ def test_a_recording_that_cannot_be_used_is_left_out_with_its_reason(bench: Benc
 def test_states_without_a_position_are_left_out_and_the_recording_is_used(bench: Bench) -> None:
     holes = bench.seen.copy()
     holes[40:43, 1] = np.nan
-    found = bench.read(bench.put("good.mcap"), bench.put("torn.mcap", seen=holes))
+    found = bench.read(bench.add("good.mcap"), bench.add("torn.mcap", seen=holes))
     (torn,) = found.held_out
     assert len(torn.time) == len(holes) - 3
     assert np.isfinite(torn.position).all()
     assert any("torn.mcap: 3 states without a position" in n for n in found.notes)
 
 
-def test_a_recording_too_short_to_show_its_noise_is_left_out(tmp_path: Path) -> None:
+def test_a_recording_too_short_for_a_noise_estimate_is_left_out(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    good = bench.put("good.mcap")
+    good = bench.add("good.mcap")
     brief = record(tmp_path / "brief.mcap", 2, seconds=0.015)
     found = bench.read(good, brief)
     assert names(found.fit) == ["good.mcap"]
@@ -153,20 +155,25 @@ def test_a_recording_too_short_to_show_its_noise_is_left_out(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("factor", "words"),
     [(np.degrees(1.0), "seem to be in degrees"), (4096 / (2 * np.pi), "to be in encoder counts")],
+    ids=["degrees", "encoder counts"],
 )
-def test_another_unit_is_not_taken_for_physics(bench: Bench, factor: float, words: str) -> None:
-    odd = bench.put("odd.mcap", seen=bench.seen * factor)
+def test_states_in_another_unit_than_the_commands_are_refused(
+    bench: Bench, factor: float, words: str
+) -> None:
+    odd = bench.add("odd.mcap", seen=bench.seen * factor)
     with pytest.raises(RecordingError, match=words):
         bench.read(odd)
-    assert names(bench.read(bench.put("a.mcap"), odd).fit) == ["a.mcap"]
+    assert names(bench.read(bench.add("a.mcap"), odd).fit) == ["a.mcap"]
 
 
-@pytest.mark.parametrize("end", [0.3, None], ids=["at its stop", "nowhere near one"])
-def test_a_joint_at_its_stop_is_in_no_other_unit(bench: Bench, end: float | None) -> None:
+@pytest.mark.parametrize("end", [0.3, None], ids=["at its stop", "away from its stops"])
+def test_a_joint_held_at_its_stop_is_not_taken_for_another_unit(
+    bench: Bench, end: float | None
+) -> None:
     bench.sent = bench.sent + 2.0
     held = bench.seen.copy()
     held[:, 0] = (0.0 if end is None else end) + 0.003 * bench.seen[:, 0]
-    path = bench.put("a.mcap", seen=held)
+    path = bench.add("a.mcap", seen=held)
     structure = bench.loaded.realization.structure
     bounded = replace(structure, joint_range={**structure.joint_range, "left": (-2.0, 0.3)})
     if end is None:
@@ -176,9 +183,9 @@ def test_a_joint_at_its_stop_is_in_no_other_unit(bench: Bench, end: float | None
         assert names(read_trials([path], (), bench.loaded.topics, bounded).fit) == ["a.mcap"]
 
 
-def test_a_held_out_recording_of_another_mode_is_left_out(bench: Bench) -> None:
-    """Also where all that is fitted is of one mode."""
-    a, b = bench.put("a.mcap"), bench.put("b.mcap")
+def test_a_held_out_recording_of_another_command_mode_is_left_out(bench: Bench) -> None:
+    """The fit recordings have position commands, the held-out one has effort commands."""
+    a, b = bench.add("a.mcap"), bench.add("b.mcap")
     effort = bench.folder / "effort.mcap"
     stamps = START_NS + np.rint(bench.sent_at * 1e9).astype(np.int64)
     states = START_NS + np.rint(bench.seen_at * 1e9).astype(np.int64)
@@ -195,8 +202,8 @@ def test_a_held_out_recording_of_another_mode_is_left_out(bench: Bench) -> None:
     assert any("no held-out recording could be used" in n for n in alone.notes)
 
 
-def test_a_servo_that_nobody_commands_is_no_mismatch(bench: Bench) -> None:
-    """It holds its joint under gravity, by a setpoint that no recording has."""
+def test_a_servo_without_recorded_commands_is_no_mismatch(bench: Bench) -> None:
+    """It holds its joint against gravity at a setpoint that no recording contains."""
     files = []
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
         wanted = reference(seed, 4.0, 2)
@@ -219,16 +226,18 @@ def test_a_servo_that_nobody_commands_is_no_mismatch(bench: Bench) -> None:
         files.append(path)
     trials = bench.read(*files)
     stretched = trials.fit[0].position[0, 1] - 0.4
-    assert stretched > 0.02, "gravity stretches the servo by nothing that would matter"
+    assert stretched > 0.02, "gravity must deflect the servo visibly"
     found = diagnose(bench.loaded.realization, trials, threads=1)
     assert found.verdict == "no_mismatch"
     assert list(found.errors) == ["left"]
     assert any("'right': no recording contains commands of its" in note for note in found.notes)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.4], ids=["commanded", "commanded later"])
-def test_a_recording_may_begin_amid_a_motion(bench: Bench, late: float) -> None:
-    """Without velocities, and before a command says where to."""
+@pytest.mark.parametrize(
+    "late", [0.0, 0.4], ids=["commanded from the start", "commanded after 0.4 s"]
+)
+def test_a_recording_may_begin_during_a_motion(bench: Bench, late: float) -> None:
+    """It has no velocities, and may have no command at the start."""
     files = []
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
         wanted = reference(seed, 3.0, 2)
@@ -243,14 +252,14 @@ def test_a_recording_may_begin_amid_a_motion(bench: Bench, late: float) -> None:
     trials = bench.read(*files)
     found = diagnose(bench.loaded.realization, trials, threads=1)
     assert found.verdict == "no_mismatch"
-    said = [n for n in found.notes if "moves at the start and no velocity is recorded" in n]
-    assert len(said) == 3
-    unsaid = [n for n in found.notes if "its first 0.4 s are not used" in n]
-    assert len(unsaid) == (3 if late else 0)
+    moving = [n for n in found.notes if "moves at the start and no velocity is recorded" in n]
+    assert len(moving) == 3
+    not_commanded = [n for n in found.notes if "its first 0.4 s are not used" in n]
+    assert len(not_commanded) == (3 if late else 0)
 
 
 def test_windows_begin_with_the_first_command(bench: Bench) -> None:
-    trials = bench.read(bench.put("a.mcap", sent_at=bench.sent_at + 0.3))
+    trials = bench.read(bench.add("a.mcap", sent_at=bench.sent_at + 0.3))
     (trial,) = trials.fit
     joints = bench.loaded.realization.structure.joint_type
     arguments = bench.loaded.realization, trial, 0, list(joints)
@@ -260,34 +269,36 @@ def test_windows_begin_with_the_first_command(bench: Bench) -> None:
     assert all((w.time >= 0.3).all() for w in windows)
     (whole,) = segments_of(*arguments, Cutting(commanded=True))
     assert whole.start == whole.time[0] == pytest.approx(0.3)
-    # Also where what is left is no whole window.
+    # Also if the rest is shorter than a window.
     (rest,) = segments_of(*arguments, Cutting(2.0, commanded=True))
     assert rest.start == rest.time[0] == pytest.approx(0.3)
-    # A first command that is hardly late is held from the start.
-    trials = bench.read(bench.put("b.mcap", sent_at=bench.sent_at + 0.03))
+    # A first command that is slightly late is held from the start.
+    trials = bench.read(bench.add("b.mcap", sent_at=bench.sent_at + 0.03))
     late = bench.loaded.realization, trials.fit[0], 0, list(joints)
     (whole,) = segments_of(*late, Cutting(commanded=True))
     assert whole.start == 0.0
 
 
 @pytest.mark.parametrize("every", [1, 15, 30])
-def test_windows_hold_samples_enough_at_any_rate(bench: Bench, every: int) -> None:
-    (trial,) = bench.read(bench.put("a.mcap")).fit
+def test_windows_contain_enough_samples_at_any_sampling_rate(bench: Bench, every: int) -> None:
+    (trial,) = bench.read(bench.add("a.mcap")).fit
     assert np.median(np.diff(trial.time)) == pytest.approx(0.005)
     slow = replace(trial, time=trial.time[::every], position=trial.position[::every])
     joints = bench.loaded.realization.structure.joint_type
     windows = segments_of(bench.loaded.realization, slow, 0, list(joints), Cutting(0.25))
     assert all(len(w.time) >= 8 for w in windows)
-    # Every sample is in one, or at an edge in two, but for the first few: they tell little of how
-    # fast they were.
+    # Every sample is in a window, or at an edge in two, except the first few samples, which hardly
+    # determine the initial velocity.
     begun = slow.time >= windows[0].start
     assert set(np.concatenate([w.time for w in windows])) == set(slow.time[begun])
     assert (~begun).sum() <= 7
 
 
-def test_a_window_knows_how_fast_a_joint_was_that_rested(bench: Bench) -> None:
-    """A motor's count of 1.5 mrad is a tenth of a radian a second where samples lie on one side."""
-    (trial,) = bench.read(bench.put("a.mcap")).fit
+def test_the_initial_velocity_at_rest_is_as_accurate_in_the_first_window_as_in_others(
+    bench: Bench,
+) -> None:
+    """With samples on one side only, an encoder count of 1.5 mrad causes an error of 0.1 rad/s."""
+    (trial,) = bench.read(bench.add("a.mcap")).fit
     random, joints = np.random.default_rng(3), bench.loaded.realization.structure.joint_type
     off = []
     for _ in range(20):
@@ -299,8 +310,8 @@ def test_a_window_knows_how_fast_a_joint_was_that_rested(bench: Bench) -> None:
     assert first == pytest.approx(np.mean(others), rel=0.5)
 
 
-def test_a_trial_with_gaps_has_a_window_in_any_case(bench: Bench) -> None:
-    (trial,) = bench.read(bench.put("a.mcap")).fit
+def test_a_trial_with_many_gaps_has_one_window(bench: Bench) -> None:
+    (trial,) = bench.read(bench.add("a.mcap")).fit
     kept = np.flatnonzero(np.arange(len(trial.time)) % 80 < 3)
     torn = replace(trial, time=trial.time[kept], position=trial.position[kept])
     joints = bench.loaded.realization.structure.joint_type
@@ -309,7 +320,7 @@ def test_a_trial_with_gaps_has_a_window_in_any_case(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("hidden", [{}, {"delay": 0.05}, {"viscous": 0.3}, {"lag": 0.05}], ids=str)
-def test_a_recording_that_begins_at_rest_stays_there(
+def test_a_recording_that_begins_at_rest_has_zero_initial_velocity(
     bench: Bench, hidden: dict[str, float]
 ) -> None:
     trials = bench.read(record(bench.folder / "a.mcap", 4, **hidden))
@@ -317,58 +328,58 @@ def test_a_recording_that_begins_at_rest_stays_there(
     assert not any(s.initial_velocity.any() for s in problem.simulator.segments)
 
 
-def test_a_clipped_velocity_is_said_and_does_not_matter(bench: Bench) -> None:
+def test_a_saturated_velocity_is_reported_and_the_recording_is_used(bench: Bench) -> None:
     speed = np.clip(np.gradient(bench.seen, bench.seen_at, axis=0), -1.0, 1.0)
-    found = bench.read(bench.put("a.mcap", velocity=speed))
+    found = bench.read(bench.add("a.mcap", velocity=speed))
     assert any("velocity of left is at its maximum of 1" in note for note in found.notes)
 
 
-def stuck(bench: Bench) -> np.ndarray:
+def stuck_positions(bench: Bench) -> np.ndarray:
     held = bench.seen.copy()
     held[20:, 0] = held[20, 0]
     return held
 
 
-def test_a_stuck_encoder_costs_its_recording_where_others_remain(bench: Bench) -> None:
-    found = bench.read(bench.put("a.mcap"), bench.put("stuck.mcap", seen=stuck(bench)))
+def test_a_recording_with_a_stuck_encoder_is_left_out_if_others_remain(bench: Bench) -> None:
+    found = bench.read(bench.add("a.mcap"), bench.add("stuck.mcap", seen=stuck_positions(bench)))
     assert (names(found.fit), found.unseen) == (["a.mcap"], frozenset())
     assert any("encoder of left is stuck" in note for note in found.notes)
 
 
-def test_a_joint_that_friction_holds_for_a_while_is_not_a_stuck_encoder(bench: Bench) -> None:
+def test_a_joint_that_friction_holds_temporarily_is_not_a_stuck_encoder(bench: Bench) -> None:
     held = bench.seen.copy()
     held[60:270, 0] = held[60, 0]
     longer = np.concatenate([held, bench.seen, bench.seen])
     bench.seen_at = np.arange(len(longer)) * 0.005
     bench.sent_at = np.arange(3 * len(bench.sent)) * 0.01
     bench.sent = np.concatenate([bench.sent] * 3)
-    found = bench.read(bench.put("a.mcap", seen=longer))
+    found = bench.read(bench.add("a.mcap", seen=longer))
     assert (names(found.fit), found.unseen) == (["a.mcap"], frozenset())
     assert any(note.startswith("stuck in /joint_states left") for note in found.notes)
 
 
-def test_degrees_in_states_and_commands_alike_are_asked_about(bench: Bench) -> None:
+def test_a_note_asks_about_degrees_in_both_states_and_commands(bench: Bench) -> None:
     bench.sent = np.degrees(bench.sent)
-    found = bench.read(bench.put("a.mcap", seen=np.degrees(bench.seen)))
+    found = bench.read(bench.add("a.mcap", seen=np.degrees(bench.seen)))
     assert any("turns); if states and commands are in degrees" in n for n in found.notes)
 
 
-def test_a_joint_that_rests_to_the_end_where_friction_can_hold_it_is_not_stuck(
+def test_a_joint_that_rests_until_the_end_is_not_stuck_if_friction_can_hold_it(
     bench: Bench,
 ) -> None:
-    # It moved, came to rest, and what its setpoint does from there on would not have moved it.
-    reduced_models = bench.seen.copy()
-    reduced_models[80:, 0] = reduced_models[80, 0]
+    # The joint comes to rest, and its later setpoints are too close to move it.
+    at_rest = bench.seen.copy()
+    at_rest[80:, 0] = at_rest[80, 0]
     bench.sent = bench.sent.copy()
     slow = np.linspace(0.0, 0.25, len(bench.sent) - 40)
-    bench.sent[40:, 0] = reduced_models[80, 0] + slow
-    found = bench.read(bench.put("a.mcap", seen=reduced_models))
+    bench.sent[40:, 0] = at_rest[80, 0] + slow
+    found = bench.read(bench.add("a.mcap", seen=at_rest))
     assert any(note.startswith("stuck in /joint_states left") for note in found.notes)
     assert (names(found.fit), found.unseen) == (["a.mcap"], frozenset())
 
 
-def test_a_stuck_encoder_everywhere_costs_its_joint_alone(bench: Bench) -> None:
-    trials = bench.read(bench.put("stuck.mcap", seen=stuck(bench)))
+def test_a_joint_whose_encoder_is_stuck_in_all_recordings_is_not_evaluated(bench: Bench) -> None:
+    trials = bench.read(bench.add("stuck.mcap", seen=stuck_positions(bench)))
     assert trials.unseen == {"left"}
     found = diagnose(bench.loaded.realization, trials)
     assert set(found.errors) == {"right"}
@@ -377,12 +388,14 @@ def test_a_stuck_encoder_everywhere_costs_its_joint_alone(bench: Bench) -> None:
     assert any("is not evaluated" in note for note in found.notes)
 
 
-@pytest.mark.parametrize("away", [0.0, 0.05], ids=["where it is told", "beside that"])
-def test_a_joint_that_reads_one_number_is_as_noisy_as_the_others(bench: Bench, away: float) -> None:
-    # A coarse encoder at rest: one joint is excited after the other.
+@pytest.mark.parametrize("offset", [0.0, 0.05], ids=["at its setpoint", "away from its setpoint"])
+def test_a_joint_with_a_constant_reading_has_the_noise_of_the_others(
+    bench: Bench, offset: float
+) -> None:
+    # As with a coarse encoder at rest, while only the other joint is excited.
     bench.sent, held = bench.sent.copy(), bench.seen.copy()
-    bench.sent[:, 1], held[:, 1] = 0.0, away
-    trials = bench.read(bench.put("a.mcap", seen=held), bench.put("b.mcap", seen=held))
+    bench.sent[:, 1], held[:, 1] = 0.0, offset
+    trials = bench.read(bench.add("a.mcap", seen=held), bench.add("b.mcap", seen=held))
     assert trials.unseen == frozenset()
     assert any("'right': its encoder reads" in note and "noise of the others" in note
                for note in trials.notes)  # fmt: skip
@@ -391,16 +404,18 @@ def test_a_joint_that_reads_one_number_is_as_noisy_as_the_others(bench: Bench, a
     assert noise[1] == noise[0] > 0.0
     found = diagnose(bench.loaded.realization, trials)
     assert set(found.errors) == {"left", "right"}
-    # The model's servo needs a few hundredths of a second from where the encoder says to the zero.
-    assert found.errors["right"].before == pytest.approx(away, rel=0.02, abs=2e-4)
+    # The servo of the model moves from the reading to its setpoint within some 10 ms.
+    assert found.errors["right"].before == pytest.approx(offset, rel=0.02, abs=2e-4)
 
 
-def test_under_effort_commands_one_number_is_held_against_nothing(tmp_path: Path) -> None:
+def test_a_joint_with_a_constant_reading_under_effort_commands_is_not_evaluated(
+    tmp_path: Path,
+) -> None:
     model = re.sub(r"<position (name=\S+ joint=\S+)[^>]*>", r"<motor \1/>", mjcf())
     (tmp_path / "model.xml").write_text(model)
     loaded = load_model(tmp_path / "model.xml")
     at = 0.005 * np.arange(400)
-    # The right one swings, let go beside where it hangs; the left one reads 0.1 rad throughout.
+    # The right pendulum swings freely; the left one reads 0.1 rad throughout.
     inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
     falls = solve_ivp(
         lambda t, x: [x[1], (MASS * 9.81 * LENGTH * np.sin(x[0]) - DAMPING * x[1]) / inertia],
@@ -426,20 +441,20 @@ def test_under_effort_commands_one_number_is_held_against_nothing(tmp_path: Path
 
 
 def test_a_joint_that_one_recording_lacks_is_left_out(bench: Bench) -> None:
-    both = bench.put("both.mcap")
-    one = bench.put("one.mcap", joints=("left",))
+    both = bench.add("both.mcap")
+    one = bench.add("one.mcap", joints=("left",))
     found = diagnose(bench.loaded.realization, bench.read(both, one))
     assert set(found.errors) == {"left"}
     assert "joint 'right' is not tested: one.mcap lacks it" in found.notes
     alone = diagnose(bench.loaded.realization, bench.read(one))
     assert set(alone.errors) == {"left"}
-    said = "joint 'right' is in no recording: it is simulated from the model's initial position"
-    assert any(note.startswith(said) for note in alone.notes)
+    expected = "joint 'right' is in no recording: it is simulated from the model's initial position"
+    assert any(note.startswith(expected) for note in alone.notes)
 
 
-def test_a_recording_that_lacks_a_joint_is_left_out_where_most_have_it(bench: Bench) -> None:
-    whole = [bench.put(f"whole{k}.mcap") for k in range(2)]
-    one = bench.put("one.mcap", joints=("left",))
+def test_a_recording_that_lacks_a_joint_is_left_out_if_most_have_it(bench: Bench) -> None:
+    whole = [bench.add(f"whole{k}.mcap") for k in range(2)]
+    one = bench.add("one.mcap", joints=("left",))
     trials = bench.read(*whole, one)
     assert names((*trials.fit, *trials.held_out)) == ["whole0.mcap", "whole1.mcap"]
     assert any("one.mcap: it lacks right, which most others have" in note for note in trials.notes)
@@ -448,7 +463,7 @@ def test_a_recording_that_lacks_a_joint_is_left_out_where_most_have_it(bench: Be
 
 
 def test_a_recording_on_which_the_model_diverges_is_left_out(tmp_path: Path) -> None:
-    """A set of gains that nobody has is no effect: the rest tells what is missing."""
+    """Impossible controller gains are no effect; the other recordings are diagnosed."""
     wild = mjcf().replace("implicitfast", "Euler").replace('forcerange="-5.0 5.0"', "")
     (tmp_path / "model.xml").write_text(wild)
     (tmp_path / "twin.yaml").write_text(
@@ -475,22 +490,22 @@ def test_a_recording_on_which_the_model_diverges_is_left_out(tmp_path: Path) -> 
     )
 
 
-def test_unusable_input_is_one_line_and_leaves_nothing(
+def test_unusable_input_gives_a_message_of_one_line_and_no_output(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench = Bench(tmp_path)
-    later = bench.put("later.mcap", sent_at=bench.sent_at + 60.0)
+    later = bench.add("later.mcap", sent_at=bench.sent_at + 60.0)
     arguments = ["diagnose", "--seconds", "0", str(tmp_path / "model.xml"), str(later)]
     assert cli.main([*arguments, "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert "later.mcap" in said.err
-    assert "expected one clock" in said.err
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert "later.mcap" in printed.err
+    assert "expected one clock" in printed.err
     assert {p.name for p in tmp_path.iterdir()} == {"model.xml", "later.mcap"}
 
 
-def test_a_folder_with_other_things_is_not_replaced(
+def test_an_output_folder_with_other_files_is_not_replaced(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "mine").mkdir()

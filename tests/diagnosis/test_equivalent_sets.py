@@ -1,4 +1,4 @@
-"""Sets of effects that are alike on the recordings share the confidence; the better set wins."""
+"""Sets of effects with the same prediction share the confidence; the likelier set is selected."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from pytest_twin.effects.segment import Segment
 
 NOISE, SAMPLE, SECONDS = 2e-4, 0.01, 3.0
 ROBOT, FIRST, SECOND = -1, 0, 1
-LATE_COMMAND, LATE_SENSOR = Term("command_delay", FIRST), Term("sensor_delay", ROBOT)
+COMMAND_DELAY, SENSOR_DELAY = Term("command_delay", FIRST), Term("sensor_delay", ROBOT)
 CONSTANT = Term("torque_constant", FIRST)
 LOAD, DRAG, DRY = (
     Term("payload", ROBOT), Term("viscous_friction", FIRST), Term("coulomb_friction", FIRST),
 )  # fmt: skip
-TILT, ZERO = Term("base_tilt", ROBOT), Term("encoder_bias", FIRST)
+TILT, ENCODER_BIAS = Term("base_tilt", ROBOT), Term("encoder_bias", FIRST)
 
 PENDULUM = """
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
@@ -63,7 +63,7 @@ PLANAR = """
 
 
 def command(mode: str, joints: int, seed: int) -> FloatArray:
-    """(samples, joints) smooth commands that begin at rest."""
+    """(samples, joints) smooth commands that begin at rest, rad or N*m."""
     rng = np.random.default_rng(seed)
     t = SAMPLE * np.arange(round(SECONDS / SAMPLE))
     size = 0.4 if mode == "position" else 2.5
@@ -89,7 +89,7 @@ def with_values(problem: Problem, hidden: dict[Term, dict[str, float]]) -> Hypot
 
 
 def problem_of(xml: str, mode: str, hidden: dict[Term, dict[str, float]]) -> Problem:
-    """Two recordings to fit of a robot that has what is hidden, by the package's own simulation."""
+    """Two fit recordings of a robot with hidden effects, which the package itself simulates."""
     model = mujoco.MjModel.from_xml_string(xml)
     joints = tuple(model.joint(i).name for i in range(model.njnt))
     time: FloatArray = SAMPLE * np.arange(round(SECONDS / SAMPLE), dtype=np.float64)
@@ -133,23 +133,25 @@ def confidences(problem: Problem, found: ComparedSets) -> SelectedModel:
 
 
 @pytest.mark.parametrize(
-    ("xml", "mode"), [(PENDULUM.format(drive=SERVO), "position"), (SLIDER, "position")]
+    ("xml", "mode"),
+    [(PENDULUM.format(drive=SERVO), "position"), (SLIDER, "position")],
+    ids=["hinge", "slide"],
 )
-def test_a_late_command_and_a_late_sensor_of_one_joint_share_the_confidence(
+def test_command_delay_and_sensor_delay_of_one_joint_share_the_confidence(
     xml: str, mode: str
 ) -> None:
-    problem = problem_of(xml, mode, {LATE_COMMAND: {"delay": 0.02}})
-    found = compared(problem, with_values(problem, {LATE_SENSOR: {"delay": 0.018}}))
+    problem = problem_of(xml, mode, {COMMAND_DELAY: {"delay": 0.02}})
+    found = compared(problem, with_values(problem, {SENSOR_DELAY: {"delay": 0.018}}))
     selected = confidences(problem, found)
     (term,) = found.best.hypothesis.terms
     (first, *_) = selected.sets[term]
-    assert {term, *first.new} == {LATE_COMMAND, LATE_SENSOR}
+    assert {term, *first.new} == {COMMAND_DELAY, SENSOR_DELAY}
     assert selected.confidence[term] == pytest.approx(0.5, abs=0.15)
     assert first.confidence == pytest.approx(0.5, abs=0.15)
     assert found.simulations <= EQUIVALENT.most_simulations
 
 
-def test_one_effect_wins_over_three_that_predict_the_same_and_they_are_its_alternative() -> None:
+def test_one_effect_is_preferred_to_three_with_the_same_prediction_as_its_alternative() -> None:
     problem = problem_of(
         PENDULUM.format(drive=MOTOR), "effort", {CONSTANT: {"relative_error": -0.14}}
     )
@@ -168,25 +170,25 @@ def test_one_effect_wins_over_three_that_predict_the_same_and_they_are_its_alter
     assert any(set(a.new) == {LOAD, DRAG, DRY} for a in selected.sets[CONSTANT])
 
 
-def test_a_tilt_about_parallel_axes_shares_the_confidence_with_a_zero_offset() -> None:
+def test_base_tilt_and_encoder_bias_share_the_confidence_for_parallel_joint_axes() -> None:
     problem = problem_of(PLANAR, "position", {TILT: {"pitch": 0.06}})
-    start = with_values(problem, {ZERO: {"bias": -0.06, "in_loop": 1.0}})
+    start = with_values(problem, {ENCODER_BIAS: {"bias": -0.06, "in_loop": 1.0}})
     found = compared(problem, start)
     selected = confidences(problem, found)
     both = {found.best.hypothesis.terms, *(tuple(s.rival.hypothesis.terms) for s in found.sets)}
-    assert {(TILT,), (ZERO,)} <= both
+    assert {(TILT,), (ENCODER_BIAS,)} <= both
     assert 0.1 < selected.confidence[found.best.hypothesis.terms[0]] < 0.95
 
 
-def test_an_impossible_set_gives_way_to_the_likeliest_possible_one() -> None:
-    problem = problem_of(PENDULUM.format(drive=SERVO), "position", {LATE_COMMAND: {"delay": 0.02}})
+def test_an_impossible_set_is_replaced_by_the_likeliest_possible_one() -> None:
+    problem = problem_of(PENDULUM.format(drive=SERVO), "position", {COMMAND_DELAY: {"delay": 0.02}})
     comparison = ModelComparison(problem)
-    start = with_values(problem, {LATE_SENSOR: {"delay": 0.02}})
-    found = compare_sets(comparison, start, lambda h: LATE_SENSOR not in h.terms)
-    assert found.best.hypothesis.terms == (LATE_COMMAND,)
+    start = with_values(problem, {SENSOR_DELAY: {"delay": 0.02}})
+    found = compare_sets(comparison, start, lambda h: SENSOR_DELAY not in h.terms)
+    assert found.best.hypothesis.terms == (COMMAND_DELAY,)
 
 
-def test_subsets_begin_with_single_effects_and_hold_whole_joints() -> None:
+def test_subsets_begin_with_single_effects_and_contain_all_effects_of_a_joint() -> None:
     terms = (LOAD, DRAG, DRY, Term("armature", SECOND))
     found = subsets(terms)
     assert found[:4] == [(t,) for t in terms]
@@ -197,7 +199,7 @@ def test_subsets_begin_with_single_effects_and_hold_whole_joints() -> None:
 def test_model_error_does_not_average_out_within_a_recording() -> None:
     effective, floor = np.array([400.0]), np.array([1.0])
     assert tempered_samples(effective, floor**2, floor, 4, 1)[0] == pytest.approx(400.0)
-    # Far above the floor each recording is one sample.
+    # Far above the floor, each recording counts as one sample.
     assert tempered_samples(effective, (100 * floor) ** 2, floor, 4, 1)[0] == pytest.approx(
         4.0, rel=0.05
     )
@@ -210,37 +212,37 @@ def test_the_model_error_of_a_position_applies_to_the_effort_of_its_joint() -> N
     assert samples == pytest.approx([4.0, 400.0, 4.0, 400.0], rel=0.05)
 
 
-def test_confidence_is_shared_by_the_odds_of_sets_that_lack_an_effect() -> None:
+def test_the_confidence_of_an_effect_follows_from_the_odds_of_the_sets_without_it() -> None:
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
-    h = EMPTY.with_term(LATE_COMMAND, grid(LATE_COMMAND)[0][0])
+    h = EMPTY.with_term(COMMAND_DELAY, grid(COMMAND_DELAY)[0][0])
     (best,) = comparison.rivals([h], comparison.weights(comparison.nominal), 0)
-    alone = ComparedSets(best, (), 1.0, 0.0)
+    no_alternatives = ComparedSets(best, (), 1.0, 0.0)
     known = SelectedModel(
-        best, comparison.nominal, {LATE_COMMAND: 0.8}, {LATE_COMMAND: [(DRAG, 0.2)]}
+        best, comparison.nominal, {COMMAND_DELAY: 0.8}, {COMMAND_DELAY: [(DRAG, 0.2)]}
     )
-    assert share_confidence(known, alone).confidence[LATE_COMMAND] == pytest.approx(0.8)
+    assert share_confidence(known, no_alternatives).confidence[COMMAND_DELAY] == pytest.approx(0.8)
     # Model error halves the evidence: odds of 1/4 become 1/2.
-    halved = share_confidence(known, replace(alone, tempering=0.5))
-    assert halved.confidence[LATE_COMMAND] == pytest.approx(2 / 3)
-    assert halved.sets[LATE_COMMAND][0].new == (DRAG,)
+    halved = share_confidence(known, replace(no_alternatives, tempering=0.5))
+    assert halved.confidence[COMMAND_DELAY] == pytest.approx(2 / 3)
+    assert halved.sets[COMMAND_DELAY][0].new == (DRAG,)
 
 
-def test_a_rival_far_behind_keeps_its_distance_under_model_error() -> None:
-    """5,000 nats at a five-hundredth of their weight are 10, though a share of e^-5000 is zero."""
+def test_an_unlikely_alternative_keeps_its_tempered_evidence() -> None:
+    """5,000 nats tempered by 0.002 are 10 nats, although exp(-5000) is zero in floating point."""
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
-    h = EMPTY.with_term(LATE_COMMAND, grid(LATE_COMMAND)[0][0])
+    h = EMPTY.with_term(COMMAND_DELAY, grid(COMMAND_DELAY)[0][0])
     (best,) = comparison.rivals([h], comparison.weights(comparison.nominal), 0)
     selected = SelectedModel(best, comparison.nominal)
-    gone = (LATE_COMMAND,)
-    selected.weigh({(gone, DRAG): -5000.0, (gone, DRY): -5000.0, (gone, None): -9000.0})
+    removed = (COMMAND_DELAY,)
+    selected.weigh({(removed, DRAG): -5000.0, (removed, DRY): -5000.0, (removed, None): -9000.0})
     shared = share_confidence(selected, ComparedSets(best, (), 0.002, 0.0))
     odds = 2 * np.exp(-10.0) + np.exp(-18.0)
-    assert shared.confidence[LATE_COMMAND] == pytest.approx(1.0 / (1.0 + odds))
+    assert shared.confidence[COMMAND_DELAY] == pytest.approx(1.0 / (1.0 + odds))
 
 
-def test_a_general_law_at_its_special_case_is_no_rival() -> None:
+def test_a_general_law_is_no_alternative_to_its_special_case() -> None:
     problem = problem_of(PENDULUM.format(drive=SERVO), "position", {})
     comparison = ModelComparison(problem)
     general = Term("asymmetric_friction", FIRST)
@@ -250,7 +252,7 @@ def test_a_general_law_at_its_special_case_is_no_rival() -> None:
     found = ComparedSets(best, (AlternativeSet(rival, 0.0, 0.0),), 1.0, 0.0)
     selected = share_confidence(SelectedModel(best, comparison.nominal), found)
     assert selected.confidence[DRY] == pytest.approx(1.0)
-    # The special case is a rival of the general law.
+    # The special case is an alternative to the general law.
     found = ComparedSets(rival, (AlternativeSet(best, 0.0, 0.0),), 1.0, 0.0)
     assert share_confidence(SelectedModel(rival, comparison.nominal), found).confidence[
         general
@@ -260,7 +262,7 @@ def test_a_general_law_at_its_special_case_is_no_rival() -> None:
 def rejected(
     problem: Problem, chosen: dict[Term, dict[str, float]]
 ) -> tuple[ModelComparison, SelectedModel, PrunedModel]:
-    """A chosen set of effects, fitted, of which pruning leaves nothing."""
+    """A fitted set of effects, all of which pruning rejects."""
     comparison = ModelComparison(problem)
     best = comparison.fit_to_convergence(comparison.score_without_fit(with_values(problem, chosen)))
     nothing = comparison.score_without_fit(EMPTY).fitted
@@ -269,55 +271,55 @@ def rejected(
 
 
 @pytest.fixture(scope="module")
-def late() -> Problem:
-    return problem_of(PENDULUM.format(drive=SERVO), "position", {LATE_COMMAND: {"delay": 0.02}})
+def delayed() -> Problem:
+    return problem_of(PENDULUM.format(drive=SERVO), "position", {COMMAND_DELAY: {"delay": 0.02}})
 
 
-def test_the_effect_that_explains_as_much_stands_instead(late: Problem) -> None:
-    comparison, selected, pruned = rejected(late, {LATE_SENSOR: {"delay": 0.02}})
-    chosen, left = replace_closest_known(late, comparison, selected, pruned)
-    assert left.fitted.hypothesis.terms == (LATE_COMMAND,)
-    assert left.fitted.hypothesis.theta[0] * late.scales.value(
-        LATE_COMMAND.parameters[0], LATE_COMMAND.joint
+def test_a_rejected_effect_is_replaced_by_one_that_explains_as_much(delayed: Problem) -> None:
+    comparison, selected, pruned = rejected(delayed, {SENSOR_DELAY: {"delay": 0.02}})
+    chosen, left = replace_closest_known(delayed, comparison, selected, pruned)
+    assert left.fitted.hypothesis.terms == (COMMAND_DELAY,)
+    assert left.fitted.hypothesis.theta[0] * delayed.scales.value(
+        COMMAND_DELAY.parameters[0], COMMAND_DELAY.joint
     ) == pytest.approx(0.02, abs=1e-3)
-    assert chosen.confidence[LATE_COMMAND] > 0.5
+    assert chosen.confidence[COMMAND_DELAY] > 0.5
     assert left.notes == ["rejected"]
-    assert left.closest == (LATE_SENSOR,)
+    assert left.closest == (SENSOR_DELAY,)
 
 
-def test_nothing_stands_instead_of_an_effect_that_explains_far_more(late: Problem) -> None:
-    comparison, selected, pruned = rejected(late, {LATE_COMMAND: {"delay": 0.02}})
-    pruned.closest = (LATE_COMMAND, LATE_SENSOR)
-    _, left = replace_closest_known(late, comparison, selected, pruned)
+def test_a_rejected_effect_is_not_replaced_by_one_that_explains_far_less(delayed: Problem) -> None:
+    comparison, selected, pruned = rejected(delayed, {COMMAND_DELAY: {"delay": 0.02}})
+    pruned.closest = (COMMAND_DELAY, SENSOR_DELAY)
+    _, left = replace_closest_known(delayed, comparison, selected, pruned)
     assert left is pruned
 
 
-def test_nothing_is_asked_for_where_pruning_rejected_no_closest_effect(late: Problem) -> None:
-    comparison, selected, pruned = rejected(late, {DRAG: {"coefficient": 0.1}})
+def test_no_replacement_is_simulated_if_pruning_rejected_no_closest_effect(
+    delayed: Problem,
+) -> None:
+    comparison, selected, pruned = rejected(delayed, {DRAG: {"coefficient": 0.1}})
     pruned.closest = ()
-    before = late.stepped
-    assert replace_closest_known(late, comparison, selected, pruned) == (selected, pruned)
-    assert late.stepped == before
+    before = delayed.stepped
+    assert replace_closest_known(delayed, comparison, selected, pruned) == (selected, pruned)
+    assert delayed.stepped == before
 
 
-def test_a_rival_set_keeps_the_other_effects() -> None:
-    """With an effect of little consequence beside the main one, the main one's rival has it too."""
-    main, rival, small = (Term(e, 0) for e in ("command_delay", "actuator_lag", "cogging"))
+def test_an_alternative_set_keeps_the_other_effects() -> None:
+    """An alternative to the main effect contains the minor effect too."""
+    main, rival, minor = (Term(e, 0) for e in ("command_delay", "actuator_lag", "cogging"))
     sets = [
         (99.0, EMPTY.with_term(rival, np.zeros(len(rival.parameters)))),
-        (100.0, EMPTY.with_terms({t: np.zeros(len(t.parameters)) for t in (rival, small)})),
+        (100.0, EMPTY.with_terms({t: np.zeros(len(t.parameters)) for t in (rival, minor)})),
         (0.0, EMPTY),
     ]
-    kept = [set(h.terms) for h in _without_additions(sets, (main, small), 1)]
-    assert {rival, small} in kept
-    assert {rival, small} not in [set(h.terms) for h in _without_additions(sets, (main,), 1)]
+    kept = [set(h.terms) for h in _without_additions(sets, (main, minor), 1)]
+    assert {rival, minor} in kept
+    assert {rival, minor} not in [set(h.terms) for h in _without_additions(sets, (main,), 1)]
 
 
-def test_an_effect_that_predicts_the_same_is_a_rival_although_another_joint_is_unexplained() -> (
-    None
-):
-    """Dry friction at the other joint explains more of the recordings, but is no other name for an
-    eccentric encoder; a wrong encoder scale is.
+def test_an_equivalent_effect_is_an_alternative_although_another_joint_is_unexplained() -> None:
+    """Dry friction at the other joint explains more of the error, but is no alternative to an
+    eccentric encoder. A wrong encoder scale is one.
     """
     eccentric, scale, dry = (
         Term("encoder_eccentricity", FIRST), Term("encoder_scale", FIRST),

@@ -1,6 +1,7 @@
-"""What the search to first order says of motions whose cause is known, no candidate simulated.
+"""Linearized search: known hidden effects are found without a simulation of any candidate.
 
-Plants are the package's own simulation with one effect or two, plus noise of an ordinary encoder.
+The package itself simulates the plants, with one or two effects and the noise of an ordinary
+encoder.
 """
 
 from __future__ import annotations
@@ -44,14 +45,14 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 Hidden = Mapping[Term, Mapping[str, float]]
-"""What the plant has and the model lacks, SI units."""
+"""Effects of the plant that the model lacks, with parameters in SI units."""
 
 NOISE = 3e-4
-"""rad: an encoder of 4096 counts, and some jitter."""
+"""Standard deviation in rad of an encoder with 4096 counts and some jitter."""
 SAMPLE, SECONDS, WINDOW, START_WIDTH = 0.01, 5.0, 0.5, 0.12
 NEAR = 0.1
 ABSENT = 0.05
-"""Of a switch's reference: what is not there comes out at less."""
+"""Largest estimate of an absent effect, as a multiple of the reference of its amplitude."""
 
 ARM = """\
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
@@ -72,27 +73,27 @@ ROBOT, SHOULDER, ELBOW, CRANK_JOINT = -1, 0, 1, 0
 
 
 def link(form: int, **values: float) -> dict[str, float]:
-    """Inertial parameters in one form, the others neutral."""
+    """Inertial parameters in one form, with the other parameters neutral."""
     none = {p.name: 0.0 for p in Term("inertial_parameters", SHOULDER).parameters}
     return {**none, **values, "form": float(form)}
 
 
 def rate(**values: float) -> dict[str, float]:
-    """A limit of one rate, the other without any."""
+    """A limit of one rate, without a limit of the other."""
     return {"inverse_rate": 0.0, "inverse_effort_rate": 0.0, "of_effort": 0.0, **values}
 
 
 def carried(
     mass: float, distance: float, sideways: float = 0.0, across: float = 0.0
 ) -> dict[str, float]:
-    """A payload, in the form with fewest parameters."""
+    """A payload in the form with the fewest parameters."""
     form = 2.0 if across else 1.0 if sideways else 0.0
     return {
         "mass": mass, "distance": distance, "sideways": sideways, "across": across, "form": form
     }  # fmt: skip
 
 
-# Command mode, what is hidden where, and its parameters.
+# Command mode, hidden effect with its joint, and its parameters.
 ALONE: list[tuple[str, Term, dict[str, float]]] = [
     ("position", Term("viscous_friction", ELBOW), {"coefficient": 0.2}),
     ("position", Term("coulomb_friction", SHOULDER), {"coulomb": 0.3}),
@@ -152,23 +153,23 @@ ALONE: list[tuple[str, Term, dict[str, float]]] = [
     ("effort", Term("torque_constant", CRANK_JOINT), {"relative_error": 0.12}),
     ("effort", Term("inertial_parameters", CRANK_JOINT), link(0, relative_error=0.2)),
 ]
-# Laws that hold another as a special case: they take up what first order leaves of it as well, so
-# they may lie ahead of it here. The fits, on simulations, decide between them.
-HELD_BY: Mapping[str, frozenset[str]] = {
-    # To first order a command that comes late and one that is smoothed are the same.
+# Laws that contain another as a special case. They also fit the error of its linearization, so they
+# may rank before it here. Fits by simulation decide between them.
+GENERALIZED_BY: Mapping[str, frozenset[str]] = {
+    # To first order, a delay and a lag of the command are the same.
     "command_delay": frozenset({"actuator_lag"}),
     "actuator_lag": frozenset({"command_delay"}),
-    # Its damping error, under a servo; without warming up; alike in both directions.
+    # Special cases: damping error of a servo, no warm-up, equal in both directions.
     "viscous_friction": frozenset(
         {"controller_gain", "thermal_friction", "directional_viscous_friction"}
     ),
-    # A bias holds the servo off by a constant effort: a preload.
+    # A bias causes a constant effort of the servo, as a preload does.
     "encoder_bias": frozenset({"joint_spring"}),
-    # A link alone on its motor: of what its drive gives more, it asks less.
+    # With one joint, a larger torque constant acts like a lighter link.
     "torque_constant": frozenset({"inertial_parameters"}),
-    # A last link of other mass, inertia and centre carries any load.
+    # A last link with other mass, inertia and center represents any payload.
     "payload": frozenset({"inertial_parameters"}),
-    # Without excess, offset, waves, warming up.
+    # Special cases: no excess, no offset, no waves, no warm-up.
     "coulomb_friction": frozenset(
         {
             "stribeck_friction",
@@ -181,7 +182,7 @@ HELD_BY: Mapping[str, frozenset[str]] = {
 
 
 def wave(time: FloatArray, joints: int, size: float) -> FloatArray:
-    """(samples, joints) of three sines a joint, from rest."""
+    """(samples, joints) three sines for each joint, from rest."""
     random = np.random.default_rng(1)
     frequency = random.uniform(0.3, 1.6, (3, joints))
     phase = random.uniform(0.0, 2.0 * np.pi, (3, joints))
@@ -191,8 +192,8 @@ def wave(time: FloatArray, joints: int, size: float) -> FloatArray:
     return size * total * np.minimum(time / 0.4, 1.0)[:, None]
 
 
-def moved(segment: Segment, joints: tuple[str, ...], hidden: Hidden) -> FloatArray:
-    """Positions that a plant with ``hidden`` effects has."""
+def simulated_positions(segment: Segment, joints: tuple[str, ...], hidden: Hidden) -> FloatArray:
+    """(samples, joints) positions of a plant with ``hidden`` effects."""
     values: dict[str, dict[str, FloatArray]] = {}
     for term, own in hidden.items():
         values[term.effect] = {
@@ -207,7 +208,7 @@ def moved(segment: Segment, joints: tuple[str, ...], hidden: Hidden) -> FloatArr
 
 
 def problem_of(mode: str, hidden: Hidden) -> Problem:
-    """An arm on position servos, or a crank under effort commands in windows as a fit has them."""
+    """An arm with position servos, or a crank under effort commands in short windows."""
     servo = mode == "position"
     joints = ("shoulder", "elbow") if servo else ("crank",)
     model = mujoco.MjModel.from_xml_string(ARM if servo else CRANK)
@@ -219,7 +220,7 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
         command_time=time, command=wave(time, len(joints), 0.25 if servo else 1.0),
         initial_position=still, initial_velocity=still,
     )  # fmt: skip
-    position = moved(segment, joints, hidden)
+    position = simulated_positions(segment, joints, hidden)
     position = position + NOISE * np.random.default_rng(2).standard_normal(position.shape)
     segments = [replace(segment, position=position)]
     if not servo:
@@ -243,13 +244,13 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
     return problem
 
 
-def test_a_push_that_outlasts_the_recording_answers_once() -> None:
+def test_external_forces_that_last_beyond_the_recording_have_one_sensitivity() -> None:
     problem = problem_of("position", {})
     term = Term("external_force", ELBOW)
     found, _ = sensitivities(problem, [term], problem.fit)
     changes = [r.change for r in found]
     assert not any(np.array_equal(a, b) for i, a in enumerate(changes) for b in changes[:i])
-    # From every start one that lasts to the end.
+    # For every start time, one force lasts until the end.
     whole, each = SECONDS / 12.0, {}
     for r in found:
         _, start, lasts = r.start * [problem.scales.value(p, ELBOW) for p in term.parameters]
@@ -259,7 +260,7 @@ def test_a_push_that_outlasts_the_recording_answers_once() -> None:
 
 
 def normal_equations(problem: Problem) -> NormalEquations:
-    """Every candidate of the catalogue, around the model as it came."""
+    """Normal equations of all candidates of the catalogue, around the nominal model."""
     answers, left = sensitivities(problem, candidates(problem), problem.fit)
     lengths = bins(problem, problem.fit).lengths
     view = ResidualView(left, np.empty((*left.shape, 0)), problem.signal_floor, lengths)
@@ -267,7 +268,7 @@ def normal_equations(problem: Problem) -> NormalEquations:
 
 
 def assert_near(problem: Problem, term: Term, start: FloatArray, hidden: Hidden) -> None:
-    """What switches an effect on starts near the truth; what shapes it stands on its grid."""
+    """Amplitudes start near their true values; shape parameters start on their grid."""
     for p, found in zip(term.parameters, start, strict=True):
         if p.neutral is not None:
             truth = hidden[term][p.name] / problem.scales.value(p, term.joint)
@@ -277,14 +278,14 @@ def assert_near(problem: Problem, term: Term, start: FloatArray, hidden: Hidden)
 @pytest.mark.parametrize(
     ("mode", "term", "values"), ALONE, ids=[f"{m}-{t.effect}" for m, t, _ in ALONE]
 )
-def test_one_effect_comes_first_and_starts_near_the_truth(
+def test_the_hidden_effect_ranks_first_and_starts_near_its_true_value(
     mode: str, term: Term, values: dict[str, float]
 ) -> None:
     hidden = {term: values}
     problem = problem_of(mode, hidden)
     equations = normal_equations(problem)
     level = np.sqrt(np.mean(equations.view.residual**2, axis=0)) / equations.view.floor
-    assert level.max() > 10.0, "too small to be found by more than luck"
+    assert level.max() > 10.0, "the effect must be far above the noise floor"
     children = [equations.structure(chosen) for chosen in equations.children(equations.bare, 12)]
     ahead: list[Term] = []
     for structure in equations.compared(equations.bare, children):
@@ -294,17 +295,17 @@ def test_one_effect_comes_first_and_starts_near_the_truth(
             break
         ahead.append(found)
     else:
-        pytest.fail(f"{term} is not among the first; first: {ahead}")
-    assert set(ahead) <= held_by(problem, term)
+        pytest.fail(f"{term} is not among the best candidates: {ahead}")
+    assert set(ahead) <= generalizations_of(problem, term)
 
 
-def held_by(problem: Problem, term: Term) -> set[Term]:
-    """What may lie ahead of a term; of the whole robot's, at its last joint."""
+def generalizations_of(problem: Problem, term: Term) -> set[Term]:
+    """Effects that may rank before a term; for an effect of the robot, those of its last joint."""
     joint = len(problem.joints) - 1 if term.joint == ROBOT else term.joint
-    return {Term(e, joint) for e in HELD_BY.get(term.effect, ())}
+    return {Term(e, joint) for e in GENERALIZED_BY.get(term.effect, ())}
 
 
-def test_a_push_is_found_when_it_was() -> None:
+def test_an_external_force_starts_at_the_closest_times_of_the_grid() -> None:
     term = Term("external_force", SHOULDER)
     mode, _, values = next(a for a in ALONE if a[1] == term)
     problem = problem_of(mode, {term: values})
@@ -318,7 +319,7 @@ def test_a_push_is_found_when_it_was() -> None:
 
 
 @pytest.mark.parametrize("harmonic", [1.0, 4.0])
-def test_friction_that_varies_over_the_turn_has_its_period(harmonic: float) -> None:
+def test_position_dependent_friction_is_found_with_its_wavenumber(harmonic: float) -> None:
     term = Term("position_dependent_friction", SHOULDER)
     hidden = {term: {"mean": 0.5, "sine": 0.2, "cosine": 0.3, "harmonic": harmonic}}
     equations = normal_equations(problem_of("position", hidden))
@@ -357,7 +358,7 @@ def test_two_effects_are_found_together(mode: str, hidden: dict[Term, dict[str, 
     levels = BeamSearch(width=6, most=2, earns=5.0, worth=worth).levels(equations)
     pairs = [s for level in levels for s in level if len(s.starts) == 2]
     at = next(i for i, s in enumerate(pairs) if set(s.starts) == set(hidden))
-    allowed = {*hidden, *(held for t in hidden for held in held_by(problem, t))}
+    allowed = {*hidden, *(held for t in hidden for held in generalizations_of(problem, t))}
     assert all(set(s.starts) <= allowed for s in pairs[:at])
     for term, start in pairs[at].starts.items():
         assert_near(problem, term, start, hidden)
@@ -366,13 +367,13 @@ def test_two_effects_are_found_together(mode: str, hidden: dict[Term, dict[str, 
     assert equations.compared(best, [pairs[at]])[0].evidence > 20.0
 
 
-# -- the equation of small deviations
+# -- linearized equation of motion
 
 MASS, DAMPING, KP, KV, STEP = 2.0, 3.0, 80.0, 4.0, 0.002
 
 
 def slide(limit: float, push: float) -> tuple[MeasuredTrajectory, LinearizedDynamics]:
-    """A slide that follows a ramp without lag, its plant pushed with ``push`` N all the time."""
+    """A slide that follows a ramp without lag; a constant force of ``push`` N acts on its plant."""
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="{STEP}" integrator="implicitfast" gravity="0 0 0"/><worldbody>'
         f'<body><inertial pos="0 0 0" mass="{MASS}" diaginertia="1 1 1"/>'
@@ -390,7 +391,7 @@ def slide(limit: float, push: float) -> tuple[MeasuredTrajectory, LinearizedDyna
     )  # fmt: skip
     force = {"effort": push, "start": -1.0, "duration": 1e3}
     hidden = {Term("external_force", 0): force} if push else {}
-    segment = replace(segment, position=moved(segment, ("j",), hidden))
+    segment = replace(segment, position=simulated_positions(segment, ("j",), hidden))
     simulator = BatchSimulator([segment], ("j",), threads=1)
     scales = joint_scales(simulator, nominal_replay(simulator))
     problem = Problem(simulator, np.array([0]), np.zeros(0, np.int64), np.full(1, 1e-6), scales)
@@ -413,7 +414,7 @@ def closed_form(time: FloatArray, force: float) -> tuple[FloatArray, FloatArray]
     return pushed, fading * sine / damped
 
 
-def test_small_deviations_of_a_linear_joint_are_its_closed_form() -> None:
+def test_small_deviations_of_a_linear_joint_equal_the_closed_form() -> None:
     motion, equation = slide(limit=1e3, push=0.0)
     time = motion.interval * np.arange(motion.position.shape[1])
     force = np.zeros((1, len(time), 1, 2))
@@ -428,7 +429,7 @@ def test_small_deviations_of_a_linear_joint_are_its_closed_form() -> None:
         assert np.abs(found[inner, 1, column] - velocity[inner]).max() < 2e-2
 
 
-def test_secants_carry_large_deviations_through_a_drive_at_its_limit() -> None:
+def test_secant_slopes_predict_large_deviations_with_a_saturated_drive() -> None:
     push = 30.0
     motion, equation = slide(limit=12.0, push=push)
     time = motion.interval * np.arange(motion.position.shape[1])
@@ -437,13 +438,13 @@ def test_secants_carry_large_deviations_through_a_drive_at_its_limit() -> None:
     found = equation.trajectory(force, still)[0, :, 0, 0]
     assert off[-1] > 3.0
     assert np.abs(found - off).max() < 0.01 * np.abs(off).max()
-    # The tangent at the prediction has the whole stiffness and never comes near.
+    # The tangent at the prediction has the full servo stiffness and gives a wrong deviation.
     tangent = closed_form(time, push)[0]
     assert np.abs(tangent - off).max() > 0.5 * np.abs(off).max()
 
 
-def test_what_is_named_already_resists_further_deviations() -> None:
-    """Drag damps, the more the faster: the model as it came does not."""
+def test_effects_of_the_present_fit_change_the_linearized_dynamics() -> None:
+    """Quadratic drag damps deviations; the nominal model does not contain it."""
     drag, other = Term("quadratic_drag", CRANK_JOINT), Term("viscous_friction", CRANK_JOINT)
     problem = problem_of("effort", {drag: {"coefficient": 1.5}})
 
@@ -459,11 +460,11 @@ def test_what_is_named_already_resists_further_deviations() -> None:
     without, with_it = problem.residuals([named, more], problem.fit)
     simulated = bins(problem, problem.fit).mean(without - with_it)
     off = np.sqrt(np.mean((first_order - simulated) ** 2))
-    # Without the drag's own slope it is five times as large as what it is to be.
+    # Without the slope of the drag, the result would be five times too large.
     assert off < 0.3 * np.sqrt(np.mean(simulated**2))
 
 
-def test_slopes_of_forces_are_their_derivatives() -> None:
+def test_slopes_of_forces_equal_their_derivatives() -> None:
     drag, cogging = Term("quadratic_drag", CRANK_JOINT), Term("cogging", CRANK_JOINT)
     problem = problem_of("effort", {drag: {"coefficient": 0.3}})
     motion = measured_trajectory(problem, EMPTY, problem.fit)
@@ -478,7 +479,7 @@ def test_slopes_of_forces_are_their_derivatives() -> None:
     stiffness, damping = force_slopes(problem.simulator, motion, rigid, effects)
     position, velocity = motion.midway
     wave = 5.0 * (0.2 * np.cos(5.0 * position) - 0.1 * np.sin(5.0 * position))
-    # Where the joint stands dry friction takes what changes.
+    # At rest, dry friction compensates for changes of the force.
     moving = np.abs(velocity) > 20.0 * motion.slip_velocity
     assert moving.mean() > 0.5
     assert stiffness[moving] == pytest.approx(-wave[moving], abs=1e-4)
@@ -490,7 +491,7 @@ def test_slopes_of_forces_are_their_derivatives() -> None:
     seed=st.integers(0, 2**16),
 )
 @settings(max_examples=40, deadline=None)
-def test_upsampled_is_linear_between_its_points(at: list[int], seed: int) -> None:
+def test_upsampled_values_are_linear_between_their_points(at: list[int], seed: int) -> None:
     points = np.array([0, *sorted(at)])
     values = np.random.default_rng(seed).standard_normal((2, len(points), 3, 2))
     samples = int(points[-1]) + 1
@@ -501,7 +502,7 @@ def test_upsampled_is_linear_between_its_points(at: list[int], seed: int) -> Non
         assert np.abs(found[s, :, j, k] - expected).max() < 1e-12
 
 
-def test_every_hidden_effect_is_of_the_catalogue() -> None:
+def test_the_hidden_effects_cover_the_families_of_the_catalogue() -> None:
     families = {catalogue()[t.effect].family for _, t, _ in ALONE}
     assert families >= {
         "timing", "sensing", "actuation", "friction", "transmission", "rigid_body", "environment",
@@ -514,7 +515,9 @@ def test_every_hidden_effect_is_of_the_catalogue() -> None:
     [(Term("viscous_friction", SHOULDER), False), (Term("contact_friction", ROBOT), True)],
     ids=["smooth", "rough"],
 )
-def test_what_is_followed_is_what_is_predicted(mode: str, term: Term, rough: bool) -> None:
+def test_trajectories_with_readings_equal_the_predictions(
+    mode: str, term: Term, rough: bool
+) -> None:
     problem = problem_of(mode, {})
     problem.refined = BatchSimulator(
         problem.simulator.segments, problem.joints, threads=1, refine=REFINE

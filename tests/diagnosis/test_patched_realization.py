@@ -1,4 +1,4 @@
-"""What is written into MJCF moves as the effect that was found; what is not, replay steps."""
+"""Effects written into MJCF predict the motion of the diagnosis; replay adds the others."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import EFFECTS_FILE
 
-# (effect, joint, parameters in SI units, wholly inside plain MJCF)
+# Effect, joint, parameters in SI units, and whether plain MJCF represents it completely.
 EFFECTS = [
     ("viscous_friction", 0, {"coefficient": 0.1}, True),
     ("viscous_friction", 0, {"coefficient": -0.2}, False),
@@ -95,7 +95,7 @@ def hypothesis(prepared: Prepared, effect: str, joint: int, values: dict[str, fl
 
 
 @pytest.mark.parametrize(("effect", "joint", "values", "native"), EFFECTS)
-def test_both_forms_of_an_effect_give_the_same_motion(
+def test_the_written_model_predicts_the_same_motion_as_the_effect(
     bench: tuple[Path, Trial, Prepared],
     tmp_path: Path,
     effect: str,
@@ -108,7 +108,7 @@ def test_both_forms_of_an_effect_give_the_same_motion(
     found = hypothesis(prepared, effect, joint, values)
     (nominal,) = problem.predict([EMPTY], np.array([0]))
     problem.refine_at(found)
-    (beside,) = problem.predict([found], np.array([0]))
+    (expected,) = problem.predict([found], np.array([0]))
     out = tmp_path / "realization"
     out.mkdir()
     patched = write_realization(out, load_model(folder / "model.xml").realization, problem, found)
@@ -116,15 +116,15 @@ def test_both_forms_of_an_effect_give_the_same_motion(
     loaded = load_model(find_model(tmp_path))
     assert loaded.patched is not None
     (written,) = replay_patched(loaded.realization, loaded.patched, [trial])
-    difference = np.abs(written.position - beside[0].position).max()
-    moved = np.abs(beside[0].position - nominal[0].position).max()
-    assert moved > 1e-3, "the effect does nothing here: the test would hold for any model"
+    difference = np.abs(written.position - expected[0].position).max()
+    moved = np.abs(expected[0].position - nominal[0].position).max()
+    assert moved > 1e-3, "the effect must change the motion, or every model would pass"
     assert difference < 0.01 * moved
     assert difference < 2e-4
     mujoco.MjModel.from_xml_path(str(out / "model.xml"))
 
 
-def test_several_effects_on_one_actuator_do_not_undo_each_other(
+def test_several_effects_on_one_actuator_are_written_together(
     bench: tuple[Path, Trial, Prepared], tmp_path: Path
 ) -> None:
     folder, trial, prepared = bench
@@ -138,7 +138,7 @@ def test_several_effects_on_one_actuator_do_not_undo_each_other(
         tuple(t for h in parts for t in h.terms), np.concatenate([h.theta for h in parts])
     )
     prepared.problem.refine_at(found)
-    (beside,) = prepared.problem.predict([found], np.array([0]))
+    (expected,) = prepared.problem.predict([found], np.array([0]))
     (tmp_path / "realization").mkdir()
     write_realization(
         tmp_path / "realization", load_model(folder / "model.xml").realization,
@@ -147,10 +147,10 @@ def test_several_effects_on_one_actuator_do_not_undo_each_other(
     loaded = load_model(find_model(tmp_path))
     assert loaded.patched is not None
     (written,) = replay_patched(loaded.realization, loaded.patched, [trial])
-    assert np.abs(written.position - beside[0].position).max() < 2e-4
+    assert np.abs(written.position - expected[0].position).max() < 2e-4
 
 
-def test_a_diagnosis_goes_on_from_the_step_error_of_what_was_found_before(
+def test_a_diagnosis_of_a_patched_model_uses_the_discretization_error_of_its_effects(
     bench: tuple[Path, Trial, Prepared], tmp_path: Path
 ) -> None:
     folder, trial, prepared = bench
@@ -162,7 +162,7 @@ def test_a_diagnosis_goes_on_from_the_step_error_of_what_was_found_before(
     (first,) = problem.predict([found], np.array([0]))[0]
     uncorrected = first.position - problem.discretization_error[0].position
     assert np.abs(problem.discretization_error[0].position).max() > 1e-5, (
-        "the step costs nothing to tell"
+        "the discretization error must be visible"
     )
     (tmp_path / "realization").mkdir()
     write_realization(
@@ -170,18 +170,18 @@ def test_a_diagnosis_goes_on_from_the_step_error_of_what_was_found_before(
     )
     loaded = load_model(find_model(tmp_path))
     given = ModelSetup.of(loaded.realization, loaded.patched, threads=1)
-    again, _ = build_problem(given, TrialSet((trial,), (), ()), [])
-    (later,) = again.problem.predict([EMPTY], np.array([0]))[0]
+    reloaded, _ = build_problem(given, TrialSet((trial,), (), ()), [])
+    (later,) = reloaded.problem.predict([EMPTY], np.array([0]))[0]
     assert np.abs(later.position - first.position).max() < 1e-8
     assert np.abs(later.position - uncorrected).max() > 1e-5
-    # Coming back from elsewhere changes nothing.
-    again.problem.refine_at(hypothesis(again, "armature", 1, {"inertia": 0.004}))
-    again.problem.refine_at(EMPTY)
-    (back,) = again.problem.predict([EMPTY], np.array([0]))[0]
+    # A refinement at another hypothesis in between changes nothing.
+    reloaded.problem.refine_at(hypothesis(reloaded, "armature", 1, {"inertia": 0.004}))
+    reloaded.problem.refine_at(EMPTY)
+    (back,) = reloaded.problem.predict([EMPTY], np.array([0]))[0]
     assert (back.position == later.position).all()
 
 
-def test_an_effect_of_a_joint_that_no_recording_has_is_left_out_and_said(
+def test_an_effect_at_a_joint_without_recording_is_left_out_with_a_note(
     bench: tuple[Path, Trial, Prepared], tmp_path: Path
 ) -> None:
     folder, trial, prepared = bench
@@ -198,15 +198,15 @@ def test_an_effect_of_a_joint_that_no_recording_has_is_left_out_and_said(
     alone = Trial(**{**fields, "joints": JOINTS[:1]})
     notes: list[str] = []
     given = ModelSetup.of(loaded.realization, loaded.patched, threads=1)
-    again, _ = build_problem(given, TrialSet((alone,), (), ()), notes)
-    assert again.problem.joints == JOINTS[:1]
+    reloaded, _ = build_problem(given, TrialSet((alone,), (), ()), notes)
+    assert reloaded.problem.joints == JOINTS[:1]
     assert notes == [
         f"rate_limit of joint {JOINTS[1]!r} is not applied: no recording contains this joint"
     ]
 
 
-def test_a_controller_of_the_twin_is_still_scaled_by_a_gain(tmp_path: Path) -> None:
-    """Gains that a trial's controller sets come after the model: an error of gains stays beside."""
+def test_a_servo_gain_error_scales_the_gains_of_a_controller_of_the_twin(tmp_path: Path) -> None:
+    """The controller of a trial sets its gains after loading, so MJCF cannot contain the error."""
     (tmp_path / "model.xml").write_text(mjcf())
     (tmp_path / "twin.yaml").write_text(
         "name: pair\nmodel: model.xml\ncontrollers: {soft: {left: {kp: 3.0}}}\n"
@@ -222,15 +222,15 @@ def test_a_controller_of_the_twin_is_still_scaled_by_a_gain(tmp_path: Path) -> N
         prepared, "controller_gain", 0, {"stiffness_error": 0.5, "damping_error": 0.0}
     )
     prepared.problem.refine_at(found)
-    (beside,) = prepared.problem.predict([found], np.array([0]))
+    (expected,) = prepared.problem.predict([found], np.array([0]))
     (tmp_path / "out" / "realization").mkdir(parents=True)
     write_realization(tmp_path / "out" / "realization", loaded.realization, prepared.problem, found)
-    again = load_model(find_model(tmp_path / "out"))
-    assert again.patched is not None
-    assert again.realization.twin is not None
-    assert again.realization.twin.controllers == {"soft": {"left": {"kp": 3.0}}}
-    (written,) = replay_patched(again.realization, again.patched, [trial])
-    assert np.abs(written.position - beside[0].position).max() < 1e-5
+    reloaded = load_model(find_model(tmp_path / "out"))
+    assert reloaded.patched is not None
+    assert reloaded.realization.twin is not None
+    assert reloaded.realization.twin.controllers == {"soft": {"left": {"kp": 3.0}}}
+    (written,) = replay_patched(reloaded.realization, reloaded.patched, [trial])
+    assert np.abs(written.position - expected[0].position).max() < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -245,8 +245,18 @@ def test_a_controller_of_the_twin_is_still_scaled_by_a_gain(tmp_path: Path) -> N
         (lambda d: d.update(effects=7), "a list"),
         (lambda d: d.update(joints=[]), "names of joints"),
     ],
+    ids=[
+        "no schema",
+        "unknown effect",
+        "unknown joint",
+        "value not finite",
+        "unknown parameter",
+        "text instead of a boolean",
+        "no list of effects",
+        "no joints",
+    ],
 )
-def test_effects_that_mean_nothing_are_refused(tmp_path: Path, change: object, words: str) -> None:
+def test_an_invalid_effects_file_is_refused(tmp_path: Path, change: object, words: str) -> None:
     data = {
         "schema": 1,
         "joints": list(JOINTS),

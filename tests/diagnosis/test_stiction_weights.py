@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_floor import TICK, mjcf, prepared
+from test_noise_floor import TICK, mjcf, prepared
 from two_pendulums import START_NS
 
 from pytest_twin.arrays import FloatArray

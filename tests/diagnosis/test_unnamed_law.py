@@ -1,6 +1,4 @@
-"""Forces that no effect with a name explains: what is a function of the state is found, what is not
-is refused.
-"""
+"""Fit of forces without a name: functions of the state are found, other forces are refused."""
 
 from __future__ import annotations
 
@@ -50,48 +48,48 @@ from pytest_twin.report.law_plot import law_figure
 
 TOPICS = {"state": "/joint_states", "command": "/joint_commands"}
 AT = 0.25
-"""rad, of what acts in one place."""
+"""Position in rad of the forces that act at one place."""
 
 
 def magnet(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """A pull towards a pose."""
+    """A pull towards ``AT``."""
     x = (q - AT) / 0.06
     return -0.5 * x * np.exp(0.5 - x * x / 2.0)
 
 
 def sticky(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """A stretch that rubs."""
+    """Friction in a range of positions around ``AT``."""
     return -0.6 * np.tanh(v / 0.01) * np.exp(-(((q - AT) / 0.1) ** 2))
 
 
 def rubber(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """A spring that acts beyond a pose and loses a part of its work."""
+    """A spring with hysteresis that acts above ``AT``."""
     return -(2.0 + np.tanh(v / 0.01)) * np.maximum(q - AT, 0.0)
 
 
 def notch(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """A resistance at one speed."""
+    """A resistance in a range of speeds."""
     return -0.5 * np.sign(v) * np.exp(-(((np.abs(v) - 1.2) / 0.25) ** 2))
 
 
 def push(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The same push in every recording, at the same time."""
+    """The same force pulse in every recording, at the same time."""
     return np.full_like(q, 0.6 * np.sin(np.pi * (t - 3.0) / 1.5) if 3.0 < t < 4.5 else 0.0)
 
 
 def push_in_one(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """A push in one recording alone."""
+    """A force pulse in one recording only."""
     out = push(t, q, v)
     out[1:] = 0.0
     return out
 
 
 def random_torque(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Noise with a correlation time of 0.2 s, of its own in each recording."""
-    return WALK[min(int(t / STEP), len(WALK) - 1), : len(q)]
+    """A random torque with a correlation time of 0.2 s, different in each recording."""
+    return RANDOM_TORQUES[min(int(t / STEP), len(RANDOM_TORQUES) - 1), : len(q)]
 
 
-def _walk(steps: int, recordings: int) -> np.ndarray:
+def _random_torques(steps: int, recordings: int) -> np.ndarray:
     rng = np.random.default_rng(3)
     out, keep = np.zeros((steps, recordings)), np.exp(-STEP / 0.2)
     for k in range(1, steps):
@@ -100,90 +98,93 @@ def _walk(steps: int, recordings: int) -> np.ndarray:
     return out
 
 
-WALK = _walk(round(10.0 / STEP), 5)
+RANDOM_TORQUES = _random_torques(round(10.0 / STEP), 5)
 
 
-def posed(folder: Path, hidden: Hidden, window: float | None) -> tuple[Prepared, TrialSet]:
+def prepared_case(folder: Path, hidden: Hidden, window: float | None) -> tuple[Prepared, TrialSet]:
     paths = sorted(folder.glob("*.mcap")) or record(folder, hidden)
     realization = load(folder / "model.xml")
     trials = read_trials(paths, [], TOPICS, realization.structure)
     return build_problem(ModelSetup.of(realization, None, 1), trials, [], window=window)
 
 
-def found(folder: Path, hidden: Hidden) -> FreeLaws:
-    """What is found from the fit recordings, without a search before."""
-    near, _ = posed(folder, hidden, 0.5)
+def fitted_laws(folder: Path, hidden: Hidden) -> FreeLaws:
+    """Laws fitted to the fit recordings, without a preceding search."""
+    near, _ = prepared_case(folder, hidden, 0.5)
     with np.errstate(over="ignore", invalid="ignore"):
         return free_laws(near, EMPTY, {JOINT: Where("", {})}, near.problem.fit)
 
 
 def removed(folder: Path, hidden: Hidden, laws: FreeLaws) -> float:
-    """Share of the squared error of the held-out recordings that is gone."""
-    problem = posed(folder, hidden, None)[0].problem
+    """Share of the squared error of the held-out recordings that the laws remove."""
+    problem = prepared_case(folder, hidden, None)[0].problem
     before, after = problem.errors([EMPTY, laws.hypothesis], problem.held_out)
     return 1.0 - float(np.sum(after**2) / np.sum(before**2))
 
 
 @pytest.mark.parametrize(
-    ("hidden", "alike"),
+    ("hidden", "accepted"),
     [
         (magnet, {("position", False)}),
         (sticky, {("position", True)}),
-        # Friction over speed is an odd force over velocity.
+        # Friction as a function of speed is an odd force as a function of velocity.
         (notch, {("speed", True), ("velocity", False)}),
     ],
+    ids=["magnet", "friction at a position", "resistance at a speed"],
 )
-def test_a_function_of_the_state_is_found_over_its_variable(
-    tmp_path: Path, hidden: Hidden, alike: set[tuple[str, bool]]
+def test_a_force_that_depends_on_the_state_is_found_with_its_variable(
+    tmp_path: Path, hidden: Hidden, accepted: set[tuple[str, bool]]
 ) -> None:
-    laws = found(tmp_path, hidden)
+    laws = fitted_laws(tmp_path, hidden)
     (law,) = laws.laws
-    assert (law.curve.variable.name, law.curve.is_friction) in alike
+    assert (law.curve.variable.name, law.curve.is_friction) in accepted
     assert removed(tmp_path, hidden, laws) > 0.9
 
 
-def test_a_spring_with_hysteresis_is_a_force_and_a_friction(tmp_path: Path) -> None:
-    laws = found(tmp_path, rubber)
+def test_a_spring_with_hysteresis_is_found_as_a_force_and_a_friction(tmp_path: Path) -> None:
+    laws = fitted_laws(tmp_path, rubber)
     assert {law.curve.is_friction for law in laws.laws} == {False, True}
     assert removed(tmp_path, rubber, laws) > 0.9
 
 
 @pytest.mark.parametrize("hidden", [push, push_in_one, random_torque])
-def test_a_force_in_time_is_no_law(tmp_path: Path, hidden: Hidden) -> None:
-    laws = found(tmp_path, hidden)
+def test_a_force_that_depends_on_time_is_refused(tmp_path: Path, hidden: Hidden) -> None:
+    laws = fitted_laws(tmp_path, hidden)
     assert not laws.laws
     (note,) = laws.notes
     assert "A push in time or a random torque looks like this" in note
     assert f"({100 * WORTH:.0f} % required)" in note
 
 
-def test_a_linearized_motion_that_runs_away_is_no_law(
+def test_no_law_is_found_if_the_linearized_motion_diverges(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Windows of a slide under effort commands: simulations were finite, slopes were not."""
-    around = simulated._around
+    """As in windows under effort commands with finite simulations and infinite gradients."""
+    original = simulated._around
 
-    def overflown(*args: Any) -> Regression:
-        sums = around(*args)
+    def infinite(*args: Any) -> Regression:
+        sums = original(*args)
         return replace(sums, gram=np.full_like(sums.gram, np.inf))
 
-    monkeypatch.setattr(simulated, "_around", overflown)
-    assert not found(tmp_path, notch).laws
+    monkeypatch.setattr(simulated, "_around", infinite)
+    assert not fitted_laws(tmp_path, notch).laws
 
 
-def test_the_curve_is_the_hidden_force_within_its_band(tmp_path: Path) -> None:
-    (law,) = found(tmp_path, magnet).laws
+def test_the_fitted_curve_equals_the_hidden_force_within_its_confidence_band(
+    tmp_path: Path,
+) -> None:
+    (law,) = fitted_laws(tmp_path, magnet).laws
     curve = law.curve
     often = curve.occupancy > 0.2 / len(curve.knots)
     truth = magnet(0.0, curve.knots, curve.knots)
-    off = np.abs(curve.values - truth)[often]
-    assert off.max() < 0.1 * np.abs(truth).max()
-    assert np.mean(off <= curve.half_width[often] + 0.02) > 0.8
+    error = np.abs(curve.values - truth)[often]
+    assert error.max() < 0.1 * np.abs(truth).max()
+    assert np.mean(error <= curve.half_width[often] + 0.02) > 0.8
     assert "a pull towards 0.25 rad" in law.words
 
 
-def nothing_found(prepared: Prepared, trials: TrialSet) -> SearchResult:
-    """A search that came to nothing."""
+def search_without_findings(prepared: Prepared, trials: TrialSet) -> SearchResult:
+    """The result of a search that found no effect."""
     problem = prepared.problem
     nominal = ModelComparison(problem).nominal
     left = residuals_everywhere(problem, EMPTY)
@@ -201,31 +202,35 @@ def nothing_found(prepared: Prepared, trials: TrialSet) -> SearchResult:
     )
 
 
-def test_a_law_is_tested_written_read_and_replayed(tmp_path: Path) -> None:
-    """Its table in the realization predicts the held-out recordings as the diagnosis says."""
+def test_a_law_is_tested_on_held_out_recordings_then_written_and_replayed(tmp_path: Path) -> None:
+    """A replay with the written table has the reported error on the held-out recordings."""
     realization = load((record(tmp_path, magnet)[0].parent) / "model.xml")
-    whole, trials = posed(tmp_path, magnet, None)
+    whole, trials = prepared_case(tmp_path, magnet, None)
     given = ModelSetup.of(realization, None, 1)
     fit_only = replace(trials, held_out=())
     fitted, kept = build_problem(given, fit_only, [], scales=whole.problem.scales)
-    laws = laws_left(given, nothing_found(fitted, kept), None)
-    tested = on_test(laws, fitted.problem, nothing_found(whole, trials))
+    laws = laws_left(given, search_without_findings(fitted, kept), None)
+    tested = on_test(laws, fitted.problem, search_without_findings(whole, trials))
     ((law, gain),) = tested.laws
     assert gain > 0.9
-    early = on_test(laws, fitted.problem, nothing_found(whole, trials), searched_all=False)
+    early = on_test(
+        laws, fitted.problem, search_without_findings(whole, trials), searched_all=False
+    )
     assert [law.confidence for law, _ in early.laws] == [0.5]
     assert "a known effect may explain what the fitted law does" in early.notes[0]
     assert tested.tested.errors[JOINT].after < 0.2 * tested.tested.errors[JOINT].before
-    (said,) = tested.findings_json
-    assert (said["effect"], said["joint"]) == ("unnamed_law", JOINT)
+    (finding,) = tested.findings_json
+    assert (finding["effect"], finding["joint"]) == ("unnamed_law", JOINT)
     of_finding = load_schema("results/diagnosis.schema.json")["properties"]["findings"]["items"]
-    jsonschema.validate(said, of_finding)
-    assert said["law"]["variable"] == "position"
-    assert len(said["law"]["knots"]) == len(said["law"]["values"]) == len(said["law"]["band"])
-    low, high = said["parameters"]["peak_force"]["ci95"]
-    assert low < said["parameters"]["peak_force"]["value"] < high
-    assert "a pull towards 0.25 rad" in finding_sentence(said)
-    assert b"<svg" in law_figure(said["law"], JOINT)
+    jsonschema.validate(finding, of_finding)
+    assert finding["law"]["variable"] == "position"
+    assert (
+        len(finding["law"]["knots"]) == len(finding["law"]["values"]) == len(finding["law"]["band"])
+    )
+    low, high = finding["parameters"]["peak_force"]["ci95"]
+    assert low < finding["parameters"]["peak_force"]["value"] < high
+    assert "a pull towards 0.25 rad" in finding_sentence(finding)
+    assert b"<svg" in law_figure(finding["law"], JOINT)
     folder = tmp_path / "patched"
     folder.mkdir()
     write_realization(folder, realization, fitted.problem, tested.hypothesis)
@@ -236,12 +241,12 @@ def test_a_law_is_tested_written_read_and_replayed(tmp_path: Path) -> None:
     assert table["outside"] == "no force"
     assert table["range"] == pytest.approx(law.curve.valid)
     predicted = replay_patched(load(folder / "model.xml"), patched, trials.held_out, threads=1)
-    off = [p.position - t.position for p, t in zip(predicted, trials.held_out, strict=True)]
-    rms = float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
+    error = [p.position - t.position for p, t in zip(predicted, trials.held_out, strict=True)]
+    rms = float(np.sqrt(np.mean(np.concatenate(error) ** 2)))
     assert rms == pytest.approx(tested.tested.errors[JOINT].after, rel=0.05)
 
 
-def test_a_replay_beyond_the_range_of_a_table_says_so(tmp_path: Path) -> None:
+def test_a_replay_outside_the_range_of_a_law_is_reported(tmp_path: Path) -> None:
     record(tmp_path, magnet, seconds=0.1, count=1)
     law = UnnamedLaw()
     values = law.parameters_of(POSITION, (0.0, 1.0), (0.0, 1.0), np.ones(KNOTS))
@@ -249,12 +254,12 @@ def test_a_replay_beyond_the_range_of_a_table_says_so(tmp_path: Path) -> None:
     time = np.arange(0.0, 2.0, 0.1)
     inside, beyond = np.full((20, 1), 0.5), np.linspace(0.05, 2.0, 20)[:, None]
     realization = load(tmp_path / "model.xml")
-    said = [
+    reports = [
         outside_in_words(realization, patched, time, Predicted(q, 0.0 * q, 0.0 * q))
         for q in (inside, beyond)
     ]
-    assert said[0] == ()
-    assert said[1] == (
+    assert reports[0] == ()
+    assert reports[1] == (
         "joint elbow leaves the range in which its unnamed law is known (position 0 to 1 rad) for "
         "0.9 s: no force is added there",
     )
@@ -269,7 +274,7 @@ def test_a_replay_beyond_the_range_of_a_table_says_so(tmp_path: Path) -> None:
         ("range", None, "range: 2 finite numbers"),
     ],
 )
-def test_a_table_that_cannot_be_used_names_its_field(
+def test_the_error_for_an_invalid_table_names_its_field(
     field: str, value: object, expected: str
 ) -> None:
     law = UnnamedLaw()

@@ -1,4 +1,4 @@
-"""What no model can explain: where a motion really began, what an effort sensor means, how loud."""
+"""The noise floor: initial states, effort sensors, sample timing and discretization error."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ VELOCITY = '<velocity name="j" joint="j" kv="4"/>'
 POSITION = '<position name="j" joint="j" kp="200" kv="6"/>'
 
 
-def moved(drive: str, command: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Commands (ticks,) to plain MuJoCo; stamps s, positions rad and efforts N*m every 10 ms."""
+def simulate(drive: str, command: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Simulate commands (ticks,): stamps in s, positions in rad, efforts in N*m, every 10 ms."""
     model = mujoco.MjModel.from_xml_string(mjcf(drive))
     data = mujoco.MjData(model)
     each = round(TICK / STEP)
@@ -52,15 +52,15 @@ def moved(drive: str, command: FloatArray) -> tuple[FloatArray, FloatArray, Floa
         mujoco.mj_forward(model, data)
         time[k], position[k], effort[k] = data.time, data.qpos[0], data.qfrc_actuator[0]
         mujoco.mj_step(model, data)
-    # Sensors that are not in step with commands.
+    # Sensor samples are not simultaneous with commands.
     return time[4::each], position[4::each], effort[4::each]
 
 
 def trial_of(
     folder: Path, drive: str, command: FloatArray, *, first: float = 0.0, noise: float = NOISE
 ) -> Trial:
-    """A recording of it whose first reading is ``first`` deviations off."""
-    time, position, effort = moved(drive, command)
+    """A recording of the simulation; ``first`` is the error of its first position in ``noise``."""
+    time, position, effort = simulate(drive, command)
     random = np.random.default_rng(3)
     off = random.standard_normal(len(time))
     off[0] = first
@@ -95,8 +95,10 @@ def wave(ticks: int, size: float) -> FloatArray:
     return np.asarray(size * np.sin(2.0 * np.pi * 0.7 * t) * np.minimum(t / 0.3, 1.0))
 
 
-def test_a_velocity_servo_does_not_know_where_it_began(tmp_path: Path) -> None:
-    """It keeps the first reading's error for ever; nothing is missing in the model."""
+def test_an_error_of_the_first_position_under_a_velocity_servo_is_no_model_error(
+    tmp_path: Path,
+) -> None:
+    """The servo keeps the error of the first reading for the whole recording."""
     trial = trial_of(tmp_path, VELOCITY, wave(300, 0.8), first=5.0)
     problem = prepared(tmp_path, trial).problem
     residual = problem.residuals([EMPTY], problem.fit)[0][:, 0]
@@ -106,8 +108,10 @@ def test_a_velocity_servo_does_not_know_where_it_began(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(kept**2)) > 2.0 * problem.floor[0]
 
 
-def test_a_start_is_only_as_free_as_its_samples_leave_it(tmp_path: Path) -> None:
-    """What the samples around the start say stands against a shift of a hundred deviations."""
+def test_the_free_initial_position_is_limited_by_the_samples_around_the_start(
+    tmp_path: Path,
+) -> None:
+    """A shift of 100 standard deviations contradicts the samples around the start."""
     trial = trial_of(tmp_path, VELOCITY, wave(300, 0.8))
     shifted = replace(trial, position=trial.position + 100.0 * NOISE)
     shifted.position[0] = trial.position[0]
@@ -116,19 +120,19 @@ def test_a_start_is_only_as_free_as_its_samples_leave_it(tmp_path: Path) -> None
     assert np.sqrt(np.mean(residual**2)) > 10.0 * problem.floor[0]
 
 
-@pytest.mark.parametrize(("unsigned", "takes_part"), [(False, True), (True, False)])
-def test_a_current_without_a_sign_is_no_effort(
-    tmp_path: Path, unsigned: bool, takes_part: bool
-) -> None:
+@pytest.mark.parametrize(
+    ("unsigned", "is_used"), [(False, True), (True, False)], ids=["signed", "unsigned"]
+)
+def test_an_effort_without_sign_is_not_used(tmp_path: Path, unsigned: bool, is_used: bool) -> None:
     trial = trial_of(tmp_path, POSITION, wave(300, 0.8))
     assert trial.effort is not None
     if unsigned:
         trial = replace(trial, effort=np.abs(trial.effort))
-    assert (prepared(tmp_path, trial).problem.effort_floor is not None) is takes_part
+    assert (prepared(tmp_path, trial).problem.effort_floor is not None) is is_used
 
 
-def test_an_effort_that_never_changes_its_sign_may_be_one(tmp_path: Path) -> None:
-    """Held up against gravity on one side, the model as well pulls one way only."""
+def test_an_effort_of_one_sign_is_used_if_the_model_has_the_same_sign(tmp_path: Path) -> None:
+    """The servo holds the arm against gravity on one side."""
     trial = trial_of(tmp_path, POSITION, 0.9 + wave(300, 0.02))
     trial = replace(trial, **{n: getattr(trial, n)[100:] for n in ("time", "position", "effort")})
     assert trial.effort is not None
@@ -137,8 +141,8 @@ def test_an_effort_that_never_changes_its_sign_may_be_one(tmp_path: Path) -> Non
     assert prepared(tmp_path, trial).problem.effort_floor is not None
 
 
-def test_a_stiff_servo_is_not_a_loud_effort_sensor(tmp_path: Path) -> None:
-    """Its effort jumps at every command; the floor is of the sensor's order, not of the jumps'."""
+def test_effort_jumps_of_a_stiff_servo_are_not_counted_as_sensor_noise(tmp_path: Path) -> None:
+    """The effort jumps at every command; the noise floor has the size of the sensor noise."""
     steps = np.repeat(np.random.default_rng(1).uniform(-0.2, 0.2, 100), 3)
     trial = trial_of(tmp_path, POSITION, steps)
     floor = prepared(tmp_path, trial).problem.effort_floor
@@ -148,11 +152,11 @@ def test_a_stiff_servo_is_not_a_loud_effort_sensor(tmp_path: Path) -> None:
     assert 0.015 < floor[0] < 0.05 * jumps
 
 
-@pytest.mark.parametrize(("scale", "stands_out"), [(1.0, False), (0.8, True)])
-def test_a_scale_of_efforts_stands_out_among_jumps(
-    tmp_path: Path, scale: float, stands_out: bool
+@pytest.mark.parametrize(("scale", "is_detected"), [(1.0, False), (0.8, True)])
+def test_a_scale_error_of_efforts_is_detected_between_jumps(
+    tmp_path: Path, scale: float, is_detected: bool
 ) -> None:
-    """Samples beside jumps say little, those between them tell a fifth."""
+    """Samples close to jumps have little weight; those between them reveal an error of 20 %."""
     steps = np.repeat(np.random.default_rng(1).uniform(-0.2, 0.2, 30), 10)
     trial = trial_of(tmp_path, POSITION, steps)
     assert trial.effort is not None
@@ -160,28 +164,28 @@ def test_a_scale_of_efforts_stands_out_among_jumps(
     assert problem.effort_floor is not None
     off = problem.residuals([EMPTY], problem.fit)[0][:, 1]
     level = float(np.sqrt(np.mean(off**2))) / problem.effort_floor[0]
-    assert bool(level > 2.0) is stands_out, level
-    # Its laws are simulated, whatever means along the motion say of them, until they are named.
-    problem.effort_floor *= level / (1.6 if stands_out else 1.4)
+    assert bool(level > 2.0) is is_detected, level
+    # Effects of effort sensors are simulated until they are in the fit.
+    problem.effort_floor *= level / (1.6 if is_detected else 1.4)
     best = ModelComparison(problem).nominal
     starts = effort_sensor_terms(problem, best)
     effects = {h.terms[-1].effect for h in starts}
-    assert effects == ({"effort_scale", "effort_bias"} if stands_out else set())
+    assert effects == ({"effort_scale", "effort_bias"} if is_detected else set())
     for start in starts:
         named = replace(best, fitted=replace(best.fitted, hypothesis=start))
         others = [h.terms for h in effort_sensor_terms(problem, named)]
         assert [t[-1].effect for t in others] == [*(effects - {start.terms[-1].effect})]
 
 
-def test_a_sample_in_the_step_in_which_a_command_jumps_is_not_trusted(tmp_path: Path) -> None:
-    """The model's drive is sent a mean of both commands there, and the sensor saw one. Where the
-    drive is at its limit under any such mean, a finer step changes nothing, and does not say so.
+def test_an_effort_sample_in_the_time_step_of_a_command_jump_has_no_weight(tmp_path: Path) -> None:
+    """The drive of the model receives a mean of both commands, and the sensor measured one of them.
+    If the drive is saturated, a finer time step does not change this.
     """
     limited = POSITION.replace("/>", ' forcerange="-4 4"/>')
     trial = trial_of(tmp_path, limited, np.repeat([0.0, 0.3, -0.1], 100))
 
     def weights(sampled: float, sent: float) -> FloatArray:
-        """Of samples and commands at so many steps after each tick."""
+        """Weights with samples and commands this many time steps after each tick."""
         moved_on = replace(
             trial,
             time=trial.time + (sampled - 4.0) * STEP,
@@ -190,16 +194,16 @@ def test_a_sample_in_the_step_in_which_a_command_jumps_is_not_trusted(tmp_path: 
         (found,) = prepared(tmp_path, moved_on).problem.effort_weights.values()
         return found[:, 0]
 
-    # The hundredth sample is the first under the second command.
+    # Sample 100 is the first one under the second command.
     for sampled, sent in ((4.0, 4.3), (4.2, 4.3), (4.6, 4.3), (4.7, 4.6)):
         found = weights(sampled, sent)
         assert (found[[100, 200]] < 0.01).all(), found[[100, 200]]
-        # All other commands repeat the one before.
+        # All other commands equal the preceding one.
         assert (np.delete(found, [100, 200]) > 0.5).mean() > 0.9
 
 
-def test_what_timing_makes_of_a_noise_is_no_more_than_it(tmp_path: Path) -> None:
-    """A joint that creeps and then swings: over all of it late stamps cost more than is usual."""
+def test_the_timing_noise_is_at_most_the_sensor_noise(tmp_path: Path) -> None:
+    """The joint moves slowly, then fast: the mean timing noise is above that of most samples."""
     t = TICK * np.arange(300)
     command = 0.3 * np.sin(2.0 * np.pi * 0.3 * t) + 0.6 * np.sin(20.0 * t) * (t > 2.2)
     trial = trial_of(tmp_path, POSITION, command, noise=1e-6)
@@ -209,12 +213,12 @@ def test_what_timing_makes_of_a_noise_is_no_more_than_it(tmp_path: Path) -> None
     found = prepared(tmp_path, trial)
     usual, timing, _ = found.floor_parts.values()
     everywhere = timing_noise(found.problem.simulator.segments, [0])
-    assert everywhere[0] > 1.5 * usual[0], "or there is nothing to cap"
+    assert everywhere[0] > 1.5 * usual[0], "the timing noise must exceed the limit"
     assert timing[0] == usual[0]
 
 
-def raised(found: Prepared, times: float) -> float:
-    """Say that the step was so many times as far off as the sensor is loud; the floor, rad."""
+def with_raised_floor(found: Prepared, times: float) -> float:
+    """Set the discretization error to ``times`` the sensor noise, and return the floor, rad."""
     problem = found.problem
     steps = times * found.floor_parts[SENSOR] / problem.step_left
     found.floor_parts[STEPS] = steps
@@ -222,40 +226,44 @@ def raised(found: Prepared, times: float) -> float:
     return float(problem.floor[0])
 
 
-def test_a_floor_of_where_the_model_ran_to_is_lowered_at_what_was_found(tmp_path: Path) -> None:
+def test_the_floor_of_a_diverging_nominal_model_is_lowered_at_the_found_model(
+    tmp_path: Path,
+) -> None:
     found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
     measured, steps = found.problem.floor.copy(), found.floor_parts[STEPS].copy()
-    raised(found, 10.0)
+    with_raised_floor(found, 10.0)
     assert found.lowers_floor(EMPTY)
     np.testing.assert_allclose(found.problem.floor, measured, rtol=1e-6)
     np.testing.assert_allclose(found.floor_parts[STEPS], steps, rtol=1e-6)
-    assert not found.lowers_floor(EMPTY), "once"
+    assert not found.lowers_floor(EMPTY), "the floor must be lowered once only"
 
 
-def test_a_floor_that_is_little_too_high_stays(tmp_path: Path) -> None:
+def test_a_floor_that_is_slightly_too_high_is_kept(tmp_path: Path) -> None:
     found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
-    high = raised(found, 1.2)
+    high = with_raised_floor(found, 1.2)
     assert not found.lowers_floor(EMPTY)
     assert found.problem.floor[0] == high
 
 
-def test_the_floor_of_an_encoder_that_says_nothing_stays(tmp_path: Path) -> None:
+def test_the_floor_of_a_stuck_encoder_is_kept(tmp_path: Path) -> None:
     found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
-    raised(found, 10.0)
+    with_raised_floor(found, 10.0)
     found.problem.floor = np.array([1e6])
     assert not found.lowers_floor(EMPTY)
     assert found.problem.floor[0] == 1e6
 
 
-def test_what_a_floor_too_high_hid_is_found_once_it_is_lowered(tmp_path: Path) -> None:
-    """Damping leaves next to nothing of a floor of where the model ran to, a delay much of it."""
+def test_an_effect_below_a_floor_that_was_too_high_is_found_after_the_floor_is_lowered(
+    tmp_path: Path,
+) -> None:
+    """With viscous friction in the model the floor is lowered, and the delay exceeds it."""
     model, *files = map(Path, case(tmp_path / "case", ("left",), viscous=0.3, delay=0.003))
     loaded = load_model(model)
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
     found = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
     problem = found.problem
     measured = problem.floor.copy()
-    hidden = raised(found, 20.0)
+    hidden = with_raised_floor(found, 20.0)
     best = search(found, trials, StepwiseSelection(problem)).selected.best
     assert {t.effect for t in best.hypothesis.terms} == {"viscous_friction", "command_delay"}
     assert float(np.sqrt(best.fitted.mean_square[0])) < measured[0] < 0.3 * hidden
