@@ -1,4 +1,4 @@
-"""An arm of three joints with drawn parameters, for benchmarks of identification and ranges."""
+"""An arm of three joints with random parameters, for benchmarks of identification and ranges."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def nominal_parameters() -> dict[str, float]:
 
 
 def true_parameters(random: np.random.Generator) -> dict[str, float]:
-    """Parameters up to 40 % off the nominal ones, with friction."""
+    """Parameters that differ by up to 40 % from the nominal ones, with friction."""
     values = {key: value * random.uniform(0.7, 1.4) for key, value in nominal_parameters().items()}
     for k in range(3):
         values[f"d{k}"] = random.uniform(0.3, 2.0) / (k + 1)

@@ -1,9 +1,9 @@
-"""How much sooner a fleet is diagnosed with more jobs: the ratio of two runs of the same robots.
+"""Measure the speed-up of a fleet diagnosis by more jobs, on the same robots.
 
     python benchmarks/fleet_scaling.py [--robots 4] [--jobs 2]
 
-The robots are one-joint pendulums with nothing hidden, made by the tests' plant. Both runs use one
-core for each job, so that the ratio is that of the jobs alone.
+The robots are one-joint pendulums without hidden effects, simulated by the tests' plant. Both runs
+use one core for each job, so the ratio depends on the number of jobs only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pytest_twin.realization.executor import Forks
 
 
 def robots(folder: Path, count: int) -> list[Robot]:
-    """Models and recordings in folders of their own."""
+    """Write each model with its recordings to its own folder."""
     found = []
     for k in range(count):
         model, *recordings = map(Path, case(folder / f"robot{k}", joints=("left",)))

@@ -1,13 +1,13 @@
-"""Laws as another author would write them: which name do they get?
+"""Diagnose effects that are implemented by laws of textbooks and other simulators.
 
     python benchmarks/forms.py --out DIR [FORM ...]
 
-An arm of three joints is stepped by MuJoCo at a tenth of the model's step, its drives computed
-here. Every form changes the drive, the joint or the reading of one joint in a way that textbooks
-and simulators have for an effect of the catalogue, or in one that the catalogue has no law for.
-Three recordings each (the last held out) are diagnosed by ``pytest-twin diagnose``; a line says
-what was hidden, what was named, and the held-out error before and after. Status 1 where a form of
-the catalogue does not get its name, and that alone, or another gets any.
+An arm of three joints is simulated by MuJoCo with a tenth of the model's time step; its drives are
+computed here. Every form changes the drive, the joint or the reading of one joint. Some use the law
+of a textbook or simulator for an effect of the catalogue; for the others the catalogue has no law.
+Three recordings of each (the last is held out) are diagnosed by ``pytest-twin diagnose``. A line
+states the hidden form, the findings, and the held-out error before and after. The exit status is 1
+if a form of the catalogue is not named correctly and alone, or if another form is named.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ JOINTS = ("yaw", "lift", "elbow")
 KP, KV = np.array([60.0, 80.0, 25.0]), np.array([3.0, 3.0, 0.8])
 STEP, FINER, SECONDS, SETTLED = 0.002, 10, 6.0, 1.0
 COMMANDS, STATES, NOISE = 100, 200, 1e-4
-"""Messages a second, and rad."""
+"""Rates of commands and states, Hz, and standard deviation of the encoder noise, rad."""
 HERE = 1
-"""The joint that something is hidden at: the lift."""
+"""Index of the joint with the hidden form: the lift."""
 START_NS = 1_700_000_000_000_000_000
 
 _SERVOS = "".join(
@@ -51,14 +51,14 @@ MODEL = f"""\
 
 
 class Form:
-    """One way to write a law. Efforts are N*m; ``t`` is s since the recording began.
+    """One implementation of a law. Efforts are in N*m; ``t`` is the time since the start, s.
 
     Attributes:
-        named: effect of the catalogue whose form it is, None where it is in nobody's.
-        joint: where it is; None where it is the whole robot's.
-        shows: the joint whose reading it changes most.
-        gearing: (joints, joints) how motors, which the servos hold, turn with joints.
-        arm: its MJCF, where it is not the model's.
+        named: effect of the catalogue that it implements; None if the catalogue has none.
+        joint: its joint; None for the whole robot.
+        shows: index of the joint whose reading it changes most.
+        gearing: (joints, joints) matrix from joint to motor positions, which the servos control.
+        arm: MJCF of the arm, if it differs from the model's.
     """
 
     named: ClassVar[str | None] = None
@@ -72,22 +72,22 @@ class Form:
         self.trial = trial
 
     def links(self, model: mujoco.MjModel) -> None:
-        """What the links are."""
+        """Return the model of the links."""
 
     def setpoint(self, command: float, step: float) -> float:
-        """What the servo's law sees of a command."""
+        """Return the setpoint that the servo uses for a command."""
         return command
 
     def delivered(self, effort: FloatArray) -> float:
-        """What the drive gives, of what all drives' laws ask for."""
+        """Return the effort of the drive, from the demands of all drives."""
         return float(effort[HERE])
 
     def push(self, t: float, q: float, v: float, delivered: float) -> float:
-        """Effort beside the drive's."""
+        """Return the effort in addition to the drive's."""
         return 0.0
 
     def read(self, q: FloatArray) -> FloatArray:
-        """What encoders say."""
+        """Return the encoder readings."""
         return q
 
 
@@ -96,7 +96,7 @@ def _dry(level: float, v: float) -> float:
 
 
 class Smoothed(Form):
-    """The command goes through a low-pass before the servo, as MuJoCo's ``timeconst`` has it."""
+    """The command is low-passed before the servo, as by MuJoCo's ``timeconst``."""
 
     named, _seen = "actuator_lag", None
 
@@ -107,7 +107,7 @@ class Smoothed(Form):
 
 
 class SmallEfforts(Form):
-    """A drive that gives nothing of what lies below 1 N*m, and of the rest what lies above."""
+    """A drive with a dead zone of 1 N*m, which is subtracted from larger efforts."""
 
     named = "dead_zone"
 
@@ -117,7 +117,7 @@ class SmallEfforts(Form):
 
 
 class SlewedEffort(Form):
-    """A drive whose effort changes by 40 N*m a second at most."""
+    """A drive whose effort changes by at most 40 N*m/s."""
 
     named, _gives = "rate_limit", None
 
@@ -129,7 +129,7 @@ class SlewedEffort(Form):
 
 
 class FrictionByDrive(Form):
-    """Dry friction of a worm: a share of what the motor puts in."""
+    """Dry friction of a worm gear, proportional to the motor effort."""
 
     named = "load_dependent_friction"
 
@@ -138,7 +138,7 @@ class FrictionByDrive(Form):
 
 
 class FourWaves(Form):
-    """Dry friction with four crests a turn."""
+    """Dry friction with four maxima per revolution."""
 
     named = "position_dependent_friction"
 
@@ -147,7 +147,7 @@ class FourWaves(Form):
 
 
 class SevenWaves(Form):
-    """Dry friction with seven crests a turn."""
+    """Dry friction with seven maxima per revolution."""
 
     named = "position_dependent_friction"
 
@@ -156,7 +156,7 @@ class SevenWaves(Form):
 
 
 class ManySlots(Form):
-    """A motor whose slots pass 84 times a turn of the joint."""
+    """Cogging with 84 periods per revolution of the joint."""
 
     named = "cogging"
 
@@ -165,7 +165,7 @@ class ManySlots(Form):
 
 
 class WarmsUp(Form):
-    """Dry friction that fades in three seconds."""
+    """Dry friction that decays within three seconds."""
 
     named = "thermal_friction"
 
@@ -174,7 +174,7 @@ class WarmsUp(Form):
 
 
 class Grease(Form):
-    """Viscous friction that a warm room takes away."""
+    """Viscous friction that vanishes at high ambient temperature."""
 
     named = "thermal_friction"
     _rooms = (("10 C", 0.9), ("40 C", 0.0), ("25 C", 0.45))
@@ -188,7 +188,7 @@ class Grease(Form):
 
 
 class WheelOffItsAxis(Form):
-    """An eccentric code wheel with a phase, never set to zero."""
+    """An eccentric code wheel with a phase and an offset at zero."""
 
     named = "encoder_eccentricity"
 
@@ -199,7 +199,7 @@ class WheelOffItsAxis(Form):
 
 
 class HeavyLink(Form):
-    """A link of more mass and the inertia of its drawing: ``body_mass`` times 1.4."""
+    """A link with a wrong mass and the nominal inertia: ``body_mass`` times 1.4."""
 
     named = "inertial_parameters"
 
@@ -208,7 +208,7 @@ class HeavyLink(Form):
 
 
 class WideLink(Form):
-    """A link of the mass of its drawing, and more inertia: ``body_inertia`` times 4."""
+    """A link with the nominal mass and a wrong inertia: ``body_inertia`` times 4."""
 
     named = "inertial_parameters"
 
@@ -217,7 +217,7 @@ class WideLink(Form):
 
 
 class MovedCentre(Form):
-    """A link whose centre of mass is elsewhere."""
+    """A link with a wrong centre of mass."""
 
     named = "inertial_parameters"
 
@@ -226,7 +226,7 @@ class MovedCentre(Form):
 
 
 class OtherLink(Form):
-    """A link of other mass, inertia and centre."""
+    """A link with wrong mass, inertia and centre of mass."""
 
     named = "inertial_parameters"
 
@@ -238,7 +238,7 @@ class OtherLink(Form):
 
 
 class LoadAside(Form):
-    """A load that hangs beside the last link: a ball of 200 g, 12 cm out, 6 cm down, 4 cm aside."""
+    """An eccentric payload on the last link: a ball of 200 g at (12, 4, -6) cm."""
 
     named, joint, shows = "payload", None, 2
     arm = MODEL.replace(
@@ -248,7 +248,7 @@ class LoadAside(Form):
 
 
 class OtherDrive(Form):
-    """The drive of the joint behind pulls at this one."""
+    """The drive of the next joint also acts on this one."""
 
     named = "joint_coupling"
 
@@ -257,14 +257,14 @@ class OtherDrive(Form):
 
 
 class Differential(Form):
-    """A belt that runs over the joint before: its turning turns this link along."""
+    """A belt over the preceding joint: its rotation also rotates this link."""
 
     named = "joint_coupling"
     gearing = np.array([[1.0, 0.0, 0.0], [-0.1, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 class OtherReading(Form):
-    """The encoder of the joint behind turns along with this one."""
+    """The encoder of the next joint also rotates with this one."""
 
     named = "joint_coupling"
     joint = JOINTS[HERE + 1]
@@ -277,14 +277,14 @@ class OtherReading(Form):
 
 
 class Pulses(Form):
-    """Something pushes every two seconds."""
+    """A force pulse every two seconds."""
 
     def push(self, t: float, q: float, v: float, delivered: float) -> float:
         return 2.0 * (t % 2.0 > 1.6)
 
 
 class Shaker(Form):
-    """Something pushes to and fro."""
+    """An oscillating force."""
 
     def push(self, t: float, q: float, v: float, delivered: float) -> float:
         return float(np.sin(2.0 * np.pi * 0.7 * t))
@@ -309,7 +309,7 @@ def command_at(t: float, trial: int) -> FloatArray:
 
 
 def record(file: Path, form: Form) -> None:
-    """Step the arm and write what a logger would."""
+    """Simulate the arm and write a recording."""
     model = mujoco.MjModel.from_xml_string(form.arm)
     model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
     step = model.opt.timestep = STEP / FINER
@@ -359,7 +359,7 @@ def record(file: Path, form: Form) -> None:
 
 
 def diagnosed(folder: Path, form: type[Form]) -> tuple[bool, str]:
-    """Record, diagnose as a user would; whether the answer is right, and a line for a reader."""
+    """Record and diagnose by the command line; return whether it is right, and a line of output."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(MODEL)
     files = [folder / f"{i}.mcap" for i in range(3)]

@@ -1,4 +1,4 @@
-"""Random Fourier series of joint positions, and the effort that a model needs along them."""
+"""Random Fourier series of joint positions, and the inverse dynamics of a model along them."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ def fourier(
     sizes: tuple[float, float],
     decay: float = 0.5,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions, velocities and accelerations (n, joints), in rad, rad/s and rad/s^2.
+    """Return positions, velocities and accelerations (n, joints), in rad, rad/s and rad/s^2.
 
     Args:
-        random: draws amplitudes and phases.
+        random: generator of amplitudes and phases.
         time: (n,) s.
-        joints: how many.
-        harmonics: of each joint.
-        base: frequency of the first, Hz.
-        sizes: least and greatest amplitude of the first, rad.
-        decay: amplitudes of the others fall with this power of their number.
+        joints: number of joints.
+        harmonics: number of harmonics of each joint.
+        base: frequency of the first harmonic, Hz.
+        sizes: smallest and largest amplitude of the first harmonic, rad.
+        decay: exponent with which amplitudes decrease with the number of the harmonic.
     """
     q, v, a = (np.zeros((len(time), joints)) for _ in range(3))
     for joint in range(joints):
@@ -45,9 +45,9 @@ def needed_effort(
     """(n, joints) effort of rigid bodies, armature, damping and dry friction along a motion.
 
     Args:
-        model: without constraints beside dry friction, which MuJoCo counts among them.
-        q, v, a: (n, joints).
-        dry: whether dry friction counts.
+        model: model without constraints except dry friction, which is a constraint in MuJoCo.
+        q, v, a: (n, joints) positions, velocities and accelerations.
+        dry: whether dry friction is included.
     """
     data, disabled = mujoco.MjData(model), int(model.opt.disableflags)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT

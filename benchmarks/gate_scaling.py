@@ -1,10 +1,10 @@
-"""What a gate costs against the number of goldens: linear, up to 10,000.
+"""Measure the time of a gate as a function of the number of goldens, up to 10,000.
 
     python benchmarks/gate_scaling.py [--sizes 1000 3000 10000] [--run]
 
-For each size: collecting, a gate with nothing stale, and `--twin-why`, in seconds and in
-milliseconds for each golden beyond what an empty session takes; with --run also a gate in which
-every golden is stale, which runs and signs them all. The last line fits time ~ size^k.
+For each size, the time of collection, of an up-to-date gate and of `--twin-why` is printed, in
+seconds and in milliseconds per golden without the time of an empty session. With --run, a gate in
+which every golden is stale is measured too. The last line fits time ~ size^k.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def seconds(folder: Path, *arguments: str) -> float:
 
 
 def exponent(sizes: list[int], taken: list[float], idle: float) -> float:
-    """Slope of log time over log size, from the first size to the last, start-up taken off."""
+    """Slope of log time over log size, from the first size to the last, without start-up time."""
     first, last = max(taken[0] - idle, 1e-3), max(taken[-1] - idle, 1e-3)
     return math.log(last / first) / math.log(sizes[-1] / sizes[0])
 

@@ -1,7 +1,7 @@
-"""Shows whether findings depend on the order of joints or on the unit of length.
+"""Test whether findings depend on the order of joints or on the unit of length.
 
-The cheaper invariances (order of recordings, a shift of all stamps, a joint that turns the other
-way) are tests. These take one to two minutes on an idle core.
+The cheaper invariances (order of recordings, shift of all stamps, reversed joint axis) are in the
+test suite. These take one to two minutes on an idle core.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ Array = NDArray[np.float64]
 STEP, SECONDS, NOISE = 1e-4, 2.4, 5e-6
 MASS, DAMPING, KP, KV = 0.8, 4.0, 400.0, 8.0
 HIDDEN = {"first": 1.2, "second": 0.0}
-"""Dry friction of each slide that the model lacks, N."""
+"""Dry friction of each slide, which the model lacks, N."""
 
 
 def mjcf(joints: Sequence[str], unit: float) -> str:
-    """Horizontal slides side by side; lengths in ``unit`` m."""
+    """Return a model of parallel horizontal slides, with lengths in units of ``unit`` m."""
     bodies = "".join(
         f'<body name="{j}_link" pos="0 {0.2 * k / unit} 0"><inertial pos="0 0 0" mass="{MASS}" '
         f'diaginertia="{1e-3 / unit**2} {1e-3 / unit**2} {1e-3 / unit**2}"/>'
@@ -44,7 +44,7 @@ def mjcf(joints: Sequence[str], unit: float) -> str:
 
 
 def moved(wanted: Array, dry: float) -> Array:
-    """(steps,) m of one slide under setpoints, semi-implicit at 10 kHz."""
+    """(steps,) position of one slide under setpoints, m, integrated semi-implicitly at 10 kHz."""
     q = v = 0.0
     out = np.empty_like(wanted)
     for k, setpoint in enumerate(wanted):
@@ -56,7 +56,7 @@ def moved(wanted: Array, dry: float) -> Array:
 
 
 def recorded(folder: Path, joints: Sequence[str], unit: float = 1.0) -> list[Path]:
-    """Three recordings beside their model, with joints in this order and lengths in ``unit`` m."""
+    """Write model and three recordings, with joints in this order and lengths in ``unit`` m."""
     folder.mkdir()
     (folder / "model.xml").write_text(mjcf(joints, unit))
     time = STEP * np.arange(round(SECONDS / STEP))
@@ -86,14 +86,14 @@ def recorded(folder: Path, joints: Sequence[str], unit: float = 1.0) -> list[Pat
 
 
 def diagnosed(paths: Sequence[Path]) -> Diagnosis:
-    """The diagnosis, with the last recording held out."""
+    """Diagnose with the last recording held out."""
     realization = load_model(paths[0].with_name("model.xml")).realization
     trials = [make_trial(read_recording(p), realization.structure) for p in paths]
     return diagnose(realization, TrialSet(tuple(trials[:-1]), (trials[-1],), ()), threads=1)
 
 
 def differences(a: Diagnosis, b: Diagnosis, scale: float) -> list[str]:
-    """What differs between two diagnoses; ``scale`` is the second's number for 1 N of the first."""
+    """Return differences of two diagnoses; ``scale`` is the second's value for 1 N of the first."""
     found: list[str] = []
     if a.verdict != b.verdict:
         found.append(f"verdict: {a.verdict}, then {b.verdict}")
@@ -110,7 +110,7 @@ def differences(a: Diagnosis, b: Diagnosis, scale: float) -> list[str]:
 
 
 def main() -> int:
-    """Print what differs; 1 if anything does."""
+    """Print the differences; return 1 if there are any."""
     bad = 0
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)

@@ -1,12 +1,12 @@
-"""Do the ready-made properties catch what an importer can get wrong?
+"""Mutation test of the asset properties: do they detect importer faults?
 
     python benchmarks/mutations.py --mutations 1000 --seed 1
 
-Takes random robots and those of example-robot-data, injects one fault into one realization (MuJoCo,
-Pinocchio or USD), and runs the properties that ``asset_properties`` makes tests of. What a fault
-does is measured apart from them, by Pinocchio on the two texts: one that stays within the stated
-tolerances need not be caught and is counted apart. Also runs the properties on every robot as it
-stands: what they say of it is no catch, and is printed as an alarm.
+The benchmark takes random robots and those of example-robot-data, injects one fault into one
+realization (MuJoCo, Pinocchio or USD), and runs the properties of ``asset_properties``. The size of
+a fault is measured independently, by Pinocchio on the two texts. Faults within the stated
+tolerances need not be detected and are counted separately. The properties also run on every
+unchanged robot; failures there are false alarms.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ Rng = np.random.Generator
 Key = tuple[str, str, str, str]
 
 PER_ROBOT = 16
-DRAWN = 2  # configurations for each robot, beside the generic one
-MEASURED = 40  # configurations at which a fault's effect is measured
-ENDLESS = 1e10  # rad, m, ...: bounds beyond it are none
-HEAVY = 400_000  # bytes of a mesh above which the robot goes without it here
-MOST_JOINTS = 60  # of a real robot, fixed ones included
+DRAWN = 2  # number of configurations for each robot, in addition to the generic one
+MEASURED = 40  # number of configurations at which the size of a fault is measured
+ENDLESS = 1e10  # larger bounds (rad, m, ...) are no bounds
+HEAVY = 400_000  # size of a mesh, bytes, above which it is left out
+MOST_JOINTS = 60  # number of joints of a real robot, including fixed ones
 TARGETS: Mapping[str, tuple[Callable[[Path], Form], float]] = {
     "MuJoCo": (mujoco_form, 0.5),
     "Pinocchio": (pinocchio_form, 0.35),
     "USD": (usd_form, 0.15),
 }
-# What each form can hold of a joint: a fault elsewhere has nothing to show.
+# Properties of a joint that each form can represent; faults in others are not visible.
 CARRIES = {
     "MuJoCo": {"links", "shapes", "range", "effort", "damping", "friction", "mimic"},
     "Pinocchio": {"shapes", "range", "velocity", "effort", "damping", "friction"},
@@ -62,7 +62,7 @@ CARRIES = {
 }
 
 
-# -- faults: one edit of a URDF, by kind
+# -- faults: edits of a URDF, by kind
 
 
 def pick(rng: Rng, items: list[Any]) -> Any:
@@ -101,7 +101,7 @@ def heavy(root: Element) -> list[Element]:
 
 
 def small(rng: Rng, low: float = -9.0, high: float = -1.0) -> float:
-    """A size from far below every tolerance to far above, of either sign."""
+    """Draw a size from far below to far above every tolerance, of either sign."""
     return float(10 ** rng.uniform(low, high) * rng.choice([-1.0, 1.0]))
 
 
@@ -378,7 +378,7 @@ def held_joint(root: Element, rng: Rng) -> str | None:
 
 
 FAULTS: Mapping[str, tuple[Callable[[Element, Rng], str | None], str | None]] = {
-    # kind -> edit, and the fact that a form has to hold to show it
+    # kind -> edit, and the property that a form must represent to show it
     "sign flip": (sign_flip, None),
     "swapped axis": (swapped_axis, None),
     "millimetres: offset": (millimetre_offset, None),
@@ -410,11 +410,11 @@ FAULTS: Mapping[str, tuple[Callable[[Element, Rng], str | None], str | None]] = 
 }
 
 
-# -- what a fault does, measured by Pinocchio on the two texts
+# -- size of a fault, measured by Pinocchio on the two texts
 
 
 def effect(right: Element, wrong: Element, target: str, rng: Rng) -> float:
-    """The largest difference that the fault makes, in stated tolerances; infinite for a loss."""
+    """Largest difference by the fault, in stated tolerances; infinite for a lost element."""
     bounds = Tolerances()
     loose = bounds.single if target == "USD" else 1.0
     found = [*_stated(right, wrong, target, bounds)]
@@ -450,7 +450,7 @@ class _State:
 
 
 class _Rigid:
-    """A URDF in Pinocchio, without shapes."""
+    """Load a URDF in Pinocchio, without shapes."""
 
     def __init__(self, root: Element) -> None:
         bare = copy.deepcopy(root)
@@ -511,7 +511,7 @@ class _Rigid:
 
 
 def _stated(right: Element, wrong: Element, target: str, bounds: Tolerances) -> Iterator[float]:
-    """Differences of what the texts state, in tolerances."""
+    """Differences of the values in the texts, in tolerances."""
     carries = CARRIES[target]
     for one, two in zip(right.findall("joint"), wrong.findall("joint"), strict=True):
         if one.get("type") != two.get("type") and "range" in carries:
@@ -552,7 +552,7 @@ def _stated(right: Element, wrong: Element, target: str, bounds: Tolerances) -> 
 
 
 def _reach(shape: Element) -> float:
-    """What a change of 1 of its size or scale moves its box by, m."""
+    """Change of a shape's bounding box per unit of its size or scale, m."""
     return 0.02 if shape.tag == "mesh" else 0.5
 
 
@@ -589,7 +589,7 @@ def _tensor(inertial: Element) -> Any:
 
 @dataclass
 class Subject:
-    """A robot as it stands, in every form."""
+    """A robot without faults, in every form."""
 
     name: str
     urdf: Path
@@ -648,7 +648,7 @@ def real_robots() -> list[Path]:
 
 
 def normalized(path: Path, folder: Path) -> Path:
-    """The robot in a folder of its own: repairs accepted, what is only seen left out."""
+    """Copy the robot to its own folder, with repairs accepted and visual shapes removed."""
     made = normalize(path, folder)
     patches = [flag.patch for flag in made.flags if flag.patch]
     if patches:
@@ -698,7 +698,7 @@ def _broken(
 
 @dataclass
 class Tally:
-    """What came of it."""
+    """Result of one mutation."""
 
     caught: Counter[str] = field(default_factory=Counter)
     above: Counter[str] = field(default_factory=Counter)
@@ -718,7 +718,7 @@ class Tally:
 
 
 def mutate(subject: Subject, source: str, rng: Rng, tally: Tally) -> None:
-    """One fault in one realization of one robot."""
+    """One fault in one realization of a robot."""
     targets = [target for target in TARGETS if target in subject.forms]
     weights = np.array([TARGETS[target][1] for target in targets])
     right = etree.parse(str(subject.urdf)).getroot()
@@ -757,10 +757,10 @@ def mutate(subject: Subject, source: str, rng: Rng, tally: Tally) -> None:
 
 
 def _catcher(subject: Subject, target: str, path: Path) -> str | None:
-    """The property that sees the fault, or that the importer refuses it; None: nobody."""
+    """Return the property that detects the fault, or the importer's refusal; None if undetected."""
     try:
         if b"scale=" in path.read_bytes():
-            # Realizations are made of normalized assets, whose meshes are in metres.
+            # Realizations are made from normalized assets, whose meshes are in metres.
             with tempfile.TemporaryDirectory(dir=path.parent) as folder:
                 made = normalize(path, Path(folder))
                 faulty = TARGETS[target][0](made.urdf)
@@ -778,7 +778,7 @@ def _catcher(subject: Subject, target: str, path: Path) -> str | None:
 
 
 def subjects(folder: Path, count: int, start: int, tally: Tally) -> Iterator[tuple[str, Subject]]:
-    """Random and real robots in turn, for ever."""
+    """Yield random and real robots in turn, endlessly."""
     real = real_robots()
     drawn = iter(random_robots(count // 2 + 1 if real else count, start))
     np.random.default_rng(start).shuffle(real)  # type: ignore[arg-type]
@@ -822,7 +822,7 @@ def run(mutations: int, start: int, *, say: Callable[[str], None] = lambda words
 
 
 def main() -> int:
-    """Run and report; 1 where a fault beyond tolerance was missed."""
+    """Run and report; return 1 if a fault beyond tolerance was missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mutations", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)

@@ -1,9 +1,9 @@
-"""Write the page of benchmarks from their records, as a whole.
+"""Write the page of benchmarks from their records.
 
     python benchmarks/page.py [--results benchmarks/results] [--page docs/benchmarks.md]
 
-Every figure of the page is in a record that ``benchmarks/record.py`` wrote. Benchmarks without a
-record are listed as not run, so that the page hides none.
+Every figure of the page is in a record of ``benchmarks/record.py``. Benchmarks without a record are
+listed too.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Pages about one subject have further figures, each next to its command:
 
 
 def scripts() -> dict[str, str]:
-    """Name of each benchmark that has a command line -> first line of its docstring."""
+    """Return name of each benchmark with a command line -> first line of its docstring."""
     found = {}
     for path in sorted(HERE.rglob("*.py")):
         name = path.relative_to(HERE).with_suffix("").as_posix()
@@ -50,7 +50,7 @@ def scripts() -> dict[str, str]:
 
 
 def section(one: dict[str, Any], what: str) -> str:
-    """Section of one record."""
+    """Return the section of one record."""
     here = one["machine"]
     packages = ", ".join(f"{name} {number}" for name, number in here["packages"].items())
     failed = f", **exit status {one['exit_status']}**" if one["exit_status"] else ""
@@ -73,7 +73,7 @@ def section(one: dict[str, Any], what: str) -> str:
 
 
 def page(results: Path) -> str:
-    """The page from all records of a folder."""
+    """Return the page with all records of a folder."""
     known = scripts()
     records = [json.loads(path.read_text("utf-8")) for path in sorted(results.glob("*.json"))]
     have = {one["benchmark"] for one in records}

@@ -1,10 +1,10 @@
-"""Reading a recording into arrays, against ``mcap-ros2-support`` decoding the same file.
+"""Time of reading a recording into arrays, relative to decoding by ``mcap-ros2-support``.
 
     python benchmarks/read_recording.py                 ten minutes, seven joints, 1 kHz
     python benchmarks/read_recording.py --seconds 5     a short sample
 
-Both readers take turns in one process. The baseline only decodes; that it gives the same numbers
-is checked afterwards, outside the timing.
+Both readers alternate in one process. The baseline only decodes. The equality of the values is
+checked afterwards, outside of the measured time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GOAL = 10.0
 
 
 def generate(path: Path, seconds: float, rate: float = 1000.0, joints: int = 7) -> None:
-    """Write states and position commands at ``rate`` Hz: sines under sensor noise."""
+    """Write states and position commands at ``rate`` Hz: sines with sensor noise."""
     random = np.random.default_rng(7)
     count = round(seconds * rate)
     names = tuple(f"joint{index + 1}" for index in range(joints))
@@ -65,7 +65,7 @@ def decode_with_ros2_support(path: Path) -> int:
 
 
 def differences(path: Path, recording: Recording) -> list[str]:
-    """Where the two readers disagree: empty when every number is the same."""
+    """Return differences between the two readers; empty if all values are equal."""
     by_topic = {series.topic: series for series in recording.series.values()}
     rows = dict.fromkeys(by_topic, 0)
     found = []

@@ -1,10 +1,10 @@
-"""Run a benchmark and keep what it printed, with date, revision and machine.
+"""Run a benchmark and store its output with date, revision and machine.
 
     python benchmarks/record.py [--results benchmarks/results] NAME [ARGUMENT ...]
 
 NAME is a script in ``benchmarks``, such as ``staleness`` or ``real/emps``. Writes
-RESULTS/NAME.json; ``benchmarks/page.py`` makes the page of the documentation from this folder. The
-exit status is that of the benchmark; a failed one is kept too.
+RESULTS/NAME.json; ``benchmarks/page.py`` writes the page of the documentation from this folder. The
+exit status is that of the benchmark; failed runs are stored too.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from typing import Any
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
 LONGEST = 20_000
-"""Characters of output that a record keeps, from its end."""
+"""Largest number of characters of output in a record, from its end."""
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores, Python and the packages on which figures depend."""
+    """Return processor, cores, Python version and the packages on which figures depend."""
     info = Path("/proc/cpuinfo")
     model = re.search(r"model name\s*:\s*(.+)", info.read_text()) if info.exists() else None
     return {
@@ -43,7 +43,7 @@ def machine() -> dict[str, Any]:
 
 
 def revision() -> str:
-    """Git revision of the tree, with ``+`` if it has changes."""
+    """Return the git revision of the tree, with ``+`` if it has changes."""
     git = ["git", "-C", str(HERE)]
     commit = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True)
     changed = subprocess.run([*git, "status", "--porcelain"], capture_output=True, text=True)

@@ -1,11 +1,10 @@
-"""Replay of real recordings against ``mujoco.rollout`` of the same steps, as a ratio.
+"""Throughput of replaying real recordings, relative to ``mujoco.rollout`` of the same steps.
 
-Run ``python benchmarks/replay_throughput.py``. Both sides step the same rows (models, initial
-states, controls) with as many threads; the replay's side is timed from trials to predictions, so
-that placing commands, interpolating and the rest of our own work count against it. The rollout's
-controls are laid out beforehand and do not. The two are interleaved, so that a busy machine
-slows both; the ratio by CPU time does not depend
-on it.
+Run ``python benchmarks/replay_throughput.py``. Both step the same rows (models, initial states,
+controls) with the same number of threads. The time of the replay is from trials to predictions,
+including the preparation of commands and interpolation. The rollout's controls are prepared
+beforehand and not included. The two alternate, so that the load of the machine slows both; the
+ratio of CPU times does not depend on it.
 
 Goal: at least 0.9 of the throughput of ``mujoco.rollout``.
 """
@@ -38,7 +37,7 @@ FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 def rows_of(name: str) -> list[Row]:
-    """All recordings of one set on the set's own model."""
+    """All recordings of one set with its model."""
     folder = RECORDINGS / name
     file = folder / "twin.yaml"
     twin = load_twin(file) if file.is_file() else None
@@ -52,7 +51,7 @@ def rows_of(name: str) -> list[Row]:
 
 
 def laid_out(rows: Sequence[Row]) -> list[Callable[[mujoco.rollout.Rollout], float]]:
-    """One ``mujoco.rollout`` call for each group of rows of about one length."""
+    """Call ``mujoco.rollout`` for each group of rows of similar length."""
     groups: list[list[Row]] = []
     for row in sorted(rows, key=lambda row: row.trial.duration):
         if groups and row.trial.duration <= 1.05 * groups[-1][0].trial.duration:
@@ -90,7 +89,7 @@ def _rollout(rows: Sequence[Row]) -> Callable[[mujoco.rollout.Rollout], float]:
 
 
 def steps_of(trial: Trial, model: mujoco.MjModel) -> int:
-    """Steps from the first state to the last."""
+    """Number of steps from the first state to the last."""
     return int(trial.duration / model.opt.timestep) + 1
 
 
@@ -107,7 +106,7 @@ def measure(name: str, threads: int, repeats: int) -> None:
             middle = _clocks()
             stepped = sum(call(pool) for call in calls)
             end = _clocks()
-            if repeat > 0:  # the first round warms both up
+            if repeat > 0:  # the first round is a warm-up
                 ours.append(own_steps / (middle - begin))
                 theirs.append(stepped / (end - middle))
     ratios = np.array(ours) / np.array(theirs)

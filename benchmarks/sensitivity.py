@@ -1,12 +1,12 @@
-"""How far the answers of a diagnosis depend on its thresholds.
+"""Sensitivity of diagnoses to their thresholds.
 
     python benchmarks/sensitivity.py --out DIR [--minutes 60] [--page FILE] [FIELD ...]
 
 Each number in a settings object of ``pytest_twin.diagnosis`` is halved and doubled, one at a time,
-and small cases are diagnosed again. In each, a pendulum or an arm of one joint is integrated at 4
-or 10 kHz with one effect, two effects, or none that the model lacks. A field that a diagnosis of a
-case does not read is not tried there. No diagnosis has a time limit, so the load of the machine
-changes no answer. Answers are kept in DIR/answers.jsonl: a second run continues the first one.
+and small cases are diagnosed again. In each case, a pendulum or an arm of one joint is integrated
+at 4 or 10 kHz with one effect, two effects, or none that the model lacks. A field is tried only in
+cases whose diagnosis reads it. No diagnosis has a time limit, so the load of the machine does not
+change the result. Results are stored in DIR/answers.jsonl; a second run continues the first one.
 Writes DIR/sensitivity.md: for each field its value, in how many cases it was tried, what each
 change does to the answers, and the number of simulations.
 
@@ -48,14 +48,14 @@ Answer = dict[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """One diagnosis: its name in the table, what writes model and recordings, what diagnoses."""
+    """One case: its name in the table, and functions that write its files and diagnose it."""
 
     name: str
     write: Callable[[Path], object]
     diagnose: Callable[[Path], Answer]
 
     def answer(self, out: Path) -> Answer:
-        """Its answer; ``out`` has a folder of model and recordings for each case."""
+        """Return its result; ``out`` has a folder of model and recordings for each case."""
         return self.diagnose(self.folder(out))
 
     def folder(self, out: Path) -> Path:
@@ -81,7 +81,7 @@ def full_diagnosis(folder: Path) -> Answer:
 
 
 def first_diagnosis(folder: Path) -> Answer:
-    """The first answer, within seconds, to the recordings that are not held out."""
+    """Return the quick diagnosis of the recordings that are not held out."""
     loaded = load_model(folder / "model.xml")
     files = sorted(folder.glob("*.mcap"))
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
@@ -101,7 +101,7 @@ def first_diagnosis(folder: Path) -> Answer:
 
 
 def pendulum(**hidden: float) -> Callable[[Path], object]:
-    """Writer of a pendulum that has what the model lacks."""
+    """Return a function that writes a pendulum with effects that the model lacks."""
     return lambda folder: two_pendulums.case(folder, ("left",), seconds=0.8, **hidden)
 
 
@@ -129,7 +129,7 @@ CASES = (
     Case("delay", pendulum(delay=0.02), full_diagnosis),
 )
 QUICK_CASES = CASES[:2]
-"""They take a second each, so every field that they read is tried in them."""
+"""Quick cases, which take a second each. Every field that they read is tried in them."""
 HEAD = """# How sensitive a diagnosis is to its thresholds
 
 <!-- Written by benchmarks/sensitivity.py. -->
@@ -143,7 +143,7 @@ not shown to be without influence. Revision `{revision}`, {date}.
 """
 FACTORS = (0.5, 2.0)
 SAME_SHARE = 0.01
-"""Of a parameter's value, by which answers may differ and count as the same."""
+"""Largest relative difference of parameters for which results are equal."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class Field:
 
     @contextmanager
     def set_to(self, value: float) -> Iterator[None]:
-        """Within, the settings object has this value."""
+        """Context in which the settings object has this value."""
         object.__setattr__(self.owner, self.attribute, value)
         try:
             yield
@@ -171,7 +171,7 @@ class Field:
 
 
 def settings_fields() -> list[Field]:
-    """Every number of every settings object of the diagnosis."""
+    """Return every number of every settings object of the diagnosis."""
     found: list[Any] = []
     package = pytest_twin.diagnosis
     for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
@@ -194,7 +194,7 @@ def settings_fields() -> list[Field]:
 
 @contextmanager
 def reads_of(fields: list[Field]) -> Iterator[set[str]]:
-    """Within, collects the names of the fields that are read."""
+    """Context that collects the names of the fields that are read."""
     read: set[str] = set()
 
     def noting(owner: object, attribute: str) -> object:
@@ -212,7 +212,7 @@ def reads_of(fields: list[Field]) -> Iterator[set[str]]:
 
 
 def difference(base: dict[str, Any], other: dict[str, Any]) -> str:
-    """What is different about an answer, in words; empty where nothing is."""
+    """Describe the differences of a result; empty if there are none."""
     if "error" in other:
         return f"ends with {other['error']}"
     words = []
@@ -235,7 +235,7 @@ def difference(base: dict[str, Any], other: dict[str, Any]) -> str:
 
 
 class Answers:
-    """Answers by case, field and value, in a file that grows."""
+    """Results by case, field and value, in a file to which lines are appended."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -247,7 +247,7 @@ class Answers:
                 self.known[key] = entry["answer"]
 
     def add(self, case: str, field: str, value: float, said: dict[str, Any]) -> None:
-        """Keep one answer."""
+        """Store one result."""
         self.known[case, field, value] = said
         entry = {"case": case, "field": field, "value": value, "answer": said}
         with self.path.open("a") as stream:
@@ -257,7 +257,7 @@ class Answers:
 def row(
     field: Field, answers: Answers, base: dict[str, Answer], read: dict[str, set[str]]
 ) -> str | None:
-    """The field's line of the table; None where no case is done that reads it."""
+    """Return the field's line of the table; None if no finished case reads it."""
     reading = [case for case in base if field.name in read[case]]
     if not reading:
         return f"| `{field.name}` | {field.value:g} | 0 | read in no case | read in no case | |"
@@ -295,7 +295,7 @@ def table(
     base: dict[str, Answer],
     read: dict[str, set[str]],
 ) -> str:
-    """The page: one line for each field that was tried."""
+    """Return the page with one line for each field that was tried."""
     lines = [row(field, answers, base, read) for field in fields]
     done = [line for line in lines if line is not None]
     head = [
@@ -307,7 +307,7 @@ def table(
 
 
 def attempt(case: Case, field: Field, value: float, answers: Answers, out: Path) -> None:
-    """Diagnose a case with one field changed, unless its answer is known."""
+    """Diagnose a case with one field changed, unless its result is known."""
     if value == field.value or (case.name, field.name, value) in answers.known:
         return
     with field.set_to(value):

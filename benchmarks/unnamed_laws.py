@@ -1,11 +1,11 @@
-"""Laws without a name on forces that are in no catalogue: what they remove of the held-out error.
+"""Share of the held-out error that unnamed laws remove, for forces outside of the catalogue.
 
     python benchmarks/unnamed_laws.py --out DIR [--seeds 71100:71120]
 
-Each seed hides one force (``kernel.OUTSIDE_KINDS``), in turn. The search over named effects is
-left out: the law is fitted to the fit recordings of the nominal model, in windows, and predicts the
-held-out recordings as a whole. Prints a row for each case and how many of each kind lose half of
-their squared error or more.
+Each seed hides one force (``kernel.OUTSIDE_KINDS``, in turn). The search over named effects is
+skipped: the law is fitted to windows of the fit recordings with the nominal model, and predicts
+whole held-out recordings. The script prints a row for each case, and for each kind the number of
+cases in which at least half of the squared error is removed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TOPICS = {"state": "/joint_states", "command": "/joint_commands"}
 
 
 def removed(folder: Path, joint: str) -> tuple[float, str]:
-    """Share of the squared held-out error of a joint that a law removes, 0 without one; words."""
+    """Return the removed share of a joint's squared held-out error, and a text."""
     realization = load(folder / "model.xml")
     recordings = sorted((folder / "recordings").glob("*.mcap"))
     trials = read_trials(recordings, [], TOPICS, realization.structure)
@@ -51,7 +51,7 @@ def removed(folder: Path, joint: str) -> tuple[float, str]:
 
 
 def main() -> None:
-    """Make the cases, and fit a law to each."""
+    """Write the cases, and fit a law to each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=seeds, default=seeds("71100:71120"))

@@ -1,18 +1,16 @@
-"""What parameter fitting alone does on blind cases: mujoco.sysid beside the diagnosis.
+"""Compare parameter fitting only (mujoco.sysid) with the diagnosis on blind cases.
 
     pip install 'pytest-twin[benchmarks]'
     python benchmarks/usual_way.py --cases DIR --results DIR [--truth DIR] --out FILE [--jobs 2]
     python benchmarks/usual_way.py --delay DIR
 
 For each case mujoco.sysid fits damping, armature, dry friction and servo gains of every joint to
-the recordings that the diagnosis fits, from the same initial states. Both are then judged on the
-held-out recordings by the same measure: root mean square of position, joint by joint, under
-effort commands in the windows of the diagnosis. ``--results`` is what run.py wrote. FILE gets a
-line of JSON for every case; what it has is not fitted again. The order has nothing to do with what
-is hidden.
+the recordings that the diagnosis fits, from the same initial states. Both are then tested on the
+held-out recordings by the RMS position error of each joint; under effort commands in the windows of
+the diagnosis. ``--results`` is the output folder of run.py. FILE gets a line of JSON for every
+case; a second run continues the first one. The order is independent of the hidden effects.
 
-``--delay`` writes recordings of one servo whose commands arrive 20 ms late, and prints what both
-say of it.
+``--delay`` writes recordings of one servo with a command delay of 20 ms, and prints both results.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ from pytest_twin.realization import load
 
 Modifier = Callable[[mujoco.MjSpec, sysid.Parameter], None]
 
-# Least share of a drive's gain: one without any takes no commands, and is no servo.
+# Smallest relative gain of a drive. A drive with gain zero would ignore its commands.
 _LEAST = 1e-6
 
 
@@ -53,14 +51,14 @@ _LEAST = 1e-6
 
 
 def read_case(model: Path, recordings: list[Path]) -> tuple[Problem, TrialSet]:
-    """Segments, initial states and floors as the diagnosis has them."""
+    """Return segments, initial states and noise floors of the diagnosis."""
     realization = load(model)
     trials = read_trials(recordings, [], TOPICS, realization.structure)
     return prepare(realization, trials.fit, trials.held_out, threads=1).problem, trials
 
 
 def held_out_rms(problem: Problem) -> dict[str, float]:
-    """Of the model as it is, joint by joint, rad or m; infinite where it diverged."""
+    """RMS errors of the nominal model by joint, rad or m; infinite if it diverged."""
     left = problem.residuals([EMPTY], problem.held_out)[0][:, : len(problem.joints)]
     rms = np.sqrt(np.mean(left**2, axis=0))
     return {
@@ -69,7 +67,7 @@ def held_out_rms(problem: Problem) -> dict[str, float]:
 
 
 def with_sensors(model: Path, joints: tuple[str, ...]) -> mujoco.MjSpec:
-    """The model with an encoder on every joint: what mujoco.sysid compares."""
+    """Return the model with a position sensor on every joint, which mujoco.sysid compares."""
     spec = mujoco.MjSpec.from_file(str(model))
     for joint in joints:
         spec.add_sensor(
@@ -82,7 +80,7 @@ def with_sensors(model: Path, joints: tuple[str, ...]) -> mujoco.MjSpec:
 
 
 def set_joint(joint: str, field: str) -> Modifier:
-    """Writes a parameter into a joint, as an array where MuJoCo keeps polynomials."""
+    """Return a modifier of a joint's parameter, as an array if MuJoCo has a polynomial."""
 
     def write(spec: mujoco.MjSpec, parameter: sysid.Parameter) -> None:
         element = spec.joint(joint)
@@ -96,7 +94,7 @@ def set_joint(joint: str, field: str) -> Modifier:
 
 
 def set_gain(actuator: str, mode: str, which: str) -> Modifier:
-    """Writes a servo's stiffness or damping, or the gain of a velocity or effort drive."""
+    """Return a modifier of a servo's stiffness or damping, or of another drive's gain."""
 
     def write(spec: mujoco.MjSpec, parameter: sysid.Parameter) -> None:
         value = float(parameter.value[0])
@@ -114,7 +112,7 @@ def set_gain(actuator: str, mode: str, which: str) -> Modifier:
 
 
 def free_parameters(problem: Problem, model: mujoco.MjModel, *, gains: bool) -> sysid.ParameterDict:
-    """Damping, armature, dry friction and gains of every joint, bounded by the joint's scales."""
+    """Return damping, armature, dry friction and gains of every joint, with bounds."""
     params = sysid.ParameterDict()
 
     def add(name: str, value: float, upper: float, write: Modifier, lower: float = 0.0) -> None:
@@ -152,7 +150,7 @@ def free_parameters(problem: Problem, model: mujoco.MjModel, *, gains: bool) -> 
 def sequence(
     name: str, spec: mujoco.MjSpec, segments: list[Segment], joints: tuple[str, ...]
 ) -> sysid.ModelSequences:
-    """Measured stretches as mujoco.sysid takes them; commands are held from stamp to stamp."""
+    """Return measured segments for mujoco.sysid; commands are held between stamps."""
     model = spec.compile()
     index = [int(model.joint(j).qposadr[0]) for j in joints]
     speeds = [int(model.joint(j).dofadr[0]) for j in joints]
@@ -177,12 +175,12 @@ def sequence(
 def fit(
     model: Path, problem: Problem, iterations: int, *, gains: bool
 ) -> tuple[str, dict[str, Any]]:
-    """Fit with mujoco.sysid: the model with its parameters (MJCF), and what it says of them."""
+    """Fit with mujoco.sysid; return the fitted model (MJCF) and its report."""
     spec = with_sensors(model, problem.joints)
     params = free_parameters(problem, spec.compile(), gains=gains)
     segments = [problem.simulator.segments[i] for i in problem.fit]
-    # By default it divides by the norm of each stretch: errors count in floors here, as the
-    # judgement counts them.
+    # By default it divides by the norm of each segment; here errors are in noise floors, as in the
+    # comparison.
     transform = sysid.SignalTransform(normalize=False)
     floors = zip(problem.joints, problem.floor.tolist(), strict=True)
     transform.set_sensor_weights({f"encoder_{joint}": 1.0 / floor for joint, floor in floors})
@@ -212,8 +210,9 @@ def fit(
 
 
 def usual(case: Path, iterations: int, *, gains: bool = True) -> dict[str, Any]:
-    """mujoco.sysid on one case: held-out errors before and after, rad or m; infinite after where
-    the fit itself breaks.
+    """Run mujoco.sysid on one case; return held-out errors before and after the fit, rad or m.
+
+    The errors after the fit are infinite if the fit fails.
     """
     recordings = sorted((case / "recordings").glob("*.mcap"))
     problem, _ = read_case(case / "model.xml", recordings)
@@ -235,13 +234,13 @@ def usual(case: Path, iterations: int, *, gains: bool = True) -> dict[str, Any]:
     return {"case": case.name, "held_out": held_out, **told}
 
 
-# -- side by side
+# -- comparison
 
 
 def removed(held_out: dict[str, dict[str, float]]) -> float | None:
-    """Share of the explainable squared error that is gone, over joints; None where none was.
+    """Removed share of the explainable squared error, over joints; None without such an error.
 
-    As score.py has it: errors count in floors.
+    Errors are in noise floors, as in score.py.
     """
     before = after = 0.0
     for joint in held_out.values():
@@ -252,13 +251,13 @@ def removed(held_out: dict[str, dict[str, float]]) -> float | None:
 
 
 def worst(held_out: dict[str, dict[str, float]]) -> str:
-    """The joint that was furthest off its floor: before, after in its unit, and the floor."""
+    """Return errors before and after, and noise floor, of the joint with the largest error."""
     joint = max(held_out.values(), key=lambda h: h["rms_before"] / h["floor"])
     return f"{joint['rms_before']:.2g} -> {joint['rms_after']:.2g} ({joint['floor']:.1g})"
 
 
 def fit_all(cases: list[Path], out: Path, iterations: int, jobs: int) -> None:
-    """Append a line for each case, so many at the same time."""
+    """Append a line for each case, with several parallel jobs."""
     with ProcessPoolExecutor(jobs) as pool:
         running = {pool.submit(usual, case, iterations): case for case in cases}
         try:
@@ -272,13 +271,13 @@ def fit_all(cases: list[Path], out: Path, iterations: int, jobs: int) -> None:
 
 
 def lines_of(file: Path) -> list[dict[str, Any]]:
-    """What a file holds, by case."""
+    """Return the lines of a file, by case."""
     told = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
     return sorted(told, key=lambda t: str(t["case"]))
 
 
 def table(fitted: Path, results: Path, truth: Path | None) -> list[str]:
-    """Case by case, then the medians."""
+    """Return a table of all cases, then the medians."""
     lines = [
         "| case | hidden | mujoco.sysid, worst joint (floor) | removed | diagnosis | removed |",
         "|---|---|---|---|---|---|",
@@ -325,7 +324,7 @@ def table(fitted: Path, results: Path, truth: Path | None) -> list[str]:
 
 
 def percent(share: float | None) -> str:
-    """In words."""
+    """Format the result."""
     if share is None:
         return "nothing to remove"
     return "diverged" if not np.isfinite(share) else f"{share:.1%}"
@@ -349,9 +348,9 @@ SERVO = f"""<mujoco model="servo">
 
 
 def late_servo(path: Path, role: str, seed: int) -> None:
-    """12 s of a multisine; commands take 20 ms, everything else is as the model says.
+    """Simulate 12 s of a multisine with a command delay of 20 ms and otherwise nominal parameters.
 
-    Integrated at 0.1 ms with dry friction that stops what it can stop; 2e-5 rad of noise at 200 Hz.
+    The time step is 0.1 ms, dry friction is set-valued; noise is 2e-5 rad at 200 Hz.
     """
     rng = np.random.default_rng(seed)
     step, every = 1e-4, 50
@@ -382,14 +381,14 @@ def late_servo(path: Path, role: str, seed: int) -> None:
 
 
 def delay_example(out: Path) -> None:
-    """Print what both say of a servo whose commands arrive late."""
+    """Print both results for a servo with a command delay."""
     recordings = out / "recordings"
     recordings.mkdir(parents=True, exist_ok=True)
     (out / "model.xml").write_text(SERVO)
     for i, role in enumerate(("fit", "fit", "held_out")):
         late_servo(recordings / f"{i}_multisine.mcap", role, seed=i)
-    # The gain is the firmware's own; without gravity, inertia and gain would only be known
-    # as their ratio.
+    # The gain is fixed at the firmware's value; without gravity, only the ratio of inertia and gain
+    # is identifiable.
     told = usual(out, 30, gains=False)
     print(f"true: commands arrive {DELAY * 1e3:.0f} ms late; damping {DAMPING} N*m*s/rad")
     print("mujoco.sysid:")
@@ -430,7 +429,7 @@ def diagnose(case: Path, out: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Fit what has no result yet, print the table."""
+    """Fit the cases without a result, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--delay", type=Path, help="write and judge the servo with late commands")
     parser.add_argument("--cases", type=Path)

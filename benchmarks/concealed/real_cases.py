@@ -1,24 +1,24 @@
-"""Draw cases from recordings of real machines, with something concealed. One seed, one case.
+"""Draw blind cases from recordings of real machines with hidden effects. One seed, one case.
 
     python benchmarks/concealed/real_cases.py --out DIR --truth DIR --seeds 81000:81072
 
 Writes for each seed ``DIR/<case>/model.xml`` (where needed ``effects.json``, ``twin.yaml``) and
-``recordings/*.mcap``, and the truth elsewhere. The recordings are found by ``TWIN_RECORDINGS``;
-they are not ours to pass on, so neither are the cases.
+``recordings/*.mcap``, and the truth elsewhere. The recordings are found by ``TWIN_RECORDINGS``.
+Neither they nor the cases may be redistributed.
 
-Any 72 consecutive seeds hold 12 cases in which nothing is concealed, 8 of them with a recording
-that was quantized, thinned out or has a low-passed velocity, which is no physics of the robot; 50
-with one effect and 10 with two. An effect is concealed in one of two ways:
+Any 72 consecutive seeds contain 12 cases without a hidden effect, 50 with one effect and 10 with
+two. In 8 of the 12, the recording was quantized, thinned out or has a low-passed velocity, which is
+no physics of the robot. An effect is hidden in one of two ways:
 
-- the recordings are changed (``injections.py``) so that the machine seems to have one flaw more;
-- the model is falsified: a mass, friction, gain, rotor inertia, tilt or a whole law of the model
-  that follows the machine (``real_models.py``) is taken away or made smaller or larger.
+- the recordings are changed (``injections.py``) as if the machine had an additional error;
+- the model is falsified: a mass, friction, gain, rotor inertia, tilt or a whole law of the
+validated model (``real_models.py``) is removed or scaled.
 
-The truth holds each effect by its name in the catalogue, with the parameters that a diagnosis
-should find. ``visibility`` is by how much the residual of the held-out recording changes, in
-multiples of what it is with nothing concealed. ``equivalents`` are names that change it alike, as
-measured by simulation (``real_rivals.py``). ``background`` names what the machine has beyond the
-model that follows; it may be named without being false.
+The truth file has the catalogue name of each effect and the parameters that a diagnosis should
+find. ``visibility`` is the change of the held-out residual, in multiples of the residual without
+hidden effects. ``equivalents`` are effects that change it in the same way, as measured by
+simulation (``real_rivals.py``). ``background`` lists effects of the machine that the validated
+model lacks; findings of these are not false.
 """
 
 from __future__ import annotations
@@ -55,19 +55,19 @@ RECORDINGS = Path(
 COUNTS = {
     "emps": 20, "xl330": 16, "so101_pan": 10, "so101_flex": 10, "so101_roll": 8, "so101_wrist": 8,
 }  # fmt: skip
-"""Cases of each machine in a block."""
+"""Number of cases of each machine in a block."""
 PLAIN = ("emps", "xl330", "so101_pan", "so101_wrist")
-"""Machines with a case in which nothing is changed at all."""
+"""Machines with a case without any change."""
 DISTURBED = {"emps": 2, "xl330": 2, "so101_pan": 1, "so101_flex": 1, "so101_roll": 1,
              "so101_wrist": 1}  # fmt: skip
 TWO = {"emps": 3, "xl330": 2, "so101_pan": 2, "so101_flex": 2, "so101_roll": 1, "so101_wrist": 0}
-"""Cases with disturbed recordings, and with two effects."""
+"""Number of cases with disturbed recordings, and with two effects."""
 STEP = {"emps": 0.001, "xl330": 0.001, "so101": 0.002}
-"""s, of the models beside the recordings."""
+"""Time step of the models, s."""
 BLOCK = sum(COUNTS.values())
 ORDER = np.random.default_rng(20_261_128).permutation(BLOCK)
 VISIBLE, TRIES = 1.0, 6
-"""A size that shows less than the background is drawn again, so many times at most."""
+"""Smallest visibility, and largest number of draws to reach it."""
 APART = (
     {"command_delay", "sensor_delay", "clock_drift"},
     {"encoder_scale", "controller_gain", "torque_constant", "payload", "encoder_eccentricity"},
@@ -75,11 +75,11 @@ APART = (
     {"torque_rolloff", "motor_load_friction", "controller_gain"},
     {"effort_bias", "effort_scale"},
 )
-"""Effects that much alike are not concealed together."""
+"""Pairs of similar effects, which are not hidden together."""
 
 
 def plan(seed: int) -> tuple[str, str, int]:
-    """What a seed is: the machine, the kind of case, and which of that kind."""
+    """Return the machine, the kind of case, and its number within the kind, for a seed."""
     place = int(ORDER[seed % BLOCK])
     for name, count in COUNTS.items():
         if place >= count:
@@ -95,13 +95,13 @@ def plan(seed: int) -> tuple[str, str, int]:
         if place < TWO[name]:
             return name, "two", place
         place -= TWO[name]
-        # The next block goes on where this one stopped in the list of effects.
+        # The next block continues in the list of effects where this one ended.
         return name, "one", place + (seed // BLOCK) * (count - plain - DISTURBED[name] - TWO[name])
     raise AssertionError("a place of the block belongs to no machine")
 
 
 def excerpts(machine: Machine, rng: np.random.Generator) -> list[tuple[str, Recorded]]:
-    """(file name, stretch of a recording) with its role: three to fit, one held out."""
+    """Return file names and segments of recordings with roles: three to fit, one held out."""
     fit = rng.permutation(len(machine.fit))[:3]
     chosen = [(machine.fit[i], "fit") for i in sorted(fit)]
     held = rng.permutation(len(machine.held_out))[:1]
@@ -115,7 +115,7 @@ def excerpts(machine: Machine, rng: np.random.Generator) -> list[tuple[str, Reco
         kept = {k: v for k, v in read.metadata.items() if k in ("controller", "temperature")}
         whole = Recorded(read.series["state"], read.series["command"], {**kept, "role": role})
         stretch = of_joints(cut(whole, start, machine.seconds), machine.joints)
-        # SO-101's effort is an unsigned current: no torque that a model could predict.
+        # SO-101's effort is an unsigned current, which a model cannot predict.
         without = replace(stretch, state=replace(stretch.state, effort=None))
         out.append((f"{number}_{name}.mcap", without))
     return out
@@ -125,7 +125,7 @@ def _apart(
     name: str, first: float, last: float, seconds: float, taken: list[tuple[str, float]],
     rng: np.random.Generator,
 ) -> float:  # fmt: skip
-    """A start in s whose stretch overlaps no other by more than a second, where there is one."""
+    """Draw a start, s, whose segment overlaps no other by more than a second, if possible."""
     starts = np.round(rng.uniform(first, last, 40), 2)
     for start in starts:
         if all(name != n or abs(start - s) >= seconds - 1.0 for n, s in taken):
@@ -134,7 +134,7 @@ def _apart(
 
 
 def disturbed(machine: Machine, number: int, rng: np.random.Generator) -> tuple[str, Change]:
-    """What a recorder or a driver does to readings and no robot: in words, and the change."""
+    """Draw a disturbance by a recorder or driver: its description, and the change."""
     joint = machine.joints[-1]
     kinds = ["quantized", "dropped"] if machine.name == "emps" else ["dropped", "filtered"]
     if machine.folder == "so101":
@@ -158,7 +158,7 @@ def disturbed(machine: Machine, number: int, rng: np.random.Generator) -> tuple[
 
 
 def two_apart(names: Sequence[str], rng: np.random.Generator) -> list[str]:
-    """Two effects that are not much alike."""
+    """Draw two effects that are not similar."""
     while True:
         first, second = (str(name) for name in rng.permutation(names)[:2])
         if not any({first, second} <= alike for alike in APART):
@@ -168,7 +168,7 @@ def two_apart(names: Sequence[str], rng: np.random.Generator) -> list[str]:
 def concealed(
     machine: Machine, kind: str, number: int, judge: Judge, rng: np.random.Generator
 ) -> list[Concealed]:
-    """The effects of a case, each redrawn until it shows, or the clearest of its draws."""
+    """Draw the effects of a case, each until it is visible; else the most visible draw is used."""
     names = CHOICES[machine.name]
     wanted = [names[number % len(names)]] if kind == "one" else two_apart(names, rng)
     out = []
@@ -184,7 +184,7 @@ def concealed(
 
 
 def write_model(machine: Machine, folder: Path) -> None:
-    """Write ``model.xml`` and, where the machine has them, ``effects.json`` and ``twin.yaml``."""
+    """Write ``model.xml`` and, if the machine has them, ``effects.json`` and ``twin.yaml``."""
     (folder / "model.xml").write_text(mjcf(machine, RECORDINGS))
     for file, text in (("effects.json", effects_json(machine)), ("twin.yaml", twin_yaml(machine))):
         if text is not None:

@@ -1,4 +1,4 @@
-"""What can be concealed in a real machine's recordings or taken out of its model: drawn effects.
+"""Draw effects to hide in a real machine's recordings or to remove from its model.
 
 Each draw gives an effect under its name in the catalogue, the parameters that a diagnosis should
 find, and either a change of the recordings or a falsified model.
@@ -26,19 +26,19 @@ from real_models import Machine
 
 Change = Callable[[Recorded], Recorded]
 EFFORT_EFFECTS = ("effort_bias", "effort_scale")
-"""Of the effort sensor: the motion does not show them."""
+"""Effects of the effort sensor, which do not influence the motion."""
 
 
 @dataclass(frozen=True)
 class Concealed:
-    """One concealed effect.
+    """One hidden effect.
 
     Attributes:
-        effect, joint: as the catalogue names it; joint None for the whole robot.
+        effect, joint: catalogue name and joint; joint None for the whole robot.
         parameters: name -> value that a diagnosis should find, SI units.
-        how: what was changed, in words.
-        change: of each recording; None where the model is falsified.
-        falsify: the model; None where the recordings are changed.
+        how: description of the change.
+        change: function that changes a recording; None if the model is falsified.
+        falsify: function that changes the model; None if the recordings are changed.
     """
 
     effect: str
@@ -50,17 +50,17 @@ class Concealed:
 
 
 def _uniform(rng: np.random.Generator, low: float, high: float, *, signed: bool = False) -> float:
-    """A value to four digits, so that a truth file states it exactly."""
+    """Round a value to four digits, so that a truth file states it exactly."""
     sign = float(rng.choice([-1.0, 1.0])) if signed else 1.0
     return sign * float(f"{rng.uniform(low, high):.4g}")
 
 
-# Each of these draws one concealed effect of a machine at a joint. Sizes are wide: from about the
-# background to ten times it.
+# Each of these functions draws one hidden effect of a machine at a joint. Its size is from about
+# the background to ten times the background.
 
 
 def sensor_delay(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """States are stamped late."""
+    """Draw a sensor delay: states have late stamps."""
     delay = _uniform(rng, 0.01, 0.05)
     return Concealed(
         "sensor_delay", None, {"delay": delay}, "states stamped late by the delay",
@@ -69,7 +69,7 @@ def sensor_delay(machine: Machine, joint: str, rng: np.random.Generator) -> Conc
 
 
 def command_delay(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """The drive acts late: of one joint, where there are several."""
+    """Draw a command delay, of one joint if there are several."""
     if len(machine.joints) > 1:
         samples = int(rng.integers(1, 4))
         delay = 0.02005 * samples
@@ -86,7 +86,7 @@ def command_delay(machine: Machine, joint: str, rng: np.random.Generator) -> Con
 
 
 def clock_drift(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """The clock of the states is fast or slow."""
+    """Draw a drift of the states' clock."""
     drift = _uniform(rng, 0.003, 0.012, signed=True)
     return Concealed(
         "clock_drift", None, {"drift": drift}, "stamps of states stretched by 1 / (1 - drift)",
@@ -95,7 +95,7 @@ def clock_drift(machine: Machine, joint: str, rng: np.random.Generator) -> Conce
 
 
 def encoder_scale(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """Positions and velocities times a factor."""
+    """Draw an encoder scale, on positions and velocities."""
     error = _uniform(rng, 0.03, 0.1, signed=True)
     return Concealed(
         "encoder_scale", joint, {"scale_error": error}, "readings times 1 + scale_error",
@@ -104,7 +104,7 @@ def encoder_scale(machine: Machine, joint: str, rng: np.random.Generator) -> Con
 
 
 def encoder_bias(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """Positions plus a constant; the servo's own loop is the real one and does not see it."""
+    """Draw an encoder bias, which is not in the servo's feedback."""
     bias = _uniform(rng, 0.02, 0.1, signed=True)
     return Concealed(
         "encoder_bias", joint, {"bias": bias, "in_loop": 0.0}, "readings plus bias",
@@ -113,7 +113,7 @@ def encoder_bias(machine: Machine, joint: str, rng: np.random.Generator) -> Conc
 
 
 def encoder_eccentricity(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """Positions plus one wave a turn."""
+    """Draw an encoder eccentricity, with one period per revolution."""
     amplitude, phase = _uniform(rng, 0.03, 0.08), _uniform(rng, 0.0, 6.283)
     parameters = {
         "sine": amplitude * float(np.cos(phase)), "cosine": amplitude * float(np.sin(phase)),
@@ -127,7 +127,7 @@ def encoder_eccentricity(machine: Machine, joint: str, rng: np.random.Generator)
 
 
 def effort_scale(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """The measured effort times a factor."""
+    """Draw an effort scale."""
     error = _uniform(rng, 0.15, 0.4, signed=True)
     return Concealed(
         "effort_scale", joint, {"scale_error": error}, "measured effort times 1 + scale_error",
@@ -136,7 +136,7 @@ def effort_scale(machine: Machine, joint: str, rng: np.random.Generator) -> Conc
 
 
 def effort_bias(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """The measured effort plus a constant."""
+    """Draw an effort bias."""
     bias = _uniform(rng, 5.0, 20.0, signed=True)
     return Concealed(
         "effort_bias", joint, {"bias": bias}, "measured effort plus bias",
@@ -145,10 +145,10 @@ def effort_bias(machine: Machine, joint: str, rng: np.random.Generator) -> Conce
 
 
 def payload(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """The model's link is too light, or too heavy where a mass is taken off."""
+    """Draw a payload: the model's link is too light, or too heavy if a mass is removed."""
     body, true = machine.tool
     mass = round(true * _uniform(rng, 0.08, 0.3), 4)
-    # The arm's mass is at 0.1 m from the joint.
+    # The arm's mass is 0.1 m from the joint.
     parameters = {"mass": mass} if machine.mode == "effort" else {"mass": mass, "distance": 0.1}
     return Concealed(
         "payload", None, parameters, f"mass of {body} in the model less by the payload",
@@ -157,9 +157,9 @@ def payload(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed
 
 
 def base_tilt(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """Gravity in the model leans."""
+    """Draw a base tilt: gravity of the model is rotated."""
     if machine.name == "emps":
-        # 95 kg: one mrad is 0.93 N.
+        # The mass is 95 kg, so 1 mrad corresponds to 0.93 N.
         pitch = _uniform(rng, 0.006, 0.02, signed=True)
     else:
         pitch = _uniform(rng, 0.05, 0.15, signed=True)
@@ -171,7 +171,7 @@ def base_tilt(machine: Machine, joint: str, rng: np.random.Generator) -> Conceal
 
 
 def controller_gain(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """The model's stiffness is too low or too high; its passive damping is right."""
+    """Draw a servo stiffness error; the passive damping is right."""
     error = _uniform(rng, 0.15, 0.5, signed=True)
 
     def falsify(m: Machine) -> Machine:
@@ -187,7 +187,7 @@ def controller_gain(machine: Machine, joint: str, rng: np.random.Generator) -> C
 
 
 def torque_constant(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """Commanded efforts are logged too small or too large: the drive delivers more or less."""
+    """Draw a torque constant error: commanded efforts are logged too small or too large."""
     error = _uniform(rng, 0.08, 0.25, signed=True)
 
     def change(r: Recorded) -> Recorded:
@@ -201,7 +201,7 @@ def torque_constant(machine: Machine, joint: str, rng: np.random.Generator) -> C
 
 
 def _less(name: str, effect: str, parameter: str, low: float, high: float) -> Any:
-    """An effect whose value in the model is less than the machine's by a drawn share of it."""
+    """Draw an effect whose value in the model is too small by a random fraction."""
 
     def draw(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
         true = float(getattr(machine.drives[joint], name))
@@ -215,7 +215,7 @@ def _less(name: str, effect: str, parameter: str, low: float, high: float) -> An
 
 
 def armature(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """The model's rotor is too heavy: at 50 Hz behind a stiff servo a lighter one does not show."""
+    """Draw a too large armature; at 50 Hz and with a stiff servo, a smaller one is not visible."""
     extra = float(f"{machine.drives[joint].armature * rng.uniform(3.0, 8.0):.4g}")
     return Concealed(
         "armature",
@@ -227,7 +227,7 @@ def armature(machine: Machine, joint: str, rng: np.random.Generator) -> Conceale
 
 
 def asymmetric_friction(machine: Machine, joint: str, rng: np.random.Generator) -> Concealed:
-    """The model loses the difference of friction between the directions and gets none."""
+    """Remove the difference of friction between the directions from the model."""
     offset = machine.value("asymmetric_friction", "offset")
     return Concealed(
         "asymmetric_friction", joint, {"coulomb": 0.0, "offset": offset},
@@ -263,8 +263,8 @@ DRAWS: Mapping[str, Callable[[Machine, str, np.random.Generator], Concealed]] = 
     "torque_rolloff": _law_taken_away("torque_rolloff"),
     "motor_load_friction": _law_taken_away("motor_load_friction"),
 }  # fmt: skip
-# What can be concealed in each machine, and in which order a block takes it up. An effect that a
-# machine cannot show is left out: the zero of a slide, a rotor that is light beside its link.
+# Effects that can be hidden in each machine, in the order of a block. Effects without visible
+# influence are left out: the zero of a slide, and a rotor that is light compared with its link.
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "emps": (
         "viscous_friction", "coulomb_friction", "payload", "torque_constant", "base_tilt",

@@ -3,13 +3,12 @@
     python benchmarks/concealed/real_fit.py [so101_pan so101_flex so101_roll]
 
 Least squares (soft L1 at 3 mrad) of positions in windows of a second started from the measured
-state, by MuJoCo alone: servo stiffness, damping, dry friction, zero of the encoder and bus delay of
-one joint. The rotor's inertia is the file's. Prints the values and the root mean square that is
-left.
+state, simulated by MuJoCo: servo stiffness, damping, dry friction, encoder zero and bus delay of
+one joint. The rotor's inertia is that of the file. Prints the values and the RMS residual.
 
-Where gravity does not act (pan, roll) the zero means nothing and is 0 in the table; of roll, whose
-link is light, only ratios are known: there the table has them at a stiffness of 14.1 N*m/rad, which
-a diagnosis of all joints gave (docs/real_machines.md).
+Without gravity load (pan, roll) the zero has no influence and is 0 in the table. For roll, whose
+link is light, only ratios are identifiable; the table has them for a stiffness of 14.1 N*m/rad,
+from a diagnosis of all joints (docs/real_machines.md).
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from scipy.optimize import least_squares
 
 from pytest_twin.formats.mcap import read_recording
 
-# Recording and start in s of stretches of ten seconds.
+# Recording and start (s) of segments of ten seconds.
 STRETCHES = {
     "so101_pan": (
         ("single_joint_rotation", 22.0), ("ramp_motion", 25.0), ("sinusoidal_sweep", 30.0),
@@ -43,12 +42,12 @@ STRETCHES = {
 }  # fmt: skip
 SECONDS, WINDOW, ARMATURE = 10.0, 1.0, 0.028
 START = (np.log(13.0), np.log(0.8), 0.1, 0.0, 0.02)
-"""Of log(kp), log(damping), friction, zero and delay."""
+"""Order of the parameters: log(kp), log(damping), friction, zero and delay."""
 SCALE = (0.1, 0.1, 0.05, 0.05, 0.01)
 
 
 def taken(machine: Machine, x: Floats) -> tuple[Machine, float]:
-    """The machine with the values of a point, and the delay, s."""
+    """Return the machine with the values of a point, and the delay, s."""
     kp, damping, friction, zero, delay = (float(v) for v in x)
     joint = machine.joints[0]
     values: dict[str, Any] = {"kp": np.exp(kp), "damping": np.exp(damping)}
@@ -58,7 +57,7 @@ def taken(machine: Machine, x: Floats) -> tuple[Machine, float]:
 
 
 def residual(machine: Machine, x: Floats, stretches: list[Recorded]) -> Floats:
-    """Predictions less readings of all stretches, rad."""
+    """Predictions minus readings of all segments, rad."""
     tried, delay = taken(machine, x)
     model = compiled(tried, RECORDINGS)
     out = []
@@ -70,7 +69,7 @@ def residual(machine: Machine, x: Floats, stretches: list[Recorded]) -> Floats:
 
 
 def stretches_of(machine: Machine) -> list[Recorded]:
-    """The recordings to fit."""
+    """Return the recordings to fit."""
     out = []
     for name, start in STRETCHES[machine.name]:
         read = read_recording(RECORDINGS / machine.folder / "recordings" / f"{name}.mcap")

@@ -1,4 +1,4 @@
-"""A model that follows a real machine: as files of a case, and for a replay by MuJoCo alone."""
+"""Write a validated model of a real machine as case files, and compile it for MuJoCo."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def gravity(tilt: tuple[float, float]) -> Floats:
 
 
 def mjcf(machine: Machine, recordings: Path) -> str:
-    """The model as MJCF, from the file beside the recordings."""
+    """Return the model as MJCF, from the file in the folder of the recordings."""
     root = ElementTree.fromstring((recordings / machine.folder / "model.xml").read_text("utf-8"))
     option = root.find("option")
     assert option is not None
@@ -48,7 +48,7 @@ def mjcf(machine: Machine, recordings: Path) -> str:
         joint.set("armature", repr(drive.armature))
         if drive.spring:
             joint.set("stiffness", repr(drive.spring))
-        # Stiff dry friction: MuJoCo's default creeps under load.
+        # Dry friction is made stiff, because MuJoCo's default creeps under load.
         joint.set("solreffriction", _words([2.0 * step, 1.0]))
         joint.set("solimpfriction", "0.999 0.9999 0.001 0.5 2")
         if drive.zero:
@@ -68,7 +68,7 @@ def mjcf(machine: Machine, recordings: Path) -> str:
 
 
 def effects_json(machine: Machine) -> str | None:
-    """Effects that MJCF cannot express, as a diagnosis writes them; None if there are none."""
+    """Return effects that MJCF cannot express, in the form of a diagnosis; None without any."""
     if not machine.beside:
         return None
     effects = [
@@ -79,7 +79,7 @@ def effects_json(machine: Machine) -> str | None:
 
 
 def twin_yaml(machine: Machine) -> str | None:
-    """Gains by the trial's controller; None where there is one controller alone."""
+    """Return gains by the trial's controller; None if there is only one controller."""
     if not machine.controllers:
         return None
     lines = [f"  {name}: {{servo: {{kp: {kp!r}}}}}" for name, kp in machine.controllers.items()]
@@ -87,7 +87,7 @@ def twin_yaml(machine: Machine) -> str | None:
 
 
 def push(machine: Machine) -> Floats:
-    """(joints,) constant effort of the independent replay: friction that prefers a direction."""
+    """(joints,) constant effort of the independent replay, from direction-dependent friction."""
     return np.array(
         [
             d.preload - machine.value("asymmetric_friction", "offset", joint)
@@ -102,7 +102,7 @@ def law(machine: Machine, controller: str | None = None) -> Law | None:
 
 
 def _xl330(machine: Machine, controller: str) -> Law:
-    """A servo whose torque rolls off and whose gear rubs by motor effort and by load."""
+    """Servo with torque roll-off, and gear friction that depends on motor effort and load."""
     kp, limit = machine.controllers[controller], machine.limit or np.inf
     drive = machine.drives["pendulum"]
     inverse, emf = (machine.value("torque_rolloff", n) for n in ("inverse_knee", "back_emf"))
@@ -124,14 +124,14 @@ def _xl330(machine: Machine, controller: str) -> Law:
             mass * lever * (model.opt.gravity[0] * np.cos(q) + model.opt.gravity[2] * np.sin(q))
         )
         model.dof_frictionloss[0] = drive.friction + by_load * load + share * abs(effort)
-        # The MJCF's servo is silent here: its gain is set to zero by ``compiled``.
+        # The MJCF's servo is inactive here: ``compiled`` sets its gain to zero.
         data.qfrc_applied[0] = effort + taken + drive.preload
 
     return act
 
 
 def compiled(machine: Machine, recordings: Path) -> mujoco.MjModel:
-    """The model for the independent replay."""
+    """Return the model for the independent replay."""
     model = mujoco.MjModel.from_xml_string(mjcf(machine, recordings))
     if machine.controllers:
         model.actuator_gainprm[:] = 0.0
@@ -146,7 +146,7 @@ def _inertial(body: ElementTree.Element) -> ElementTree.Element:
 
 
 def _turn(body: ElementTree.Element, joint: ElementTree.Element, angle: float) -> None:
-    """Turn a body by an angle about the axis of its joint."""
+    """Rotate a body by an angle about the axis of its joint."""
     before = np.array(body.get("quat", "1 0 0 0").split(), float)
     axis = np.array(joint.get("axis", "0 0 1").split(), float)
     by, after = np.empty(4), np.empty(4)

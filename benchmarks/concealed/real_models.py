@@ -1,16 +1,16 @@
-"""Models that follow three real machines, as tables of parameters.
+"""Validated models of three real machines, as tables of parameters.
 
-A model that follows is the folder's ``model.xml`` with the drive values of :data:`MACHINES`, and
-beside it, in ``effects.json``, what MJCF cannot hold. Sources of the values:
+A validated model is the folder's ``model.xml`` with the drive values of :data:`MACHINES`, and an
+``effects.json`` with effects that MJCF cannot express. Sources of the values:
 
 - EMPS: the published least-squares fit (Janot, Gautier, Brunot 2019).
-- XL330: what ``python benchmarks/real/xl330.py --gains 400`` found without gain 400
-  (docs/real_machines.md); torque constant, rotor inertia and friction are added to the model's.
-- SO-101: ``python benchmarks/concealed/real_fit.py``: least squares of one-second windows by MuJoCo
-  alone, which shares no code with pytest-twin. Joints that do not move in the chosen stretches are
-  welded at the angle that they hold.
+- XL330: result of ``python benchmarks/real/xl330.py --gains 400`` without gain 400
+(docs/real_machines.md); torque constant, rotor inertia and friction are additions to the model's.
+- SO-101: ``python benchmarks/concealed/real_fit.py``: least squares of one-second windows simulated
+by MuJoCo, without code of pytest-twin. Joints that do not move in the chosen segments are welded
+at their angle.
 
-Parameters are not recordings: the recordings stay where ``TWIN_RECORDINGS`` says.
+The recordings themselves are not included; they are read from ``TWIN_RECORDINGS``.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ class Drive:
     """One joint and its drive, SI units.
 
     Attributes:
-        damping, friction, armature: of the joint.
-        kp, kv: of its position servo; 0 for an effort drive.
+        damping, friction, armature: parameters of the joint.
+        kp, kv: gains of its position servo; 0 for an effort drive.
         zero: angle of the model at which the encoder reads zero.
-        preload, spring: effort at zero and stiffness of a spring that no machine here has: with
-            them the replay asks what a spring would change.
+        preload, spring: effort at zero and stiffness of a hypothetical spring, for the replay of
+            equivalent effects. No machine here has one.
     """
 
     damping: float
@@ -43,23 +43,24 @@ class Drive:
 
 @dataclass(frozen=True)
 class Machine:
-    """A model that follows a machine, or some joints of it.
+    """Validated model of a machine, or of some of its joints.
 
     Attributes:
-        name: of the machine or of the joints that are kept.
-        folder: where its recordings and its model are.
-        mode: of the commands.
-        drives: joint -> its values, in the recordings' order.
-        held: other joints -> the angle at which they are welded.
-        mass: kg by body, where it is not the file's.
-        controllers: ``twin.yaml``: trial metadata ``controller`` -> kp.
-        limit: of the drives' effort, where it is not the file's.
+        name: name of the machine or of the kept joints.
+        folder: folder of its recordings and model.
+        mode: command mode.
+        drives: joint -> drive parameters, in the recordings' order.
+        held: other joints -> angle at which they are welded, rad.
+        mass: body -> mass, kg, if it differs from the file.
+        controllers: trial metadata ``controller`` -> kp, for ``twin.yaml``.
+        limit: effort limit of the drives, if it differs from the file.
         beside: (effect, joint, values) of ``effects.json``.
-        tool: body that carries a payload, and its mass in kg.
-        tilt: roll and pitch of the base in rad that gravity in the file has.
-        fit, held_out: (recording, first start, last start) of stretches, s.
-        seconds: of a stretch.
-        background: name that what nobody modelled may get -> its size, where known, and why.
+        tool: body that carries a payload, and its mass, kg.
+        tilt: roll and pitch of the base, rad, in the file's gravity.
+        fit, held_out: (recording, first start, last start) of segments, s.
+        seconds: duration of a segment, s.
+        background: effect that unmodelled physics may be named -> its size, if known, and the
+            reason.
     """
 
     name: str
@@ -84,20 +85,20 @@ class Machine:
         return tuple(self.drives)
 
     def with_drive(self, joint: str, **values: float) -> Machine:
-        """Other values of one drive."""
+        """Return the machine with changed values of one drive."""
         return replace(self, drives={**self.drives, joint: replace(self.drives[joint], **values)})
 
     def without(self, effect: str) -> Machine:
-        """The machine without one effect that acts in addition to the MJCF model."""
+        """Return the machine without one effect that acts in addition to the MJCF model."""
         return replace(self, beside=tuple(b for b in self.beside if b[0] != effect))
 
     def value(self, effect: str, name: str, joint: str | None = None) -> float:
-        """A value of an effect beside the model; 0 where it is not there."""
+        """Return a value of an effect in ``effects.json``; 0 if it is absent."""
         return sum(v[name] for e, j, v in self.beside if e == effect and joint in (None, j))
 
 
 SERVO_DELAY = 0.02
-"""s: SO-101's bus carries a command to the servos one sample later (fitted 18 to 20 ms)."""
+"""Command delay of SO-101's bus, s: one sample (fitted 18 to 20 ms)."""
 _SO101_HELD = {
     "shoulder_pan": 0.0, "shoulder_lift": 0.25, "elbow_flex": 0.57, "wrist_flex": 0.0,
     "wrist_roll": 0.01, "gripper": 0.5,

@@ -1,9 +1,8 @@
-"""Open-loop motion of a model under a recording's commands, by MuJoCo alone.
+"""Open-loop simulation of a model under a recording's commands with MuJoCo only.
 
-Shares no code with pytest-twin's replay. Serves three ends: to fit the models that follow, to say
-how far a concealed effect moves the readings, and to say which other name would move them alike.
-Each window starts from the measured state, so that what is compared is what a model does within
-half a second, not what a small error grows to.
+It shares no code with pytest-twin's replay. It is used to fit the validated models, to measure the
+visibility of a hidden effect, and to find equivalent effects. Each window starts from the measured
+state, so predictions of half a second are compared, before small errors grow.
 """
 
 from __future__ import annotations
@@ -17,17 +16,18 @@ from injections import Recorded
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 Law = Callable[[mujoco.MjModel, mujoco.MjData, Floats], None]
-"""Sets ``qfrc_applied`` or a limit of friction before a step; gets the command, (joints,)."""
+"""Function that sets ``qfrc_applied`` or a friction limit before a step, from the (joints,)
+command."""
 
 WINDOW = 0.5
-"""s between fresh starts."""
+"""Duration of a window, s."""
 HALF_SPAN, SAMPLES = 0.05, 5
-"""s on each side of a start over which its velocity is taken from positions, and samples at most:
-a carriage sampled at 500 Hz changes its acceleration within 50 ms."""
+"""Time on each side of a start, s, over which its velocity is estimated from positions, and largest
+number of samples. At 500 Hz the acceleration of a carriage changes within 50 ms."""
 
 
 def velocity_at(time: Floats, position: Floats, at: float) -> Floats:
-    """(joints,) slope of a parabola through the positions about ``at`` s."""
+    """(joints,) velocity at ``at`` s, from a parabola through the positions."""
     span = min(HALF_SPAN, SAMPLES * float(np.median(np.diff(time))))
     near = np.flatnonzero(np.abs(time - at) <= span)
     if len(near) < 4:
@@ -47,15 +47,15 @@ def replay(
     delay: float = 0.0,
     start: Callable[[Floats], Floats] = lambda position: position,
 ) -> Floats:
-    """(states, joints) predicted positions, started anew every ``WINDOW`` s; commands are held.
+    """(states, joints) predicted positions, restarted every ``WINDOW`` s, with held commands.
 
     Args:
-        model: joints and actuators in the recording's order, positions without offset.
-        recorded: commands, and the states that windows start from.
-        push: (joints,) constant effort beside the MJCF.
-        law: what else the MJCF does not hold.
-        delay: s by which every drive acts late.
-        start: true positions of measured ones.
+        model: model with joints and actuators in the recording's order, positions without offset.
+        recorded: commands, and states from which windows start.
+        push: (joints,) constant effort in addition to the MJCF.
+        law: further law that the MJCF does not contain.
+        delay: command delay of every drive, s.
+        start: function from measured to true positions.
     """
     state, command = recorded.state, recorded.command
     assert state.position is not None
@@ -75,7 +75,7 @@ def replay(
         data.qfrc_applied[:] = push
         now = time[begin]
         for k in range(begin, end):
-            # Whole steps to the last one before the stamp, and on by velocity to the stamp itself.
+            # The motion is stepped to the last step before the stamp, and extrapolated by velocity.
             while now + step <= time[k] + 1e-9:
                 latest = max(int(np.searchsorted(sent, now + 1e-9, side="right")) - 1, 0)
                 data.ctrl[:] = asked[latest]

@@ -1,13 +1,12 @@
-"""How far a concealed effect shows beside the background, and which other names show alike.
+"""Measure the visibility of a hidden effect, and find equivalent effects.
 
-Everything is measured on the residual: readings less what the model that follows predicts in
-windows of half a second, started from the readings (``real_replay.py``, MuJoCo alone). The
-background is the residual with nothing concealed; each joint is in multiples of its root mean
-square.
+Both are measured on the residual: readings minus predictions of the validated model in windows of
+half a second that start from the readings (``real_replay.py``, MuJoCo only). The background is the
+residual without hidden effects; each joint is in multiples of its RMS.
 
-A rival is another name of the catalogue with one or two free parameters. It is as good an answer
-as the concealed effect where the best of its values leaves less than :data:`ALIKE` backgrounds of
-the change that the concealed effect makes.
+A rival is another effect of the catalogue with one or two free parameters. It is equivalent to the
+hidden effect if, at its best values, it reproduces the change by the hidden effect to within
+:data:`ALIKE` backgrounds.
 """
 
 from __future__ import annotations
@@ -34,26 +33,26 @@ from real_models import Machine
 from real_replay import Floats, replay
 
 ALIKE = 0.25
-"""Backgrounds that a rival may leave of an effect. A quarter of what nobody modelled cannot decide
-between two names; the tool sees no more than that."""
+"""Largest difference, in backgrounds, between an equivalent effect and the hidden one. A quarter of
+the unmodelled residual cannot decide between two effects."""
 EFFORT_UNIT = 0.01
-"""Change of an effort reading that counts as one background, as a share of its root mean square:
-an echoed effort has no noise of its own."""
+"""Background of effort readings, as a fraction of their RMS, because an echoed effort has no
+noise."""
 ROUNDS, HOPELESS, REACH = 4, 0.7, (0.01, 20.0)
-"""Rounds in which a rival's sizes are found; the share of an effect that a rival may leave in any
-of them without being given up; how far sizes go, in multiples of the first."""
+"""Number of iterations for a rival's parameters; remaining share of an effect above which a rival
+is dropped; range of the parameters, in multiples of the initial ones."""
 
 Direction = Callable[[float], Concealed]
-"""A rival of some size."""
+"""Function from a size to a rival effect."""
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Another name, by the directions in which it can move the residual.
+    """Another effect, with the directions in which it can change the residual.
 
     Attributes:
-        effect, joint: the name.
-        directions: each with a size at which it is about linear.
+        effect, joint: name and joint of the effect.
+        directions: parameter directions, each with a size at which it is nearly linear.
     """
 
     effect: str
@@ -63,11 +62,11 @@ class Rival:
 
 @dataclass
 class Judge:
-    """Measures effects on the held-out stretches of one case.
+    """Measurement of effects on the held-out segments of one case.
 
     Attributes:
-        machine: the model that follows.
-        stretches: held-out recordings with nothing concealed.
+        machine: validated model.
+        stretches: held-out recordings without hidden effects.
         recordings: folder of the machines.
     """
 
@@ -78,36 +77,36 @@ class Judge:
 
     @cached_property
     def background(self) -> Floats:
-        """(joints,) root mean square of the residual, nothing concealed, rad or m."""
+        """(joints,) RMS residual without hidden effects, rad or m."""
         squares = np.concatenate([r**2 for r in self._plain])
         return np.sqrt(squares.mean(axis=0))
 
     def visibility(self, effect: Concealed) -> float:
-        """Root mean square by which the residual changes, in backgrounds, at the joint where most.
+        """RMS change of the residual at the joint with the largest change, in backgrounds.
 
-        Of an effort sensor: of the effort, in hundredths of its own root mean square.
+        For effects of the effort sensor: change of the effort, in hundredths of its RMS.
         """
         if effect.effect in EFFORT_EFFECTS:
             return self._effort_visibility(effect)
         return float(np.sqrt(np.mean(self._moved(effect) ** 2, axis=0)).max())
 
     def rivals(self, effect: Concealed) -> list[list[str | None]]:
-        """[effect, joint] of every other name that shows alike."""
+        """Return [effect, joint] of every equivalent effect."""
         if effect.effect in EFFORT_EFFECTS:
             return []
         target, own = self._moved(effect), (effect.effect, effect.joint)
         others = [r for r in rivals_of(self.machine) if (r.effect, r.joint) != own]
         alike = {(r.effect, r.joint) for r in others if self._left(target, r) <= ALIKE}
         if len(self.machine.joints) == 1:
-            # Two streams shifted against each other: which of them was late is not recorded.
+            # The recording does not show which of two shifted streams was late.
             late = {("command_delay", self.machine.joints[0]), ("sensor_delay", None)}
             alike |= late - {own} if own in late else set()
         return [list(name) for name in sorted(alike, key=str)]
 
     def _left(self, target: Floats, rival: Rival) -> float:
-        """Root mean square in backgrounds of what the best of a rival leaves.
+        """RMS difference between hidden effect and best rival, in backgrounds.
 
-        Friction bends the directions, so they are taken again at the sizes that came out.
+        Friction is non-linear, so the directions are computed again at the resulting sizes.
         """
         first = np.array([size for _, size in rival.directions])
         sizes = first
@@ -131,7 +130,7 @@ class Judge:
         return left
 
     def _moved(self, effect: Concealed) -> Floats:
-        """(states, joints) change of the residual in backgrounds, at states that both have."""
+        """(states, joints) change of the residual in backgrounds, at common states."""
         if id(effect) in self._known:
             return self._known[id(effect)][1]
         machine = effect.falsify(self.machine) if effect.falsify else self.machine
@@ -141,7 +140,7 @@ class Judge:
             now = self._residual(machine, changed)
             out.append(now - plain[: len(now)])
         moved: Floats = np.concatenate(out) / self.background
-        # Kept with the effect, so that its id is no other's.
+        # The effect is stored too, so that its id stays unique.
         self._known[id(effect)] = effect, moved
         return moved
 
@@ -150,7 +149,7 @@ class Judge:
         return [self._residual(self.machine, r) for r in self.stretches]
 
     def _residual(self, machine: Machine, recorded: Recorded) -> Floats:
-        """(states, joints) readings less predictions, rad or m."""
+        """(states, joints) readings minus predictions, rad or m."""
         joint = machine.joints[0]
         bias = machine.value("encoder_bias", "bias")
         model = compiled(machine, self.recordings)
@@ -171,7 +170,7 @@ class Judge:
 
 
 def rivals_of(machine: Machine) -> list[Rival]:
-    """Every name that a diagnosis could give instead, on one machine."""
+    """Return every effect that a diagnosis could report instead, on one machine."""
     heavier = (_heavier, 0.05 * machine.tool[1])
     out = [
         Rival("sensor_delay", None, ((_shifted(late_states), 0.01),)),
@@ -186,21 +185,21 @@ def rivals_of(machine: Machine) -> list[Rival]:
 
 
 def _of_joint(machine: Machine, joint: str) -> list[Rival]:
-    """Names at one joint; a name with several forms stands once for each."""
+    """Return effects at one joint; an effect with several forms occurs once for each form."""
     drive = machine.drives[joint]
-    # N*m or N: what 0.01 rad of servo error is, or a twentieth of the dry friction.
+    # Effort in N*m or N of a servo error of 0.01 rad, or a twentieth of the dry friction.
     effort = 0.01 * drive.kp or 0.05 * drive.friction or 0.01
     damped = (_drive(joint, "damping"), 0.2 * drive.damping)
     rubbed = (_drive(joint, "friction"), 0.3 * max(drive.friction, 0.01))
     pushed = (_drive(joint, "preload"), effort)
-    # On a slide a rotor's inertia is mass; the model of that drive has none to take away.
+    # On a slide the rotor's inertia is equivalent to mass, and the model of the drive has none.
     geared = (_drive(joint, "armature"), 1e-3) if drive.armature else (_heavier, 5.0)
     named: list[tuple[str, tuple[tuple[Direction, float], ...]]] = [
         ("encoder_bias", ((_read(biased_encoder, joint), 0.03),)),
         ("encoder_scale", ((_read(scaled_encoder, joint), 0.03),)),
         ("viscous_friction", (damped,)),
         ("coulomb_friction", (rubbed,)),
-        # By what sets it apart from dry friction that is the same both ways.
+        # The direction is the difference to symmetric dry friction.
         ("asymmetric_friction", (pushed,)),
         ("joint_spring", (pushed, (_drive(joint, "spring"), effort))),
         ("armature", (geared,)),
@@ -213,9 +212,9 @@ def _of_joint(machine: Machine, joint: str) -> list[Rival]:
         named += [
             ("encoder_eccentricity", bent),
             ("torque_constant", (gained,)),
-            # These servos damp by the joint alone: a gain has no damping to be wrong.
+            # These servos have no velocity gain; damping is in the joint.
             ("controller_gain", (gained,)),
-            # A bias that the servo's loop has too turns the model against gravity.
+            # A bias that is also in the servo's feedback rotates the model against gravity.
             ("encoder_bias", ((_drive(joint, "zero"), 0.05),)),
         ]
     if len(machine.joints) > 1:
@@ -246,12 +245,12 @@ def _bent(joint: str, phase: float) -> Direction:
 
 
 def _late(joint: str) -> Direction:
-    """One drive late, by whole messages."""
+    """Delay of one drive by whole messages."""
     return lambda size: _changed(lambda r: late_drive_of(r, joint, max(round(abs(size) / 0.02), 1)))
 
 
 def _louder(size: float) -> Concealed:
-    """The drive delivers more than the effort that is logged."""
+    """Drive effort larger than the logged effort."""
 
     def change(r: Recorded) -> Recorded:
         assert r.command.effort is not None
@@ -269,7 +268,7 @@ def _stiffer(joint: str) -> Direction:
 
 
 def _drive(joint: str, name: str) -> Direction:
-    """The model has less of a drive's value; of what cannot be below zero nothing, at least."""
+    """Model with a smaller drive parameter; non-negative ones are limited to zero."""
 
     def falsify(m: Machine, size: float) -> Machine:
         value = getattr(m.drives[joint], name) - size
@@ -288,7 +287,7 @@ def _tilted(axis: int) -> Direction:
 
 
 def _heavier(size: float) -> Concealed:
-    """The machine carries more than the model."""
+    """Machine with a larger payload than the model."""
 
     def falsify(m: Machine) -> Machine:
         body, mass = m.tool

@@ -1,4 +1,4 @@
-"""Draw how often names of a confidence are right: a reliability diagram as SVG or PNG.
+"""Draw a reliability diagram of findings (share of right ones by confidence) as SVG or PNG.
 
 python benchmarks/concealed/reliability.py --truth DIR --results DIR --out FILE
 """
@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 from family_score import BANDS, calibration, load
 
 Z = 1.96
-"""Of a normal distribution, for bars of 95 %."""
+"""Quantile of the normal distribution for 95 % error bars."""
 
 
 def wilson(right: int, every: int) -> tuple[float, float]:

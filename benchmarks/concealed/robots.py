@@ -1,5 +1,6 @@
-"""Robots for blind cases: one table of numbers, written as MJCF for the case folder and built in
-Pinocchio for the plant. Shares no code with pytest_twin.
+"""Robots for blind cases, written as MJCF and built in Pinocchio from one table of numbers.
+
+This module shares no code with pytest_twin.
 
 Units: m, kg, rad, s, N*m (N on slides).
 """
@@ -18,11 +19,12 @@ class Joint:
     """A joint and the link that it moves.
 
     Attributes:
-        origin: (3,) m in the parent's link frame; frames are parallel at zero.
-        axis: (3,) unit.
-        mass, center, inertia: of the link, about its centre, principal axes along the frame.
-        kp, kv: servo gains; ``effort``: the drive's bound.
-        teeth: N*m/rad, of its gear where that has play: stiff against the drive.
+        origin: (3,) position in the parent's link frame, m; frames are parallel at zero.
+        axis: (3,) unit vector.
+        mass, center, inertia: of the link; inertia about its centre, axes of the frame are
+            principal.
+        kp, kv: servo gains; ``effort``: effort limit of the drive.
+        teeth: stiffness of a gear with backlash, N*m/rad; stiff compared with the drive.
     """
 
     name: str
@@ -44,14 +46,14 @@ class Joint:
 
 @dataclass(frozen=True)
 class Contact:
-    """A small sphere at the end of the last link, and a plane that it meets.
+    """A small sphere at the end of the last link, and a plane that it touches.
 
     Attributes:
-        normal: (3,) unit, out of the plane, base frame; the plane is normal . x = ``height`` (m).
-        tip: (3,) m, the sphere's centre in the last link's frame; ``radius`` m.
-        stiffness, damping: N/m and N*s/m, of depth and its rate.
+        normal: (3,) unit normal of the plane, base frame; the plane is normal . x = ``height``, m.
+        tip: (3,) sphere's centre in the last link's frame, m; ``radius`` in m.
+        stiffness, damping: coefficients of depth and its rate, N/m and N*s/m.
         friction: Coulomb coefficient.
-        creep: N*s/m, friction against the velocity along the plane, up to Coulomb's level.
+        creep: viscous coefficient of tangential friction below the Coulomb level, N*s/m.
     """
 
     normal: tuple[float, float, float]
@@ -66,7 +68,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class Robot:
-    """A serial chain on a fixed base; ``mode`` is what its drives take."""
+    """A serial chain on a fixed base; ``mode`` is the command mode of its drives."""
 
     name: str
     joints: tuple[Joint, ...]
@@ -75,14 +77,14 @@ class Robot:
     contact: Contact | None = None
 
     def gravity_joints(self) -> list[int]:
-        """Joints on which the pose changes gravity's effort: no slide, no vertical first axis."""
+        """Joints with pose-dependent gravity effort: no slide, no vertical first axis."""
         return [i for i, j in enumerate(self.joints) if not j.slide and (i or not j.axis[2])]
 
 
 def draw(rng: np.random.Generator, count: int, mode: str, *, hinges: bool = False) -> Robot:
     """A random serial robot of ``count`` joints.
 
-    Where it has one joint it may be a slide, unless it must be a robot of ``hinges``.
+    A robot with one joint may be a slide, unless ``hinges`` is set.
     """
     joints = []
     length, mass = 0.35, 1.6
@@ -94,7 +96,7 @@ def draw(rng: np.random.Generator, count: int, mode: str, *, hinges: bool = Fals
         m = float(mass * rng.uniform(0.8, 1.2))
         along = (1, 0, 0) if slide else (0.0, 0.0, 1.0)
         axis = (1.0, 0.0, 0.0) if slide else axes[i % 4] if count > 1 else (0.0, 1.0, 0.0)
-        # A yaw link's weight hangs off its axis, so that its inertia shows.
+        # The centre of mass of a yaw link is off its axis, so that its inertia is observable.
         center = (0.4 * side, 0.0, 0.3 * side) if axis[2] else (0.02, 0.01, 0.5 * side)
         i_cross = m * side**2 / 12.0
         joints.append(
@@ -116,7 +118,7 @@ def draw(rng: np.random.Generator, count: int, mode: str, *, hinges: bool = Fals
         kv = 1.2 * (inertia + armature) * bandwidth
         teeth = 40.0 * kp
         if mode == "velocity":
-            # Stiff enough that gravity does not carry the arm away within a recording.
+            # The servo is stiff enough that the arm does not fall under gravity.
             kp, kv = 0.0, (inertia + armature) * bandwidth * 5.0
         origin = (0.0, 0.0, 0.1) if i == 0 else (0.0, 0.0, joints[i - 1]["side"])
         out.append(
@@ -132,7 +134,7 @@ IMPEDANCE, IMPEDANCE_RATIO = 0.0001, 300.0
 
 
 def _translation(robot: Robot, q: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """(3, 3) 1/kg: a point of the last link, pushed, goes there; frame of the base."""
+    """(3, 3) mobility of a point of the last link in the base frame, 1/kg."""
     model = pinocchio_model(robot, {}, (0.0, 0.0), np.zeros(3))
     data = model.createData()
     n = len(robot.joints)
@@ -147,23 +149,23 @@ def _translation(robot: Robot, q: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def contact_inertia(robot: Robot) -> float:
-    """kg that MuJoCo puts behind a contact of the last link.
+    """Effective mass that MuJoCo assumes for a contact of the last link, kg.
 
-    The reciprocal of the mean translational ``body_invweight0``: of the last link's centre of mass
-    at the neutral pose, with the drives' reflected inertia.
+    It is the reciprocal of the mean translational ``body_invweight0``: of the last link's centre of
+    mass at the neutral pose, with the drives' reflected inertia.
     """
     yields = _translation(robot, np.zeros(len(robot.joints)), np.array(robot.joints[-1].center))
     return float(3.0 / np.trace(yields))
 
 
 def end_inertia(robot: Robot, q: np.ndarray, direction: tuple[float, float, float]) -> float:
-    """kg that the last link's end really has along a direction."""
+    """True effective mass of the last link's end along a direction, kg."""
     along = np.array(direction)
     return float(1.0 / (along @ _translation(robot, q, np.array(link_end(robot))) @ along))
 
 
 def tip_paths(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """(..., 3) m, the last link's end at (..., joints) positions."""
+    """(..., 3) position of the last link's end at (..., joints) joint positions, m."""
     model = pinocchio_model(robot, {}, (0.0, 0.0), np.zeros(3))
     data = model.createData()
     last = len(robot.joints)
@@ -175,7 +177,7 @@ def tip_paths(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def link_end(robot: Robot) -> tuple[float, float, float]:
-    """(3,) m, the last link's end in its frame: twice as far out as its centre of mass."""
+    """(3,) end of the last link in its frame, m: twice the vector to its centre of mass."""
     return (0.0, 0.0, 2.0 * robot.joints[-1].center[2])
 
 
@@ -183,10 +185,10 @@ def with_contact(
     rng: np.random.Generator, robot: Robot, normal: tuple[float, float, float], height: float,
     pose: np.ndarray,
 ) -> Robot:  # fmt: skip
-    """The robot with a sphere at its end and a plane of rubber: soft enough that it shows.
+    """Return the robot with a sphere at its end and a soft plane of rubber.
 
     Args:
-        pose: (joints,) at which the end's inertia along the normal sets the scale.
+        pose: (joints,) pose in which the end's effective mass along the normal sets the scale.
     """
     inertia = end_inertia(robot, pose, normal)
     bandwidth = float(rng.uniform(70.0, 120.0))
@@ -199,13 +201,13 @@ def with_contact(
 
 
 def contact_mjcf(root: ElementTree.Element, last: ElementTree.Element, robot: Robot) -> None:
-    """The nominal contact: the plant's numbers in MuJoCo's terms.
+    """Return the nominal contact: the plant's parameters converted to MuJoCo's.
 
-    With a constant impedance d and solref = (-k, -b), a contact of MuJoCo's pushes with
-    m (k depth + b d(depth)/dt - d a) / (1 - d): m is the inertia that it puts behind the contact
-    (:func:`contact_inertia`), a the acceleration of the depth. A small d leaves spring and damper.
-    Along the plane it holds with m impratio b_t v / (1 - d) up to Coulomb's level. A large impratio
-    keeps sliding from raising the normal force.
+    With a constant impedance d and solref = (-k, -b), the normal force of MuJoCo is m (k depth + b
+    d(depth)/dt - d a) / (1 - d), where m is the effective mass (:func:`contact_inertia`) and a the
+    acceleration of the depth. A small d gives a spring and a damper. The tangential force is m
+    impratio b_t v / (1 - d) up to the Coulomb level. With a large impratio, sliding does not
+    increase the normal force.
     """
     c = robot.contact
     if c is None:
@@ -230,7 +232,7 @@ def contact_mjcf(root: ElementTree.Element, last: ElementTree.Element, robot: Ro
         last, "geom", name="tip", type="sphere", size=repr(c.radius), pos=row(*c.tip), mass="0",
         contype="0", conaffinity="0",
     )  # fmt: skip
-    # Only an explicit pair has a reference of its own for friction (solreffriction).
+    # Only an explicit pair has a separate reference for friction (solreffriction).
     pairs = ElementTree.SubElement(root, "contact")
     ElementTree.SubElement(
         pairs, "pair", name="touch", geom1="surface", geom2="tip", condim="3",
@@ -242,11 +244,11 @@ def contact_mjcf(root: ElementTree.Element, last: ElementTree.Element, robot: Ro
 
 
 RADIUS = 0.02
-"""m, of the sphere at a robot's end."""
+"""Radius of the sphere at a robot's end, m."""
 
 
 def mjcf(robot: Robot) -> str:
-    """The nominal model, as an engineer would have it."""
+    """Return the nominal model as MJCF."""
     root = ElementTree.Element("mujoco", model=robot.name)
     ElementTree.SubElement(root, "compiler", angle="radian")
     ElementTree.SubElement(root, "option", timestep=repr(robot.timestep), integrator="implicitfast")
@@ -293,12 +295,12 @@ def pinocchio_model(
     payload: tuple[float, float],
     gravity: np.ndarray,
 ) -> pin.Model:
-    """The plant's rigid bodies.
+    """Build the plant's rigid bodies.
 
     Args:
         scale: joint index -> factor on mass and inertia of its link.
-        payload: (kg, m from the last joint towards its link's centre of mass).
-        gravity: (3,) m/s^2 in the base frame.
+        payload: (mass, kg; distance from the last joint towards its link's centre of mass, m).
+        gravity: (3,) gravity in the base frame, m/s^2.
     """
     model = pin.Model()
     model.gravity.linear = gravity

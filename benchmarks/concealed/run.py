@@ -1,13 +1,13 @@
-"""Diagnose blind cases, each in a process that can read the case folder alone.
+"""Diagnose blind cases, each in a process that can read only its case folder.
 
     python benchmarks/concealed/run.py --cases DIR --out DIR [--seconds 600] [--jobs 2] [--cores 1]
         [--joints 6]
 
-Writes DIR/<case>/diagnosis.json and what the command printed. Where the kernel can, it keeps every
-other file from it (``confine.py``); what was said says whether it did.
-Each case has a core or more to itself, so that its wall time can be held against the engine's. Says
-at the end what the cases took. Goes on where it stopped. The order has nothing to do with what is
-hidden: wherever it stops, what has been run is a sample of all.
+Writes DIR/<case>/diagnosis.json and the output of the command. If the kernel supports it, the
+command cannot read any other file (``confine.py``); the record of the run states whether this was
+enforced. Each case has its own cores, so that its wall time can be compared with the engine's. The
+time of all cases is printed at the end. A second run continues the first one. The order is
+independent of the hidden effects, so the finished cases of an incomplete run are a random sample.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ def diagnose(
     case: Path, out: Path, seconds: float, cores: Sequence[int] = (), cpu_seconds: int = 0,
     ends_after: float | None = None, interrupted_after: float | None = None,
 ) -> dict[str, object]:  # fmt: skip
-    """Run the command on one case, on some cores or all; its status, wall time and last words.
+    """Run the command on one case, on some cores or all; return status, wall time and last output.
 
-    ``cpu_seconds`` limits the time that a processor works on it, which other programs on the
-    machine do not change; 0: no limit. A process that reaches it is killed. ``ends_after``: s after
-    which the diagnosis itself ends with the best that it has; None: its own default.
-    ``interrupted_after``: s of processor time after which it is interrupted as by Ctrl-C, which
-    ends it in the same way, whatever else the machine does; None: never.
+    ``cpu_seconds`` limits the processor time, which does not depend on the load of the machine; 0
+    for no limit. A process that reaches it is killed. ``ends_after`` is the time limit of the
+    diagnosis, s, after which it ends with its best result; None for its default.
+    ``interrupted_after`` is the processor time, s, after which the command is interrupted as by
+    Ctrl-C, with the same effect; None for never.
     """
     case, out = case.resolve(), out.resolve()
     box = out.with_name(f"{out.name}.box")
@@ -93,7 +93,7 @@ def diagnose(
 
 
 def interrupt(child: subprocess.Popen[str], after: float) -> None:
-    """Interrupt a command once its processes have worked for ``after`` s."""
+    """Interrupt a command when its processes have used ``after`` s of processor time."""
     while child.poll() is None:
         with suppress(psutil.NoSuchProcess):
             whole = psutil.Process(child.pid)
@@ -109,13 +109,13 @@ def interrupt(child: subprocess.Popen[str], after: float) -> None:
 
 
 def model_of(case: Path) -> Path:
-    """``twin.yaml`` of a case, where its recordings differ in the controller, else its model."""
+    """Return ``twin.yaml`` of a case if its recordings differ in the controller, else its model."""
     twin = case / "twin.yaml"
     return twin if twin.exists() else case / "model.xml"
 
 
 def processor_seconds() -> float:
-    """s that processors worked for commands that have ended; of several at a time, for all."""
+    """Processor time of all ended commands, s."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
@@ -124,7 +124,7 @@ def answer(
     case: Path, out: Path, seconds: float, free: SimpleQueue[list[int]], cpu_seconds: int = 0,
     ends_after: float | None = None, interrupted_after: float | None = None,
 ) -> float:  # fmt: skip
-    """Diagnose a case on the next cores that are free, and say so; s that it took."""
+    """Diagnose a case on the next free cores, print a line, and return the time, s."""
     cores = free.get()
     try:
         told = diagnose(
@@ -138,7 +138,7 @@ def answer(
 
 
 def joints(model: Path) -> int:
-    """How many a model of the cases has."""
+    """Return the number of joints of a case's model."""
     return sum(1 for _ in ElementTree.parse(model).getroot().iterfind("worldbody//joint"))
 
 
@@ -172,7 +172,7 @@ def main() -> None:
         one = partial(answer, out=args.out, seconds=args.seconds, free=free,
                       cpu_seconds=args.cpu_seconds, ends_after=args.ends_after,
                       interrupted_after=args.interrupted_after)  # fmt: skip
-        # Where one ends in an error or is interrupted, those that have not begun do not begin.
+        # After an error or interruption, no further cases are started.
         seconds = list(pool.map(one, open_cases))
     if seconds:
         print(f"median of {len(seconds)}: {statistics.median(seconds):.0f} s, at most "

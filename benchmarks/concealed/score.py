@@ -3,10 +3,10 @@
     python benchmarks/concealed/score.py --truth DIR --digests FILE
     python benchmarks/concealed/score.py --truth DIR --results DIR [--out FILE] [--page FILE]
 
-The first writes the digests of the truth files, to be committed before the diagnosis runs. The
-second checks them and writes the tables: with the names of the cases to ``--out``, and without them
-between the marks of ``--page`` (``docs/blind_cases.md``). Exit status 1: a truth file is not the
-committed one.
+The first command writes the digests of the truth files, which are committed before the diagnosis
+runs. The second checks them and writes the tables: with the names of the cases to ``--out``, and
+without them between the marks of ``--page`` (``docs/blind_cases.md``). The exit status is 1 if a
+truth file is not the committed one.
 
 An effect counts as right if its id and its joint are right. A hidden effect that changes every
 held-out recording by less than the sensor noise (``visibility`` below 1) cannot be found; figures
@@ -33,22 +33,22 @@ from cases import EFFECTS
 
 Named = tuple[str, str | None]
 UNNAMED = "unnamed_law"
-"""Effect of a finding that no known effect explains: a fitted curve, not a name."""
+"""Effect of a finding with a fitted curve instead of a known effect."""
 WINDOW_SLACK = 0.2
 """Tolerance of a reported time interval at each end, s."""
 MARKS = "<!-- blind figures -->\n", "<!-- end of blind figures -->\n"
-"""Lines of a page between which the tables are."""
+"""Lines of a page that enclose the tables."""
 
 
 def truth_digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every truth file."""
+    """Return the SHA-256 of every truth file."""
     files = sorted(folder.glob("*.json"))
     return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
 @dataclass
 class Case:
-    """A truth and its diagnosis; ``said`` is None without a result."""
+    """Truth and diagnosis of a case; ``said`` is None without a result."""
 
     truth: dict[str, Any]
     run: dict[str, Any]
@@ -66,7 +66,7 @@ class Case:
 
     @property
     def found(self) -> list[Named]:
-        """(effect, joint) of the findings with a name, the largest first."""
+        """(effect, joint) of the named findings, the largest first."""
         found = self.said["findings"] if self.said else []
         return [(f["effect"], f["joint"]) for f in found if f["effect"] != UNNAMED]
 
@@ -86,7 +86,7 @@ class Case:
 
 
 def load(truth: Path, results: Path) -> list[Case]:
-    """Every case that was diagnosed, with or without a result."""
+    """Return every diagnosed case, with or without a result."""
     cases = []
     for path in sorted(truth.glob("*.json")):
         hidden = json.loads(path.read_text())
@@ -99,7 +99,7 @@ def load(truth: Path, results: Path) -> list[Case]:
 
 
 def removed(said: dict[str, Any]) -> float | None:
-    """Share of the explainable held-out squared error that is gone, over joints; None without."""
+    """Removed share of the explainable squared held-out error, over joints, or None."""
     before = after = 0.0
     for joint in said["held_out"].values():
         floor = joint["floor"] ** 2
@@ -109,7 +109,7 @@ def removed(said: dict[str, Any]) -> float | None:
 
 
 def f1(hidden: Iterable[Named], found: Iterable[Named]) -> float:
-    """Twice the shared over the sum of both; 1 where both are empty."""
+    """F1 score: twice the common elements over the sum of both; 1 if both are empty."""
     hidden, found = set(hidden), set(found)
     total = len(hidden) + len(found)
     return 2 * len(hidden & found) / total if total else 1.0
@@ -118,7 +118,7 @@ def f1(hidden: Iterable[Named], found: Iterable[Named]) -> float:
 def intervals(case: Case) -> Iterator[tuple[str, str, bool | None]]:
     """(effect, parameter, whether its interval contains the truth) of right findings.
 
-    None where there is no interval, or no such parameter in the truth.
+    The third element is None without an interval, or if the truth has no such parameter.
     """
     for finding in case.said["findings"] if case.said else []:
         hidden = case.hidden.get((finding["effect"], finding["joint"]))
@@ -134,7 +134,7 @@ def intervals(case: Case) -> Iterator[tuple[str, str, bool | None]]:
 
 
 def overlap(claimed: list[list[float]], true: list[list[float]]) -> float:
-    """s of the claimed windows that lie in the true ones, these widened by the slack."""
+    """Duration, s, of reported windows inside the true ones, which are widened by the tolerance."""
     wide: list[list[float]] = []
     for start, end in true:
         start, end = start - WINDOW_SLACK, end + WINDOW_SLACK
@@ -146,7 +146,7 @@ def overlap(claimed: list[list[float]], true: list[list[float]]) -> float:
 
 
 def outside_right(case: Case) -> dict[str, bool]:
-    """What a diagnosis got right of a force that is in no catalogue."""
+    """Score of a diagnosis for a force that is not in the catalogue."""
     outside, said = case.truth["outside"], case.said
     if said is None:
         return {"verdict": False, "joint": False, "window": False}
@@ -172,24 +172,24 @@ def modelled(case: Case) -> bool:
 
 
 def share(values: Iterable[bool]) -> str:
-    """Per cent, with the count."""
+    """Format a percentage with its count."""
     values = list(values)
     return f"{np.mean(values):.1%} of {len(values)}" if values else "none"
 
 
 def listed(names: Iterable[Named]) -> str:
-    """Effects with their joints, for people."""
+    """Format effects with their joints."""
     return ", ".join(f"{e} {j or ''}".strip() for e, j in names) or "nothing"
 
 
 def table(head: list[str], rows: Iterable[Iterable[object]]) -> list[str]:
-    """Markdown."""
+    """Return a Markdown table."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return [*lines, *("| " + " | ".join(str(v) for v in row) + " |" for row in rows), ""]
 
 
 def figures(cases: list[Case]) -> list[str]:
-    """The figures that have a goal."""
+    """Return the figures that have a goal."""
     effects = [c for c in cases if c.hidden]
     plain = [c for c in effects if len(c.visible) == len(c.hidden)]
     several, seen_several = ([c for c in g if len(c.hidden) > 1] for g in (effects, plain))
@@ -239,7 +239,7 @@ def figures(cases: list[Case]) -> list[str]:
 
 
 def cost(cases: list[Case]) -> list[str]:
-    """Wall time, and its ratio to the time of MuJoCo's steps alone."""
+    """Return a table of wall time, and of its ratio to the time of MuJoCo's steps."""
 
     def row(name: str, group: list[Case]) -> tuple[object, ...]:
         wall = [float(c.run["seconds"]) for c in group]
@@ -269,16 +269,16 @@ def cost(cases: list[Case]) -> list[str]:
 
 
 Cost = dict[str, float]
-"""``cost`` of a diagnosis."""
+"""Entry ``cost`` of a diagnosis."""
 
 
 def engine_seconds(cost: Cost) -> float:
-    """s that the engine alone takes for all simulations that were asked for."""
+    """Time of the engine for all requested simulations, s."""
     return cost["engine_seconds"]
 
 
 def engine_once(cost: Cost) -> float:
-    """The same without those that had been asked for before."""
+    """Time of the engine for all simulations that were not in the cache, s."""
     repeated = cost.get("million_steps_repeated", 0.0)
     return cost["engine_seconds"] * (1.0 - repeated / cost["million_steps"])
 
@@ -345,7 +345,7 @@ def confusion(cases: list[Case]) -> dict[tuple[str, str], int]:
 
 
 def by_effect(cases: list[Case]) -> list[str]:
-    """What was found for each hidden effect: the confusion matrix, row by row."""
+    """Return the confusion matrix, a row for each hidden effect."""
     matrix = confusion(cases)
     alone = Counter(e for c in cases if c.truth["kind"] == "one" for e, _ in c.hidden)
     named = Counter(
@@ -377,7 +377,7 @@ def interval_table(cases: list[Case]) -> list[str]:
 
 
 def failures(cases: list[Case], *, named: bool) -> list[str]:
-    """A line for each case with a missed or false effect; with its name where ``named``."""
+    """Return a line for each case with a missed or false effect; with its name if ``named``."""
     lines = []
     for c in cases:
         said = listed(c.found)
@@ -406,7 +406,7 @@ def failures(cases: list[Case], *, named: bool) -> list[str]:
 
 
 def report(cases: list[Case], checked: str, *, named: bool = True) -> str:
-    """All tables as Markdown; failures with the names of their cases where ``named``."""
+    """Return all tables as Markdown; failures have the names of their cases if ``named``."""
     none = sum(c.said is None for c in cases)
     faint = sum(len(c.hidden) - len(c.visible) for c in cases)
     confined = sum(bool(c.run.get("confined")) for c in cases)
@@ -424,7 +424,7 @@ def report(cases: list[Case], checked: str, *, named: bool = True) -> str:
 
 
 def checked_digests(truth: Path, committed: Path, names: Iterable[str]) -> tuple[str, bool]:
-    """A sentence about the truth files, and whether all of them are the committed ones."""
+    """Return a sentence about the truth files, and whether all are the committed ones."""
     was = json.loads(committed.read_text()) if committed.exists() else {}
     now = truth_digests(truth)
     files = [f"{name}.json" for name in names]
@@ -436,7 +436,7 @@ def checked_digests(truth: Path, committed: Path, names: Iterable[str]) -> tuple
 
 
 def write_between_marks(page: Path, text: str) -> None:
-    """Replace what a page has between ``MARKS``."""
+    """Replace the text of a page between ``MARKS``."""
     start, end = MARKS
     before, _, rest = page.read_text().partition(start)
     _, found, after = rest.partition(end)

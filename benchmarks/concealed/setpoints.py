@@ -1,6 +1,7 @@
-"""Setpoints of blind cases as functions of time: what a robot's planner asks of its servos.
+"""Setpoints of blind cases as functions of time, as a motion planner would send them.
 
-One row per millisecond. How they reach the servo (held, interpolated, ramped) is up to the plant.
+There is one row per millisecond. The plant determines their interpolation (held, interpolated,
+ramped).
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ import numpy as np
 from robots import Robot
 
 FINE = 1e-3
-"""s between the rows of a setpoint."""
+"""Time between the rows of a setpoint, s."""
 KINDS = ("multisine", "moves", "slow", "steps", "chirp")
-"""Of the five recordings of a case, in this order or, held out, another."""
+"""Kinds of motion of the five recordings of a case, in this order; held-out ones vary."""
 VELOCITY_BOUND = 2.0
-"""rad/s or m/s, of a commanded velocity."""
+"""Largest commanded velocity, rad/s or m/s."""
 
 
 def setpoint(
@@ -23,7 +24,7 @@ def setpoint(
     n = len(robot.joints)
     t = np.arange(0.0, seconds, FINE)[:, None]
     size = np.full(n, 0.25) if robot.joints[0].slide else rng.uniform(0.3, 0.7, n)
-    start = 1.0 - np.exp(-((t / 0.5) ** 2))  # begins at rest
+    start = 1.0 - np.exp(-((t / 0.5) ** 2))  # the motion begins at rest
     if kind == "multisine":
         tones, phases = rng.uniform(0.15, 1.6, (4, n)), rng.uniform(0.0, 2 * np.pi, (4, n))
         waves = np.sin(2 * np.pi * tones[:, None] * t + phases[:, None]) / (1 + tones[:, None])
@@ -32,7 +33,7 @@ def setpoint(
         leg, takes = rng.uniform(1.0, 1.6), rng.uniform(0.4, 0.9)
         out = _between(robot, kind, center, size, t, leg, takes, rng)
     elif kind == "steps":
-        # A velocity servo gets steps of velocity: ramps of position.
+        # A velocity servo gets steps of velocity, which are ramps of position.
         takes = 1.0 if robot.mode == "velocity" else 0.0
         out = _between(robot, kind, center, 0.5 * size, t, rng.uniform(0.9, 1.3), takes, rng)
     elif kind == "slow":
@@ -51,7 +52,7 @@ def _between(
     robot: Robot, kind: str, center: np.ndarray, size: np.ndarray, t: np.ndarray, leg: float,
     takes: float, rng: np.random.Generator,
 ) -> np.ndarray:  # fmt: skip
-    """Targets that are new every ``leg`` s, reached in ``takes`` s."""
+    """Return setpoints with new targets every ``leg`` s, reached in ``takes`` s."""
     legs = int(t[-1, 0] / leg) + 1
     targets = center + size * rng.uniform(-1.0, 1.0, (legs + 1, len(size)))
     targets[0] = center

@@ -3,10 +3,10 @@
     python benchmarks/concealed/table.py --out DIR [--seeds 20000:20200] [--jobs 2] [--page FILE]
         [--family held|cell|engine|real]
 
-Continues where it stopped. Writes DIR/cases, DIR/truth and DIR/digests.json before any diagnosis
-runs, then DIR/results and DIR/table.md. ``--page docs/blind_cases.md`` writes the tables there too.
-The committed digests are in ``truth_digests.json`` beside this file; the score says whether the
-truth still has them.
+A second run continues the first one. DIR/cases, DIR/truth and DIR/digests.json are written before
+any diagnosis runs, then DIR/results and DIR/table.md. ``--page docs/blind_cases.md`` also writes
+the tables to this page. The committed digests are in ``truth_digests.json`` in this folder; the
+score states whether the truth files still have them.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ HERE = Path(__file__).parent
 FAMILIES = {"held": "cases.py", "cell": "cell_cases.py", "engine": "engine_cases.py",
             "real": "real_cases.py"}  # fmt: skip
 """Script that draws the cases of each family: held commands, sampled cells, other engines, real
-recordings in which something is concealed."""
+recordings with hidden effects."""
 
 
 def step(script: str, *words: str) -> None:
-    """Run a script beside this one; a failed check of digests does not stop the table."""
+    """Run another script of this folder; a failed check of digests does not stop the table."""
     done = subprocess.run([sys.executable, str(HERE / script), *words], check=False)
     if done.returncode not in (0, 1):
         raise SystemExit(done.returncode)

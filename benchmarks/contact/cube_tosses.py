@@ -1,4 +1,4 @@
-"""Held-out errors of the cube tosses: MuJoCo's defaults, and what identify fits.
+"""Held-out errors of the cube tosses, with MuJoCo's defaults and with identified parameters.
 
     python benchmarks/contact/cube_tosses.py [--tosses FILE.npz] [--cone pyramidal|elliptic]
 
@@ -20,7 +20,7 @@ from pathlib import Path
 
 BESIDE = Path(__file__).parents[3] / "shared/recordings"
 RECORDINGS = Path(os.environ.get("TWIN_RECORDINGS", BESIDE))
-# Half width, mass and inertia as DAIRLab/contact-nets states them.
+# Half width, mass and inertia from DAIRLab/contact-nets.
 MODEL = """<mujoco model="cube">
   <option cone="{cone}"/>
   <worldbody>
@@ -35,7 +35,7 @@ MODEL = """<mujoco model="cube">
 
 
 def identified(tosses: Path, cone: str, folder: Path, more: list[str]) -> dict[str, object]:
-    """``identification.json`` of the command that users run."""
+    """Run the command and return ``identification.json``."""
     model = folder / f"{cone}.xml"
     model.write_text(MODEL.format(cone=cone))
     out = folder / cone

@@ -1,13 +1,13 @@
-"""Excite, drive an independent plant, identify: do the intervals cover the truth?
+"""Coverage of intervals over the whole chain: excite, simulate an independent plant, identify.
 
     python benchmarks/identification/closed_circle.py [--cells 8] [--joints 3] [--out FILE.json]
 
-Each cell is a random serial robot. Its nominal model, limits and noise are what an engineer has;
-the real one has other masses, inertias, armature and friction. ``pytest-twin excite`` designs the
-motion on the nominal model. The plant of benchmarks/concealed (Pinocchio's rigid bodies, bristle
-friction, 40 kHz; it shares no code with the package) is driven with the commands that were
-written. ``pytest-twin identify`` gets positions and efforts with noise, and the share of base
-parameters whose 95 % interval holds the true value is counted.
+Each cell is a random serial robot with a nominal model, limits and noise. The true robot has other
+masses, inertias, armature and friction. ``pytest-twin excite`` designs the motion with the nominal
+model. The plant of benchmarks/concealed (Pinocchio's rigid bodies, bristle friction, 40 kHz; it
+shares no code with the package) follows the designed commands. ``pytest-twin identify`` gets
+positions and efforts with noise. The share of base parameters whose 95 % interval contains the true
+value is printed.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from pytest_twin.realization.loading import load
 
 POSITION_NOISE = 2e-5
 EFFORT_NOISE = 0.003
-"""Of each drive's bound."""
+"""Effort noise, as a fraction of each drive's effort limit."""
 EVERY = 100
-"""Samples of the plant for one state: 200 Hz."""
+"""Number of plant samples per recorded state (200 Hz)."""
 plant.TICK = 1e-3
-"""s: the real drive interpolates between commands, as the files say."""
+"""Command period of the plant, s. The drive interpolates between commands, as the files state."""
 COMMAND_RATE = 100.0
 MECHANISMS = ("friction", "gravity", "inertia")
 
 
 def nominal_of(real: robots.Robot, random: np.random.Generator) -> robots.Robot:
-    """What the drawing says of a robot: masses off by 15 %, drives by 40 %."""
+    """Return the nominal robot: masses differ by up to 15 %, drive parameters by up to 40 %."""
     joints = []
     for joint in real.joints:
         body = random.uniform(0.85, 1.15)
@@ -65,7 +65,7 @@ def nominal_of(real: robots.Robot, random: np.random.Generator) -> robots.Robot:
 
 
 def approved(robot: robots.Robot) -> dict[str, Any]:
-    """Limits of a drawn robot."""
+    """Return the limits of a random robot."""
     return {
         "approved_by": "a benchmark",
         "mechanisms": list(MECHANISMS),
@@ -94,7 +94,7 @@ def approved(robot: robots.Robot) -> dict[str, Any]:
 def drive(
     real: robots.Robot, commands: list[Path], out: Path, random: np.random.Generator
 ) -> list[Path]:
-    """Run the plant under each command file, and write what its sensors read."""
+    """Simulate the plant under each command file, and write the sensor readings."""
     written = []
     for file in commands:
         asked = read_recording(file)
@@ -119,13 +119,13 @@ def drive(
 
 
 def _filtered(effort: np.ndarray) -> np.ndarray:
-    """The mean over one sample period about each instant: a sensor's filter against aliasing."""
+    """Return means over one sample period around each instant, like an anti-aliasing filter."""
     window = np.ones(EVERY + 1) / (EVERY + 1)
     return np.stack([np.convolve(one, window, mode="same") for one in effort.T], axis=1)
 
 
 def cell(seed: int, joints: int, folder: Path) -> dict[str, Any]:
-    """One robot from its drawing to its identified parameters."""
+    """Run one robot from its nominal model to its identified parameters."""
     random = np.random.default_rng(seed)
     real = robots.draw(random, joints, "position", hinges=True)
     nominal = nominal_of(real, random)
@@ -172,7 +172,7 @@ def cell(seed: int, joints: int, folder: Path) -> dict[str, Any]:
 
 
 def covered(real: Path, found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Each base parameter that was kept: its true value, and whether its interval holds it."""
+    """Return the true value of each fitted base parameter, and whether its interval contains it."""
     regressor = Regressor(load(real), [f"joint{i + 1}" for i in range(len(found["held_out"]))])
     base = structural_base(regressor)
     true = dict(zip(base.expressions, base.values(regressor.prior), strict=True))

@@ -2,9 +2,9 @@
 
     python benchmarks/identification/coverage_of_intervals.py [--arms N]
 
-Each arm has random true parameters, a nominal model that is off, and three recordings along
-random Fourier series with noise on positions and efforts, one of them held out. Its effort noise is
-correlated over 20 ms, as that of a current loop is. Efforts come from MuJoCo's inverse dynamics.
+Each arm has random true parameters, a nominal model with errors, and three recordings along random
+Fourier series with noise on positions and efforts. One recording is held out. The effort noise is
+correlated over 20 ms, like that of a current loop. Efforts come from MuJoCo's inverse dynamics.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""How often 95 % intervals of a force-torque sensor hold the truth, over drawn sensors.
+"""Coverage of the 95 % intervals of force-torque sensor parameters, over random sensors.
 
     python benchmarks/identification/coverage_of_sensors.py --seeds 10:16
 
 The wrench is computed by Pinocchio (``tests/identification/test_sensors.py``). Sensor, motion and
-noise are drawn anew for each seed. Prints a line for each seed, then the sum.
+noise are different for each seed. Prints a line for each seed, then the sum.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NOISE = np.repeat([0.05, 0.003], 3)
 
 
 def covered(seed: int) -> tuple[int, int, float]:
-    """Intervals that hold, intervals, and the time constant of the filter, s, of one sensor."""
+    """Return number of correct intervals, number of intervals, and filter time constant, s."""
     sensor = arm.drawn_sensor(seed)
 
     def readings(true: tuple[np.ndarray, np.ndarray], trial: int) -> np.ndarray:

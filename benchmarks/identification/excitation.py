@@ -3,15 +3,15 @@
     python benchmarks/identification/excitation.py [--solver ipopt] [--flobaroid CHECKOUT]
         [--out JSON] [ROBOT ...]
 
-Random motion is a Fourier series with the same functions, limits and length, random coefficients,
-scaled to the limits as far as they allow; the median of 20 stands in the table. Published motion:
-the exciting run of a Staubli TX40 (recorded with the data of FIGAROH, through TWIN_RECORDINGS), and
-the optimized motion of a KUKA LWR4 that ships with FloBaRoID (github.com/kjyv/FloBaRoID,
-model/kuka_lwr4.urdf.trajectory_opt_1.npz). Theirs and ours have one length, and ours keeps within
-the range, the greatest speed, the greatest acceleration and the frequencies of theirs.
+Random motion is a Fourier series with the same basis functions, limits and length and with random
+coefficients, scaled up to the limits. The table has the median of 20. Published motions are the
+excitation run of a Staubli TX40 (data of FIGAROH, through TWIN_RECORDINGS), and the optimized
+motion of a KUKA LWR4 from FloBaRoID (github.com/kjyv/FloBaRoID,
+model/kuka_lwr4.urdf.trajectory_opt_1.npz). Our motion has the same length and stays within the
+range, largest speed, largest acceleration and frequencies of the published one.
 
-FIGAROH publishes no log det and no predicted deviations of its optimized motions, so that recorded
-motion is all that can be compared.
+FIGAROH publishes neither log det nor predicted deviations of its optimized motions, so only the
+recorded motion can be compared.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ MJCF = """\
 
 
 def robots_folder() -> Path:
-    """Models of example-robot-data."""
+    """Return models of example-robot-data."""
     import pinocchio
 
     for parent in Path(pinocchio.__file__).parents:
@@ -71,7 +71,7 @@ def robots_folder() -> Path:
 
 
 def approved(joints: list[JointLimits], duration: float, band: tuple[float, float]) -> Approved:
-    """Limits without anything around the robot."""
+    """Limits of a robot without obstacles."""
     return Approved(
         "a benchmark", ("inertia",), duration, RATE, band, 0.0, tuple(joints), (), None, 1e9,
         Stop(1, 0.0, "none"), {},
@@ -79,7 +79,7 @@ def approved(joints: list[JointLimits], duration: float, band: tuple[float, floa
 
 
 def from_model(realization: Realization, left_out: tuple[str, ...]) -> Approved:
-    """80 % of each joint's range, half its speed, that speed in a quarter of a second."""
+    """The limits are 80 % of each joint's range, half its speed, and this speed within 0.25 s."""
     joints = []
     for name in movable_joints(realization):
         if name.startswith(left_out) and left_out:
@@ -99,8 +99,9 @@ def from_model(realization: Realization, left_out: tuple[str, ...]) -> Approved:
 
 
 def worst(realization: Realization, limits: Approved, drawn: Drawn) -> tuple[float, float]:
-    """log det of the information, and the worst relative deviation in percent of parameters that
-    are not small."""
+    """Return log det of the information, and the largest relative deviation in percent.
+
+    Parameters that are small are left out."""
     regressor = Regressor(realization, limits.names)
     base = structural_base(regressor)
     noise = noise_of(realization, limits)
@@ -117,7 +118,7 @@ def worst(realization: Realization, limits: Approved, drawn: Drawn) -> tuple[flo
 def compared(
     name: str, realization: Realization, limits: Approved, theirs: Drawn | None, solver: str
 ) -> dict:
-    """Ours against random motion, and against theirs where there is one."""
+    """Compare our motion with random motion, and with the published one if it exists."""
     regressor = Regressor(realization, limits.names)
     base = structural_base(regressor)
     std = noise_of(realization, limits).effort
@@ -151,7 +152,7 @@ def compared(
 
 
 def envelope(realization: Realization, names: tuple[str, ...], drawn: Drawn) -> Approved:
-    """Limits that a motion has used, as if they had been approved."""
+    """Return the limits that a motion uses."""
     joints = []
     for at, name in enumerate(names):
         low, high = float(drawn.position[:, at].min()), float(drawn.position[:, at].max())
@@ -172,7 +173,7 @@ def envelope(realization: Realization, names: tuple[str, ...], drawn: Drawn) -> 
 
 
 def flobaroid(checkout: Path) -> tuple[Realization, tuple[str, ...], Drawn]:
-    """The published motion of the KUKA LWR4, at 100 Hz."""
+    """Return the published motion of the KUKA LWR4, at 100 Hz."""
     realization = without_meshes(checkout / "model" / "kuka_lwr4.urdf")
     file = np.load(checkout / "model" / "kuka_lwr4.urdf.trajectory_opt_1.npz", allow_pickle=False)
     rows = slice(None, None, round(float(file["frequency"]) / RATE))
@@ -181,7 +182,7 @@ def flobaroid(checkout: Path) -> tuple[Realization, tuple[str, ...], Drawn]:
 
 
 def without_meshes(urdf: Path) -> Realization:
-    """A robot without its shapes, whose meshes come by a package that is not here."""
+    """Load a robot without shapes, because the package with its meshes is not available."""
     from lxml import etree
 
     tree = etree.parse(urdf, etree.XMLParser(resolve_entities=False, no_network=True))
@@ -195,7 +196,7 @@ def without_meshes(urdf: Path) -> Realization:
 
 
 def tx40(source: Path) -> tuple[Realization, tuple[str, ...], Drawn]:
-    """The recorded motion of the TX40 at the joints, low-passed as its authors do, at 100 Hz."""
+    """Return the recorded joint motion of the TX40, low-passed as by its authors, at 100 Hz."""
     realization = without_meshes(source / "tx40.urdf")
     motor = tx40_files.read_table(source / "motor_positions.csv.gz")
     turned = motor / np.array(tx40_files.GEARS)

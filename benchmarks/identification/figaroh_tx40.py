@@ -1,12 +1,12 @@
-"""TX40: FIGAROH 1.0.2 beside pytest-twin identify on the same recording.
+"""TX40: compare FIGAROH 1.0.2 with pytest-twin identify on the same recording.
 
     pip install figaroh==1.0.2
     python benchmarks/identification/figaroh_tx40.py
 
 Both get joint positions and torques of the first four fifths, at 5 kHz. FIGAROH low-passes and
 differentiates them as its authors do for this robot (100 Hz, decimated 100 times) and fits weighted
-least squares. The coupled wrist is added to its regressor by hand: it has no such parameters. Both
-are judged on the last fifth by the same regressor along the same filtered motion.
+least squares. The coupled wrist is added to its regressor here, because it has no such parameters.
+Both are tested on the last fifth with the same regressor along the same filtered motion.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ CUTOFF, DECIMATED, COUNT = 100.0, 100, 6
 
 
 class Tx40(BaseIdentification):
-    """FIGAROH's identification, with what it lacks for this robot."""
+    """FIGAROH's identification, with the missing parameters of this robot."""
 
     def __init__(self, robot: RobotWrapper, recording: Measured) -> None:
         self.recording = recording
@@ -80,7 +80,7 @@ class Tx40(BaseIdentification):
         self.standard_parameter.update(dict.fromkeys(COUPLED, 0.0))
 
     def _store_results(self, identif_results: dict[str, Any]) -> None:
-        """Its own report knows no columns beside its own."""
+        """Skip the report of FIGAROH, which does not support additional columns."""
         self.result = {}
 
     def print_quality_report(self) -> None:
@@ -88,7 +88,7 @@ class Tx40(BaseIdentification):
 
 
 def as_columns(fitted: Tx40, regressor: Regressor) -> np.ndarray:
-    """(p,) FIGAROH's base parameters at their leading parameters; the others are 0."""
+    """(p,) FIGAROH's base parameters, assigned to their leading parameters; the others are 0."""
     at = {column.symbol: k for k, column in enumerate(regressor.columns)}
     gone = set(fitted._idx_eliminated)
     active = [name for k, name in enumerate(fitted.standard_parameter) if k not in gone]
@@ -118,7 +118,7 @@ def main() -> None:
         since = time.perf_counter()
         ours = identify_effort(model, MeasuredSet(tuple(read[0]), tuple(read[1])), twin.signals)
         spent = time.perf_counter() - since
-        # Without its meshes, which the recordings do not bring.
+        # The model is loaded without meshes, which are not part of the recordings.
         robot = RobotWrapper(pinocchio.buildModelFromUrdf(str(Path(scratch) / "tx40.urdf")))
         since = time.perf_counter()
         theirs = Tx40(robot, read[0][0])

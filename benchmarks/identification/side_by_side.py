@@ -1,11 +1,10 @@
-"""EMPS: pytest-twin identify beside mujoco.sysid on the same data.
+"""EMPS: compare pytest-twin identify with mujoco.sysid on the same data.
 
     python benchmarks/identification/side_by_side.py
 
-Both fit the same run and are judged on the same held-out run by the same measure: the relative
-error of the force along the measured motion (inverse dynamics, same filter). mujoco.sysid fits
-damping, armature and dry friction by simulation, from the windows and initial states of the
-diagnosis.
+Both fit the same run and are tested on the same held-out run by the relative error of the force
+along the measured motion (inverse dynamics, same filter). mujoco.sysid fits damping, armature and
+dry friction by simulation, with the windows and initial states of the diagnosis.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""TIAGo: held-out effort of torso and arm, joints without a sensor named.
+"""TIAGo: held-out effort error of torso and arm, and joints without an effort sensor.
 
     python benchmarks/identification/tiago.py [--out DIR]
 
-Efforts are motor currents of unknown constants. The first three quarters of the run are fitted.
+Efforts are motor currents with unknown torque constants. The first three quarters of the run are
+fitted.
 """
 
 from __future__ import annotations

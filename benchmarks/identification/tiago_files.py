@@ -1,4 +1,4 @@
-"""TIAGo's torso and arm as the commands take them: one recording cut in two."""
+"""Convert the recording of TIAGo's torso and arm to input files, cut in two."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ HELD_OUT = 0.25
 
 
 def folder() -> Path | None:
-    """Where the recordings lie; None where they do not."""
+    """Return the folder of the recordings; None if it does not exist."""
     beside = Path(__file__).resolve().parents[3] / "shared" / "recordings"
     found = Path(os.environ.get("TWIN_RECORDINGS") or beside) / "tiago"
     return found if found.is_dir() else None

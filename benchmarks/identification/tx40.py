@@ -1,12 +1,11 @@
-"""TX40: base parameters against the published ones, and the held-out effort of both.
+"""TX40: compare base parameters and held-out effort errors with the published ones.
 
     python benchmarks/identification/tx40.py [--out DIR]
 
 Published values: Staubli TX40, weighted least squares of the essential parameters, with their
-relative deviations in percent (thanhndv212/figaroh-plus). The authors fitted the whole run. The
-identification here sees the first four fifths; the last fifth is held out whole, and the robot
-stands still in five sixths of it. There dry friction hides up to its own level, whatever the
-parameters.
+relative deviations in percent (thanhndv212/figaroh-plus). The authors fitted the whole run. Here
+the first four fifths are fitted and the last fifth is held out. The robot is at rest in five sixths
+of the held-out part, where dry friction hides errors up to its level.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ from pytest_twin.realization import load
 from pytest_twin.twin import load_twin
 
 WELL_KNOWN = 5.0
-"""Relative deviation in percent below which a published value is held against ours."""
+"""Largest relative deviation, percent, of published values that are compared with ours."""
 Z95 = 1.959964
 
 
 def published(source: Path) -> list[tuple[str, float, float]]:
-    """Expression, weighted least-squares value, standard deviation."""
+    """Published parameters: expression, weighted least-squares value, standard deviation."""
     with (source / "published_parameters.csv").open() as file:
         rows = [row for row in csv.reader(file) if row]
     return [

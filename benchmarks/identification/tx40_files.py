@@ -1,4 +1,4 @@
-"""The TX40's recordings as the commands take them: a twin.yaml that says what the signals are."""
+"""Convert the TX40's recordings to input files, with a twin.yaml that describes the signals."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ HELD_OUT = 0.2
 
 
 def folder() -> Path | None:
-    """Where the recordings lie; None where they do not."""
+    """Return the folder of the recordings; None if it does not exist."""
     beside = Path(__file__).resolve().parents[3] / "shared" / "recordings"
     found = Path(os.environ.get("TWIN_RECORDINGS") or beside) / "tx40"
     return found if found.is_dir() else None
 
 
 def write(source: Path, out: Path) -> dict[str, Path]:
-    """Write ``twin.yaml``, the model, and the run in three cuts: fit, held_out (last fifth), whole.
+    """Write ``twin.yaml``, the model, and the run as fit, held_out (last fifth) and whole.
 
-    Nothing is scaled: motor positions and motor torques go into the files as they were recorded.
+    The files contain the recorded motor positions and motor torques without scaling.
     """
     positions = read_table(source / "motor_positions.csv.gz")
     torques = read_table(source / "currents.csv.gz")

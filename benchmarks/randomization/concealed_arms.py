@@ -1,12 +1,12 @@
-"""Final recordings of arms with concealed parameters, in the envelope that their fits predict.
+"""Coverage of the predictive envelope for final recordings of arms with unknown parameters.
 
     python benchmarks/randomization/concealed_arms.py [--arms N] [--first SEED] [--draws N]
 
-Each arm has random true parameters and a nominal model that is up to 40 % off. It moves under
-random smooth commands with position servos, and logs positions and efforts with noise; the effort's
-is correlated over 20 ms, as that of a current loop is. `pytest-twin identify` fits two recordings
-and tests two others; `pytest-twin randomize` makes ranges of the record and checks them on two
-final recordings.
+Each arm has random true parameters, which differ by up to 40 % from its nominal model. It moves
+under random smooth commands with position servos. Positions and efforts are recorded with noise;
+the effort noise is correlated over 20 ms, like that of a current loop. `pytest-twin identify` fits
+two recordings and tests two others. `pytest-twin randomize` computes ranges from the record and
+checks them on two final recordings.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ MODEL = f"""<mujoco model="arm">
 </mujoco>"""
 RATE, SECONDS = 200, 10.0
 POSITION_NOISE, EFFORT_NOISE = 2e-5, 0.03
-"""rad; share of the effort's standard deviation."""
+"""Position noise, rad, and effort noise, as a fraction of the effort's standard deviation."""
 ROLES = ("fit", "fit", "held_out", "held_out", "final", "final")
 
 
 def arm(folder: Path, random: np.random.Generator) -> mujoco.MjModel:
-    """Write the nominal model; the true one, whose parameters are up to 40 % off."""
+    """Write the nominal model; return the true one, with parameters that differ by up to 40 %."""
     (folder / "arm.xml").write_text(MODEL.format(**nominal_parameters()))
     return mujoco.MjModel.from_xml_string(MODEL.format(**true_parameters(random)))
 
 
 def record(path: Path, model: mujoco.MjModel, random: np.random.Generator, role: str) -> None:
-    """One motion under a random Fourier series of commands, from rest."""
+    """Simulate a motion from rest under a random Fourier series of commands."""
     steps = round(SECONDS / model.opt.timestep)
     every = round(1.0 / RATE / model.opt.timestep)
     time = model.opt.timestep * np.arange(steps)
@@ -85,7 +85,7 @@ def record(path: Path, model: mujoco.MjModel, random: np.random.Generator, role:
 
 
 def checked(seed: int, folder: Path, draws: int) -> dict | None:
-    """``ranges.json`` of one arm; None where its identification is not accepted."""
+    """Return ``ranges.json`` of one arm; None if its identification is not accepted."""
     random = np.random.default_rng(seed)
     true = arm(folder, random)
     (folder / "recordings").mkdir()

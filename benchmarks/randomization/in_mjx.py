@@ -1,4 +1,4 @@
-"""Robots of ``mjx_randomize.py`` in MJX, beside the same robots in MuJoCo.
+"""Compare robots of ``mjx_randomize.py`` in MJX with the same robots in MuJoCo.
 
     python benchmarks/randomization/in_mjx.py RANGES MODEL.xml
 

@@ -1,14 +1,14 @@
-"""Many drawn robots under one recording, beside ``mujoco.rollout`` of as many models, as a ratio.
+"""Throughput of simulating many random robots, relative to ``mujoco.rollout``.
 
     python benchmarks/randomization/throughput.py [--draws 10000] [--engine-rows 256]
 
 A six-joint arm with position servos, uncertain friction, armature and masses, follows a command for
 12 s. One call of `pytest-twin randomize` draws and simulates all robots. ``mujoco.rollout`` steps
-models that are drawn, built and set up beforehand, with as many threads; its time per step is
-taken from fewer rows.
+models that were built beforehand, with the same number of threads; its time per step is measured
+with fewer rows.
 
-Goal: at least 0.5 of the throughput of ``mujoco.rollout``, with drawing, writing of models, batches
-and reading of sensors counted.
+Goal: at least 0.5 of the throughput of ``mujoco.rollout``, including drawing, writing of models,
+batches and reading of sensors.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ UNITS = ("N*m*s/rad", "N*m", "kg*m^2")
 
 
 def model_text() -> str:
-    """The arm as MJCF."""
+    """Return the arm as MJCF."""
     bodies = ""
     for k, (length, mass, axis) in enumerate(zip(LENGTHS, MASSES, AXES, strict=True)):
         before = LENGTHS[k - 1] if k else 0.0
@@ -57,7 +57,7 @@ def model_text() -> str:
 
 
 def twin(folder: Path) -> Path:
-    """A twin with a record, and one final recording of 12 s."""
+    """Write a twin with a record, and one final recording of 12 s."""
     (folder / "arm.xml").write_text(model_text())
     names = [f"{joint}.{kind}" for joint in JOINTS for kind in KINDS]
     std = [s for _ in JOINTS for _, s in KINDS.values()]
@@ -109,7 +109,7 @@ def commands(model: mujoco.MjModel) -> np.ndarray:
 
 
 def engine(folder: Path, rows: int, threads: int) -> float:
-    """Steps a second of ``mujoco.rollout`` over models of their own."""
+    """Return the steps per second of ``mujoco.rollout`` with different models."""
     model = mujoco.MjModel.from_xml_path(str(folder / "arm.xml"))
     random = np.random.default_rng(2)
     models = []

@@ -1,4 +1,4 @@
-"""Ranges of a real servo: identified at three gains, checked on a fourth that guided nothing.
+"""Ranges of a real servo: identified at three gains, checked at a fourth, unused gain.
 
     python benchmarks/randomization/xl330.py [--out DIR]
 

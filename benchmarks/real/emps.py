@@ -1,16 +1,17 @@
-"""EMPS: what is named on a carriage whose model has mass only, held against published figures.
+"""EMPS: compare the diagnosis of a carriage whose model has mass only with published figures.
 
     python benchmarks/real/emps.py --out DIR
 
-Diagnoses (into DIR/why, unless it is there), then holds the identified forces against three others
-on the run that no fit has seen: as a force, the published metric, and as open-loop simulation.
+The script diagnoses (to DIR/why, unless it exists). It then compares the identified forces with
+three others on the held-out run, by the force error (the published metric) and by open-loop
+simulation.
 
 Force error: 100 |f - X b| / |f|, X from positions alone. As in the authors' script (Janot, Gautier,
 Brunot 2019; Script_IDIM_LS.m in wmkouw/NSI-EMPS): a Butterworth filter of fourth order at 100 Hz
 run forwards and backwards, central differences at 1 kHz, the first 50 samples left out, both sides
-decimated by ten. The files here keep every second sample, so positions are interpolated (cubic)
-and forces (linear) to 1 kHz first. Where within its millisecond a force acts is not recorded and
-moves the figure: it is given for several shifts.
+decimated by ten. These files have every second sample, so positions (cubic) and forces (linear) are
+interpolated to 1 kHz first. The time at which a force acts within its millisecond is not recorded
+and influences the error, which is therefore given for several shifts.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ TERMS: Mapping[str, Regressor] = {
     "viscous_difference": lambda v, a: np.abs(v),
     "drag": lambda v, a: v * np.abs(v),
 }
-# What a finding's parameters are in those terms.
+# Parameters of findings as coefficients of these terms.
 FINDINGS = {
     ("viscous_friction", "coefficient"): "viscous",
     ("coulomb_friction", "coulomb"): "coulomb",
@@ -66,7 +67,7 @@ FINDINGS = {
 
 
 def motion(trial: Trial) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Time, velocity and acceleration at 1 kHz from measured positions."""
+    """Return time, velocity and acceleration at 1 kHz from measured positions."""
     time = np.arange(0.0, trial.time[-1], STEP)
     b, a = signal.butter(4, 100.0 * 2.0 * STEP)
     position = signal.filtfilt(b, a, CubicSpline(trial.time, trial.position[:, 0])(time))
@@ -75,12 +76,12 @@ def motion(trial: Trial) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def decimated(values: FloatArray) -> FloatArray:
-    """(n,) at 1 kHz to 100 Hz, the edge left out."""
+    """Decimate (n,) values from 1 kHz to 100 Hz, without the edge."""
     return np.asarray(signal.decimate(values[49:], 10))
 
 
 def regression(trial: Trial, terms: tuple[str, ...], shift: float) -> tuple[FloatArray, FloatArray]:
-    """Regressors and force, the force taken ``shift`` seconds earlier than the motion."""
+    """Return regressors and force, with the force ``shift`` seconds earlier than the motion."""
     time, velocity, acceleration = motion(trial)
     force = np.interp(time - shift, trial.command_time, trial.command[:, 0])
     columns = [decimated(TERMS[t](velocity, acceleration)) for t in terms]
@@ -90,7 +91,7 @@ def regression(trial: Trial, terms: tuple[str, ...], shift: float) -> tuple[Floa
 def least_squares(
     trial: Trial, terms: tuple[str, ...], shift: float
 ) -> dict[str, tuple[float, float]]:
-    """Independent estimate: coefficient and its standard deviation as the authors state it."""
+    """Return an independent estimate: coefficients with standard deviations as by the authors."""
     x, force = regression(trial, terms, shift)
     values = np.linalg.lstsq(x, force, rcond=None)[0]
     spread = (force - x @ values).std() * np.sqrt(np.diag(np.linalg.inv(x.T @ x)))
@@ -113,7 +114,7 @@ def slide(
 ) -> FloatArray:
     """Positions (steps + 1, runs) of a carriage under forces (steps, runs), from initial states.
 
-    Shares nothing with the package: semi-implicit steps, dry friction that stops what it can stop.
+    The simulation is independent of the package: semi-implicit steps, set-valued dry friction.
     """
     get = values.get
     mass, coulomb = values["mass"], get("coulomb", 0.0)
@@ -132,8 +133,9 @@ def slide(
 def open_loop(trial: Trial, values: Mapping[str, float], window: float, start: float) -> FloatArray:
     """(samples, windows) measured minus simulated positions in windows of ``window`` s.
 
-    Each starts from the measured state, and what a shifted initial velocity would explain is taken
-    out of windows shorter than the run: a window is not judged by how well its start is known.
+    Each window starts from the measured state. For windows shorter than the run, the part that an
+    error of the initial velocity explains is removed, so that the result does not depend on the
+    accuracy of the initial state.
     """
     interval = float(np.median(np.diff(trial.time)))
     samples = round(window / interval)
@@ -163,7 +165,7 @@ def rms(values: FloatArray) -> float:
 
 
 def identified(diagnosis: Mapping[str, Any]) -> dict[str, float]:
-    """The findings as a force; the mass is the model's."""
+    """Return the findings as a force, with the model's mass."""
     values = {"mass": NOMINAL_MASS}
     for finding in diagnosis["findings"]:
         for name, parameter in finding["parameters"].items():

@@ -3,7 +3,7 @@
     python benchmarks/real/online_update.py RECORDINGS [SET...]
 
 RECORDINGS is the folder with ``xl330`` and ``so101``. Each window of 0.5 s is predicted from its
-first measured state before it is learned from; both columns are over the same windows.
+first measured state before it updates the parameters. Both columns are over the same windows.
 """
 
 from __future__ import annotations

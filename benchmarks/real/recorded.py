@@ -1,4 +1,4 @@
-"""Where recordings of real machines are."""
+"""Find the recordings of real machines."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _RECORDINGS = Path(
 
 
 def folder_of(machine: str) -> Path:
-    """The folder of a machine.
+    """Return the folder of a machine's recordings.
 
     Raises:
-        SystemExit: there is none.
+        SystemExit: the folder does not exist.
     """
     folder = _RECORDINGS / machine
     if not folder.is_dir():

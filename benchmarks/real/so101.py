@@ -1,16 +1,16 @@
-"""SO-101: what the vendor's model lacks, joint by joint, and what it buys motion by motion.
+"""SO-101: effects that the vendor's model lacks by joint, and prediction errors by motion.
 
     python benchmarks/real/so101.py --out DIR [--by diagnose | identify] [--seconds 8]
                                       [--fit NAME ...] [--held-out NAME ...]
 
-Cuts ``--seconds`` out of each recording (into DIR/excerpts: they are not ours to pass on),
-diagnoses (into DIR/why, unless it is there) or identifies (into DIR/identified), and replays the
-held-out excerpts, and the same stretch of every motion that was not fitted, on the vendor's
-model and on the patched one.
+The script cuts ``--seconds`` out of each recording (to DIR/excerpts; they may not be
+redistributed). It diagnoses (to DIR/why, unless it exists) or identifies (to DIR/identified). It
+then replays the held-out excerpts, and the same segment of every motion that was not fitted, with
+the vendor's model and the patched one.
 
-What is known of these recordings: an unknown offset of each joint's zero against the model's, an
-unsigned current for an effort, six servos read one after another within a sample. Six joints are
-named in one run, because the pose of one is the load of another.
+Properties of these recordings: each joint's zero has an unknown offset against the model's, the
+effort is an unsigned current, and six servos are read one after another within a sample. All six
+joints are diagnosed together, because the pose of one joint determines the load of others.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial
 
-# Each joint moves in one of them at least, and all of them in the first.
+# Each joint moves in at least one of these recordings, and all joints in the first.
 FIT = ("prbs_excitation", "reach_and_return", "single_joint_wrist_pitch")
 HELD_OUT = ("multisine", "large_amplitude")
 START = 12.0
 COMMANDS = {"diagnose": ("diagnosis.json", "--seconds", "0"), "identify": ("identification.json",)}
-"""Command -> its result, and options."""
-# Claims that need a motion which these recordings do not have: reversals smaller than the gap
-# under a known load, and commands that ask for more than the drive's limit.
+"""Command -> file of its result, and options."""
+# Effects whose identification needs motions that these recordings lack: reversals smaller than the
+# backlash under a known load, and commands beyond the drive's limit.
 NOT_SHOWN = ("backlash", "torque_saturation")
 
 
 def excerpt(name: str, role: str, seconds: float, folder: Path) -> Path:
-    """A stretch of a recording as a recording of its own."""
+    """Cut a segment of a recording to its own file."""
     path = folder / f"{role}_{name}.mcap"
     whole = read_recording(folder_of("so101") / "recordings" / f"{name}.mcap")
     first = min(s.stamp[0] for s in whole.series.values()) + round(START * 1e9)
@@ -67,7 +67,7 @@ def excerpt(name: str, role: str, seconds: float, folder: Path) -> Path:
 
 
 def errors(model: Path, trials: list[Trial]) -> list[np.ndarray | None]:
-    """(joints,) root mean squares of position of each trial, rad; None where it diverged."""
+    """(joints,) RMS position errors of each trial, rad; None if it diverged."""
     loaded = load_model(find_model(model))
     joints = loaded.realization.joints
     patched = loaded.patched or Patched(tuple(joints))

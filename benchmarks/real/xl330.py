@@ -2,19 +2,18 @@
 
     python benchmarks/real/xl330.py --out DIR [--gains 400 | 100 200 400 800] [--structure]
 
-For each gain that is held out: mean absolute error of position, in mrad, of each of its logs, for
-the data sheet's model, for what `pytest-twin diagnose` finds from the other three gains (kept in
-DIR/without_GAIN), and, with --structure, for a structure that is given: the effects below, their
-parameters sought in the ranges below by an evolution strategy on the logs of the other three gains
-alone (kept in DIR/structure_without_GAIN.json). The last column is the mean over the three logs
-that are not `lift_and_drop`, the figure that is published; the end of a slide depends
-on small differences, so the same figure is given for models whose parameters are a few per cent
-off.
+For each held-out gain, the mean absolute position error of each of its logs is printed in mrad, for
+the data sheet's model and for the diagnosis from the other three gains (stored in
+DIR/without_GAIN). With --structure it is also printed for a given structure: the effects below,
+with parameters that an evolution strategy fits within the ranges below to the logs of the other
+three gains (stored in DIR/structure_without_GAIN.json). The last column is the mean over the three
+logs other than `lift_and_drop`, which is the published figure. The end of a slide depends on small
+differences, so the same figure is given for models whose parameters differ by a few per cent.
 
-The structure is what a servo of this kind is known to have: motor constant, back-EMF, effort that
-rolls off with current, friction by the motor's effort that falls with speed, friction by the load,
-dry and viscous friction, inertia of the rotor, a tilted stand, a late command, and torque off once
-the command of `lift_and_drop` has come to its end.
+The structure has the known effects of such a servo: motor constant, back-EMF, torque roll-off with
+current, friction that depends on motor effort and speed, load-dependent friction, dry and viscous
+friction, rotor inertia, base tilt, command delay, and torque off after the end of the command of
+`lift_and_drop`.
 """
 
 from __future__ import annotations
@@ -47,13 +46,13 @@ from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial, make_trial
 
 GAINS = (100, 200, 400, 800)
-# Searches, and generations after which the best of them alone goes on.
+# Number of searches, and of generations after which only the best search continues.
 STARTS, IN_RACE = 4, 110
-# Neighbours of what was found, and the deviation of each of their values, as a share of it.
+# Number of neighbouring models, and relative standard deviation of their parameters.
 NEIGHBOURS, NEARBY = 24, 0.03
 LOGS = ("sin_sin", "sin_time_square", "up_and_down", "lift_and_drop")
 
-# effect -> parameter -> (low, high), SI units: where it is sought; both alike: held there.
+# Effect -> parameter -> search range (low, high), SI units; equal values fix the parameter.
 # The data sheet's damping of the joint, 0.052 N m s/rad, is back-EMF.
 STRUCTURE: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "armature": {"inertia": (-0.001, 0.003)},
@@ -72,7 +71,7 @@ STRUCTURE: Mapping[str, Mapping[str, tuple[float, float]]] = {
 
 
 def structure(problem: Problem, share: FloatArray) -> Hypothesis:
-    """The structure at ``share`` of the way through its ranges; positive ranges by ratio."""
+    """Return the structure at positions ``share`` in its ranges (logarithmic if positive)."""
     terms: list[Term] = []
     theta: list[float] = []
     at = 0
@@ -91,7 +90,7 @@ def structure(problem: Problem, share: FloatArray) -> Hypothesis:
 
 
 def free_parameters() -> int:
-    """Number of parameters that are sought."""
+    """Number of free parameters."""
     return sum(high > low for each in STRUCTURE.values() for low, high in each.values())
 
 
@@ -111,12 +110,12 @@ def absolute_errors(
 def strategy_of(
     cost: Callable[[FloatArray], FloatArray], size: int, seed: int
 ) -> cma.CMAEvolutionStrategy:
-    """Covariance matrix adaptation over the unit cube, from the best of random points.
+    """Minimize over the unit cube by CMA-ES, from the best of random points.
 
     Args:
-        cost: of (n, size) points.
+        cost: function from (n, size) points to costs.
         size: number of parameters.
-        seed: of every draw.
+        seed: seed of all draws.
     """
     random = np.random.default_rng(seed)
     count = 2 * int(np.ceil(4 + 3 * np.log(size)))
@@ -139,7 +138,7 @@ def evolve(
     cost: Callable[[FloatArray], FloatArray],
     generations: int,
 ) -> None:
-    """Generations more, until none brings anything."""
+    """Run more generations until there is no improvement."""
     for _ in range(generations):
         if strategy.stop():
             break
@@ -149,7 +148,7 @@ def evolve(
 
 
 def coarse(problem: Problem) -> Problem:
-    """The same with a step of 2 ms, to search on."""
+    """Return the problem with a time step of 2 ms for the search."""
     segments = []
     for s in problem.simulator.segments:
         model = copy.copy(s.model)
@@ -160,17 +159,17 @@ def coarse(problem: Problem) -> Problem:
 
 
 def fit_structure(problem: Problem, generations: int, seed: int) -> Hypothesis:
-    """The structure at its least mean absolute error over the logs to fit."""
+    """Fit the structure: smallest mean absolute error over the fitted logs."""
     quick = coarse(problem)
 
     def cost(shares: FloatArray) -> FloatArray:
         each = [structure(quick, s) for s in shares]
         errors = absolute_errors(quick, each, quick.fit)
-        # Mean and root mean square over the logs: none is given up for the others.
+        # The cost combines mean and RMS over the logs, so that no log is neglected.
         value: FloatArray = errors.mean(axis=1) + 0.3 * np.sqrt((errors**2).mean(axis=1))
         return value / 1.3
 
-    # Leaps of a joint that sticks or slips make valleys: the deepest of several stands.
+    # Stick-slip causes several minima; the best of several searches is used.
     searches = [strategy_of(cost, free_parameters(), seed + k) for k in range(STARTS)]
     race = min(IN_RACE, generations)
     for each in searches:
@@ -181,14 +180,14 @@ def fit_structure(problem: Problem, generations: int, seed: int) -> Hypothesis:
 
 
 def recordings(realization: Realization, gains: Sequence[int]) -> list[Trial]:
-    """Every log of some gains."""
+    """Return every log of the given gains."""
     folder = folder_of("xl330") / "recordings"
     names = [f"kp{gain}_{log}.mcap" for gain in gains for log in LOGS]
     return [make_trial(read_recording(folder / n), realization.structure) for n in names]
 
 
 def neighbours(patched: Patched) -> list[Patched]:
-    """The same effects beside the model, every value off by a draw of its own."""
+    """Return the same effects with independent random changes of every value."""
     random = np.random.default_rng(0)
 
     def off(effect: AppliedEffect) -> AppliedEffect:
@@ -203,8 +202,9 @@ def neighbours(patched: Patched) -> list[Patched]:
 
 
 def diagnosed(out: Path, gain: int, seconds: float) -> tuple[str, FloatArray, FloatArray]:
-    """Verdict and findings in words, the error of each log of the gain held out, and that of each
-    neighbour, (neighbours, logs).
+    """Return verdict and findings as text, and errors on the held-out gain.
+
+    The errors are those of each log, and of each neighbouring model, (neighbours, logs).
     """
     why = out / f"without_{gain}"
     folder = folder_of("xl330")
@@ -239,7 +239,7 @@ def diagnosed(out: Path, gain: int, seconds: float) -> tuple[str, FloatArray, Fl
 
 
 def given(problem: Problem, path: Path, generations: int, seed: int) -> Hypothesis:
-    """The fitted structure, from an earlier run where there is one."""
+    """Return the fitted structure, from an earlier run if there is one."""
     if path.is_file():
         start = structure(problem, np.zeros(free_parameters()))
         return start.with_theta(np.array(json.loads(path.read_text("utf-8"))["theta"]))
@@ -274,7 +274,7 @@ def main() -> None:
     for gain in args.gains:
         fit = recordings(realization, [g for g in GAINS if g != gain])
         problem = prepare(realization, fit, recordings(realization, [gain]), threads=1).problem
-        # Errors here are a hundred times what the step costs: it need not be measured.
+        # The errors are a hundred times the integration error, which is therefore not measured.
         problem.refined, problem.discretization_error = None, {}
         lines = [row("data sheet", absolute_errors(problem, [EMPTY], problem.held_out)[0])]
         notes = []

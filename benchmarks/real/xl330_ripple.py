@@ -1,13 +1,13 @@
-"""XL330: does a slide speed up and slow down at the same angles, whatever drives it?
+"""XL330: test whether the speed ripple of slow motions depends on the joint angle.
 
     python benchmarks/real/xl330_ripple.py
 
 Takes the slow rises of the pendulum (`up_and_down`, and `sin_time_square` before its first
-reversal) at four firmware gains. Squared velocity over position, less its mean over 60 mrad, is
-what a force that varies over the way leaves in kinetic energy. Prints how alike it is between
-rises where they passed the same angle, and once every rise is moved by a draw of its own, which
-nothing that is tied to the angle outlasts; then the wavenumber that all rises share best, and what
-share of the ripple it takes, beside the same with rises moved.
+reversal) at four firmware gains. The ripple is the squared velocity over position minus its mean
+over 60 mrad; it shows position-dependent forces in the kinetic energy. The script prints the
+correlation of the ripple between motions at the same angles, and the correlation after random
+shifts of each motion, which removes any dependence on the angle. It then prints the best common
+wavenumber and its share of the ripple, with and without random shifts.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.mcap import read_recording
 
 GAINS = (100, 200, 400, 800)
-# Log -> s of its slow rise.
+# Log -> time interval of its slow rise, s.
 RISES = {"up_and_down": (0.3, 3.0), "sin_time_square": (0.2, 1.25)}
 STEP, MEAN_OVER, LEAST = 0.002, 0.06, 0.2
-"""rad: between positions, that a mean is taken over, and that two rises have in common."""
+"""Distance of positions, range of the mean, and smallest common range of two rises, rad."""
 FARTHEST = 40
-"""Positions by which a rise is moved at most."""
+"""Largest shift of a rise, in positions."""
 WAVENUMBERS, DRAWS = np.arange(20.0, 420.0), 200
 POSITIONS = np.arange(-0.1, 1.3, STEP)
 
 
 def ripple(log: str, gain: int) -> FloatArray:
-    """(positions,) (rad/s)^2 of a rise, NaN where it was not."""
+    """(positions,) ripple of a rise, (rad/s)^2, NaN outside of its range."""
     recording = read_recording(folder_of("xl330") / "recordings" / f"kp{gain}_{log}.mcap")
     state = recording.series["state"]
     assert state.position is not None
@@ -55,7 +55,7 @@ def ripple(log: str, gain: int) -> FloatArray:
 
 
 def alike(one: FloatArray, other: FloatArray, offset: int) -> float:
-    """Correlation of two ripples, one of them moved by so many positions; NaN of too few."""
+    """Correlation of two ripples, one of them shifted by some positions; NaN if too few overlap."""
     moved = np.full_like(other, np.nan)
     here, there = (slice(max(o, 0), len(other) + min(o, 0)) for o in (offset, -offset))
     moved[here] = other[there]
@@ -66,15 +66,16 @@ def alike(one: FloatArray, other: FloatArray, offset: int) -> float:
 
 
 def mean_alike(ripples: list[FloatArray], offsets: NDArray[np.int64]) -> float:
-    """Mean correlation of all pairs, each moved by so many positions."""
+    """Mean correlation of all pairs, each shifted by some positions."""
     pairs = itertools.combinations(zip(ripples, offsets, strict=True), 2)
     each = [alike(one, other, int(theirs - mine)) for (one, mine), (other, theirs) in pairs]
     return float(np.nanmean(each))
 
 
 def shared(ripples: list[FloatArray], offsets: FloatArray) -> FloatArray:
-    """(wavenumbers,) share of all ripples, each in multiples of its deviation, that one wave of a
-    phase takes which is the same for all, each rise moved by its offset (rad).
+    """(wavenumbers,) share of all normalized ripples that a wave with a common phase explains.
+
+    Each rise is shifted by its offset (rad).
     """
     angle, level = [], []
     for each, offset in zip(ripples, offsets, strict=True):
