@@ -1,4 +1,4 @@
-"""The page of benchmarks: all of it comes from records, with date, revision and machine."""
+"""The benchmark page is generated from records with date, revision and machine."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
 def run(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """A script of the benchmarks as a command."""
+    """Run a script of the benchmarks folder as a command."""
     return subprocess.run(
         [sys.executable, str(BENCHMARKS / script), *arguments], capture_output=True, text=True
     )
 
 
-def test_a_record_has_output_date_revision_and_machine(tmp_path: Path) -> None:
+def test_a_record_contains_output_date_revision_and_machine(tmp_path: Path) -> None:
     done = run("record.py", "--results", str(tmp_path), "staleness", "--help")
     assert done.returncode == 0, done.stderr
     one = json.loads((tmp_path / "staleness.json").read_text())
@@ -41,7 +41,7 @@ def test_a_record_has_output_date_revision_and_machine(tmp_path: Path) -> None:
     assert "`benchmarks/staleness.py`:" not in text.split("## Without a record")[1]
 
 
-def test_a_benchmark_that_fails_is_on_the_page_as_failed(tmp_path: Path) -> None:
+def test_a_failed_benchmark_is_shown_with_its_exit_status(tmp_path: Path) -> None:
     done = run("record.py", "--results", str(tmp_path), "staleness", "--edits", "many")
     assert done.returncode == 2
     page = tmp_path / "page.md"
@@ -58,7 +58,7 @@ def test_an_unknown_benchmark_is_refused_with_an_example(tmp_path: Path) -> None
 
 
 @pytest.mark.skipif(not (BENCHMARKS / "results").is_dir(), reason="no records in this checkout")
-def test_the_page_in_the_docs_is_the_one_that_the_records_make(tmp_path: Path) -> None:
+def test_the_page_in_the_docs_matches_the_records(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     run("page.py", "--page", str(page))
     assert page.read_text() == (BENCHMARKS.parent / "docs" / "benchmarks.md").read_text()

@@ -1,4 +1,4 @@
-"""A short sample of the blind calibration cells; the table in the documentation has a hundred."""
+"""Two simulated calibration cells of each kind; the table in the documentation has a hundred."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ import drawn_cells as cells
 
 
 @pytest.mark.parametrize("kind", ["arm with joint zeros", "two clocks"])
-def test_intervals_of_a_sound_cell_hold_the_truth(kind: str, tmp_path: Path) -> None:
+def test_confidence_intervals_of_a_calibrated_cell_contain_the_truth(
+    kind: str, tmp_path: Path
+) -> None:
     cell = cells.make(1003, tmp_path / "cell", kind)
     found = blind_cells.score(cell, *blind_cells.solve(cell))
     assert found.status == 0
@@ -25,7 +27,7 @@ def test_intervals_of_a_sound_cell_hold_the_truth(kind: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("kind", cells.DEGENERATE)
-def test_poses_that_determine_nothing_are_refused(kind: str, tmp_path: Path) -> None:
+def test_poses_without_information_give_the_verdict_degenerate(kind: str, tmp_path: Path) -> None:
     cell = cells.make(1004, tmp_path / "cell", kind)
     found = blind_cells.score(cell, *blind_cells.solve(cell))
     assert (found.status, found.verdict, found.inside) == (1, "degenerate", [])

@@ -1,4 +1,4 @@
-"""Blind cases: what they cover, that the plant keeps to mechanics, and how answers are scored."""
+"""Blind cases: coverage of effects, mechanics of the simulated plant, scoring of answers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_any_two_hundred_seeds_cover_every_effect(first: int) -> None:
     assert beside == set(cases.EFFECTS)
 
 
-def test_seeds_are_ranges_single_ones_or_those_of_answers(tmp_path: Path) -> None:
+def test_seeds_are_given_as_ranges_numbers_or_a_file_of_answers(tmp_path: Path) -> None:
     assert cases.seeds("3:6") == [3, 4, 5]
     assert cases.seeds("3:5,9,20:22") == [3, 4, 9, 20, 21]
     said = tmp_path / "said.jsonl"
@@ -47,7 +47,7 @@ def test_seeds_are_ranges_single_ones_or_those_of_answers(tmp_path: Path) -> Non
         cases.seeds("many")
 
 
-def test_nothing_of_the_same_physics_is_hidden_at_one_joint() -> None:
+def test_indistinguishable_effects_are_not_hidden_at_one_joint() -> None:
     rng = np.random.default_rng(3)
     for _ in range(200):
         robot = robots.draw(rng, int(rng.integers(1, 4)), "position")
@@ -58,15 +58,15 @@ def test_nothing_of_the_same_physics_is_hidden_at_one_joint() -> None:
             assert len(joints) == len(set(joints))
 
 
-def _bare(count: int) -> robots.Robot:
-    """A robot that nothing brakes."""
+def _frictionless(count: int) -> robots.Robot:
+    """A robot without damping and friction."""
     robot = robots.draw(np.random.default_rng(5), count, "effort", hinges=True)
     free = [replace(j, damping=0.0, friction=0.0) for j in robot.joints]
     return replace(robot, joints=tuple(free))
 
 
-def test_a_pendulum_swings_as_its_equation_says() -> None:
-    robot = _bare(1)
+def test_the_plant_matches_the_equation_of_a_pendulum() -> None:
+    robot = _frictionless(1)
     j = robot.joints[0]
     start, ticks = np.array([[0.7]]), 100
     motion = plant.simulate(
@@ -75,7 +75,7 @@ def test_a_pendulum_swings_as_its_equation_says() -> None:
     inertia = j.inertia[1] + j.mass * (j.center[0] ** 2 + j.center[2] ** 2) + j.armature
 
     def swing(_: float, y: Any) -> list[float]:
-        # Gravity turns about +y: z c_x - x c_z in the turned frame.
+        # Moment of gravity about +y with the centre of mass in the rotated frame.
         lever = j.center[0] * np.cos(y[0]) + j.center[2] * np.sin(y[0])
         return [y[1], j.mass * 9.81 * lever / inertia]
 
@@ -85,8 +85,8 @@ def test_a_pendulum_swings_as_its_equation_says() -> None:
     assert motion.position[:, 0, 0] == pytest.approx(exact.y[0], abs=5e-4)
 
 
-def test_a_resting_contact_carries_the_weight() -> None:
-    robot = replace(_bare(1), mode="position")
+def test_the_contact_force_at_rest_balances_the_weight() -> None:
+    robot = replace(_frictionless(1), mode="position")
     j = replace(robot.joints[0], damping=20.0, kp=0.0, kv=0.0)
     along = robots.link_end(robot)[2]
     contact = robots.Contact(
@@ -98,7 +98,7 @@ def test_a_resting_contact_carries_the_weight() -> None:
     still = np.full((ticks, 1, 1), 0.5)
     motion = plant.simulate(robot, plant.Hidden(), still, still[0])
     q = motion.position[-1, 0, 0]
-    # Moments about the joint: weight at the centre of mass against the wall at the sphere.
+    # Moments about the joint: weight at the centre of mass and contact force at the sphere.
     weight = j.mass * 9.81 * (j.center[0] * np.cos(q) + j.center[2] * np.sin(q))
     depth = along * np.sin(q) + 0.02 + contact.height
     assert motion.touch[-1, 0] == pytest.approx(contact.stiffness * depth, rel=1e-3)
@@ -107,12 +107,12 @@ def test_a_resting_contact_carries_the_weight() -> None:
 
 
 @pytest.mark.parametrize(("drift", "last"), [(-0.02, 0.98), (0.02, 0.99)])
-def test_a_logger_stops_with_the_motion(
+def test_a_logger_with_clock_drift_records_no_time_after_the_motion(
     drift: float, last: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its clock is 2 % slow, or fast: no reading is of a time that never was."""
+    """The logger's clock is 2 % slow or fast; no reading lies after the end of the motion."""
     monkeypatch.setattr(cases, "DURATION", 1.0)
-    robot, ticks = _bare(1), 100
+    robot, ticks = _frictionless(1), 100
     none = np.zeros((ticks, 1, 1))
     motion = plant.simulate(robot, plant.Hidden(), none, np.array([[0.7]]), sent=none)
     hidden = plant.Hidden({"clock_drift": {-1: {"drift": drift}}})
@@ -143,7 +143,7 @@ def _case(effects: list[tuple[str, str, float]], said: list[tuple[str, str]]) ->
     return score.Case(truth, {"status": 0, "seconds": 1.0}, diagnosis)
 
 
-def test_an_effect_is_right_with_its_joint_only() -> None:
+def test_a_finding_is_correct_only_with_effect_and_joint() -> None:
     case = _case(
         [("backlash", "a", 9.0), ("payload", "b", 0.5)], [("backlash", "b"), ("payload", "b")]
     )
@@ -157,7 +157,7 @@ def test_an_effect_is_right_with_its_joint_only() -> None:
     assert list(score.intervals(case)) == [("payload", "x", True)]
 
 
-def test_a_window_counts_where_the_force_acted() -> None:
+def test_an_unexplained_window_is_correct_if_it_overlaps_the_external_force() -> None:
     case = _case([], [])
     case.truth["outside"] = {"joint": "a", "windows": {"r.mcap": [[1.0, 2.0]]}}
     case.said = {"verdict": "unexplained", "findings": [], "unexplained": {
@@ -167,7 +167,7 @@ def test_a_window_counts_where_the_force_acted() -> None:
     assert not score.outside_right(case)["window"]
 
 
-def test_wall_time_is_held_against_all_simulations_and_against_each_once() -> None:
+def test_cost_is_wall_time_per_simulated_time_with_and_without_repeated_steps() -> None:
     case = _case([], [])
     case.said = {"cost": {"wall_seconds": 6.0, "engine_seconds": 4.0, "million_steps": 2.0}}
     again = _case([], [])
@@ -178,7 +178,7 @@ def test_wall_time_is_held_against_all_simulations_and_against_each_once() -> No
     assert "1.50 (median 1.50 of 1) | 3.00" in score.cost([case, again])[2]
 
 
-def test_a_truth_that_was_changed_is_seen(tmp_path: Path) -> None:
+def test_a_changed_truth_file_is_detected_by_its_digest(tmp_path: Path) -> None:
     truth, committed = tmp_path / "truth", tmp_path / "digests.json"
     truth.mkdir()
     (truth / "case0.json").write_text("{}")
@@ -188,7 +188,7 @@ def test_a_truth_that_was_changed_is_seen(tmp_path: Path) -> None:
     assert not score.checked_digests(truth, committed, ["case0"])[1]
 
 
-def test_answers_that_were_packed_are_gone_on_from(tmp_path: Path) -> None:
+def test_unpacked_answers_do_not_overwrite_newer_results(tmp_path: Path) -> None:
     results, file, other = tmp_path / "results", tmp_path / "answers.jsonl", tmp_path / "other"
     (results / "case1").mkdir(parents=True)
     (results / "case1.run.json").write_text('{"case": "case1", "status": 0, "seconds": 2.0}')
@@ -201,20 +201,20 @@ def test_answers_that_were_packed_are_gone_on_from(tmp_path: Path) -> None:
             (results / name).read_text()
         )
     assert not (other / "case2" / "diagnosis.json").exists()
-    # What was asked since stands.
+    # A result that exists already is kept.
     (other / "case1.run.json").write_text("{}")
     assert answers.unpack(file, other) == 0
     assert (other / "case1.run.json").read_text() == "{}"
 
 
-def test_an_answer_that_leads_out_of_the_folder_is_refused(tmp_path: Path) -> None:
+def test_an_answer_with_a_path_outside_the_folder_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "answers.jsonl"
     file.write_text('{"run": {"case": "../case1"}, "said": null}\n')
     with pytest.raises(ValueError, match=r"answers\.jsonl: case '\.\./case1', expected a name"):
         answers.unpack(file, tmp_path / "results")
 
 
-def test_a_page_gets_the_tables_between_its_marks_without_names_of_cases(tmp_path: Path) -> None:
+def test_tables_are_written_between_the_marks_of_a_page_without_case_names(tmp_path: Path) -> None:
     case = _case([("backlash", "a", 9.0)], [("payload", "b")])
     (line, _) = score.failures([case], named=False)
     assert line == (

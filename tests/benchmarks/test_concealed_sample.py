@@ -1,6 +1,6 @@
-"""A short sample of the blind cases: what is hidden is named, and nothing where nothing is.
+"""A short sample of the blind cases: hidden effects are found, and none where none is hidden.
 
-Development seeds; the table in the README rests on others.
+These are development seeds; the table in the README uses other seeds.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ import run
     ("seed", "hidden"),
     [(5015, "command_delay"), (5023, "joint_spring"), (5026, None)],
 )
-def test_what_is_hidden_is_named(
+def test_the_diagnosis_finds_exactly_the_hidden_effect(
     seed: int, hidden: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = cases.make(seed, tmp_path / "cases", tmp_path / "truth")
-    # One motion to fit and one to test on say the same as all five, in half of the time.
+    # One motion to fit and one held out suffice here and take half of the time.
     for unused in ("1_moves", "2_slow", "3_steps"):
         (tmp_path / "cases" / name / "recordings" / f"{unused}.mcap").unlink()
-    # Folders as a user gives them: the README's command has them relative.
+    # Relative folders, as in the command of the README.
     monkeypatch.chdir(tmp_path)
     told = run.diagnose(Path("cases") / name, Path(name), seconds=300.0)
     assert told["status"] == 0, told

@@ -1,4 +1,4 @@
-"""A blind diagnosis cannot open the truth, wherever it lies."""
+"""A confined blind diagnosis cannot open the truth files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def place(tmp_path: Path) -> Path:
 
 
 def confined(place: Path, *command: str) -> subprocess.CompletedProcess[str]:
-    """What a command comes to that is given the first case."""
+    """Run a command confined to reading the first case and writing the box."""
     given = ("--read", str(place / "cases/case1"), "--write", str(place / "box"))
     return subprocess.run(
         [sys.executable, str(confine.__file__), *given, "--", *command],
@@ -34,7 +34,7 @@ def confined(place: Path, *command: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def test_it_reads_its_case_and_writes_its_box(place: Path) -> None:
+def test_a_confined_command_reads_its_case_and_writes_its_output_folder(place: Path) -> None:
     done = confined(
         place, "/bin/cp", str(place / "cases/case1/model.xml"), str(place / "box/copy.xml")
     )
@@ -43,8 +43,8 @@ def test_it_reads_its_case_and_writes_its_box(place: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["truth/case1.json", "cases/case1/link", "cases/case2/model.xml"])
-def test_it_opens_nothing_else(place: Path, name: str) -> None:
-    """Nor does a child of it."""
+def test_a_confined_command_opens_no_other_file(place: Path, name: str) -> None:
+    """The restriction also holds for child processes."""
     child = "import subprocess, sys; sys.exit(subprocess.run(['cat', sys.argv[1]]).returncode)"
     done = confined(place, sys.executable, "-c", child, str(place / name))
     assert done.returncode == 1
@@ -53,11 +53,11 @@ def test_it_opens_nothing_else(place: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["truth", "cases", "."])
-def test_it_lists_nothing_else(place: Path, name: str) -> None:
+def test_a_confined_command_lists_no_other_folder(place: Path, name: str) -> None:
     done = confined(place, "/bin/ls", str(place / name))
     assert "Permission denied" in done.stderr
 
 
-def test_it_writes_nothing_else(place: Path) -> None:
+def test_a_confined_command_writes_nowhere_else(place: Path) -> None:
     done = confined(place, "/usr/bin/touch", str(place / "cases/case1/new"))
     assert "Permission denied" in done.stderr

@@ -1,4 +1,4 @@
-"""What counts as right, background or false in families with a background, and their figures."""
+"""Scoring of families of cases with background differences: right, background or false."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def _answer(findings: list[dict[str, Any]], **truth: Any) -> Answer:
     return Answer(case, {"seconds": 30.0, "status": 0}, said)
 
 
-def test_a_hidden_effect_is_right_on_its_joint_only() -> None:
+def test_a_hidden_effect_counts_as_found_only_on_its_joint() -> None:
     assert family_score.first_right(_answer([_finding("command_delay", "a")]))
     assert not family_score.first_right(_answer([_finding("command_delay", "b")]))
     assert not family_score.first_right(_answer([]))
 
 
 @pytest.mark.parametrize(("share", "right"), [(0.5, True), (0.3, True), (0.02, False)])
-def test_another_name_for_the_same_is_right_where_it_shares_its_confidence(
+def test_an_equivalent_effect_counts_if_the_hidden_one_has_enough_confidence(
     share: float, right: bool
 ) -> None:
     rival = [{"effect": "command_delay", "confidence": share}]
@@ -57,32 +57,32 @@ def test_another_name_for_the_same_is_right_where_it_shares_its_confidence(
     assert family_score.first_right(answer) is right
 
 
-def test_a_background_difference_is_known_by_its_sign_and_its_size() -> None:
+def test_a_finding_is_background_if_sign_and_size_match() -> None:
     def kind(value: float) -> str:
         answer = _answer([])
         return family_score.kind_of(_finding("viscous_friction", "a", value=value), answer.truth)
 
     assert kind(-0.012) == "background"
-    assert kind(-0.11) == "false"  # ten times what differs: it compensates for something else
+    assert kind(-0.11) == "false"  # ten times the true difference: it compensates another effect
     assert kind(0.025) == "false"
 
 
-def test_a_fact_of_all_servos_may_be_named_at_any_joint() -> None:
+def test_a_background_effect_of_all_servos_counts_at_any_joint() -> None:
     finding = _finding("control_period", "a")
     finding["parameters"] = {"period": {"value": 0.0021}}
     assert family_score.kind_of(finding, _answer([]).truth) == "background"
 
 
-def test_a_law_without_a_name_is_neither_right_nor_false() -> None:
+def test_an_unnamed_law_is_neither_right_nor_false() -> None:
     assert _answer([_finding("unnamed_law", "a")]).findings == []
 
 
-def test_names_below_nine_tenths_are_not_sure() -> None:
+def test_findings_below_90_percent_confidence_are_not_counted_as_sure() -> None:
     answer = _answer([_finding("backlash", "a", 0.89), _finding("cogging", "a", 0.9)])
     assert [f["effect"] for f in family_score.sure(answer, "false")] == ["cogging"]
 
 
-def test_confidence_is_counted_in_bands() -> None:
+def test_calibration_counts_findings_per_confidence_band() -> None:
     answer = _answer(
         [_finding("command_delay", "a", 1.0), _finding("backlash", "a", 0.8),
          _finding("cogging", "a", 0.9)]
@@ -90,12 +90,12 @@ def test_confidence_is_counted_in_bands() -> None:
     assert family_score.calibration([answer]) == [(0, 0), (0, 1), (1, 2)]
 
 
-def test_simulations_are_counted_in_whole_data() -> None:
-    # 5 million steps of 1 ms are 5000 s, of data of 50 s.
+def test_simulations_are_counted_in_multiples_of_the_recorded_time() -> None:
+    # 5 million steps of 1 ms are 5000 s; the recordings have 50 s.
     assert family_score.simulations(_answer([])) == pytest.approx(100.0)
 
 
-def test_a_force_in_no_catalogue_is_right_where_its_joint_is_left_unexplained() -> None:
+def test_a_force_outside_the_catalogue_must_be_reported_as_unexplained() -> None:
     answer = _answer([], effects=[], kind="outside", outside={"joint": "a"})
     assert answer.said is not None
     answer.said.update(verdict="unexplained", unexplained={"a": {"fraction": 0.9}})
@@ -104,7 +104,7 @@ def test_a_force_in_no_catalogue_is_right_where_its_joint_is_left_unexplained() 
     assert not family_score.unexplained_right(answer)
 
 
-def test_tables_have_a_column_for_each_folder_and_the_cases_of_all(tmp_path: Path) -> None:
+def test_tables_compare_folders_on_the_cases_that_all_have(tmp_path: Path) -> None:
     answer = _answer([_finding("command_delay", "a")])
     (tmp_path / "truth").mkdir()
     for case in ("cell1", "cell2"):

@@ -1,4 +1,4 @@
-"""A sample of laws as another author would write them, and what says of them that it is wrong."""
+"""Effects simulated with other formulas than the catalogue's, and the check of the answers."""
 
 from __future__ import annotations
 
@@ -19,19 +19,21 @@ from pytest_twin.formats.mcap import read_recording
 
 @pytest.fixture(autouse=True)
 def short_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two thirds of the benchmark's: the same motion and forms, in two thirds of the time."""
+    """Use recordings of 4 s, two thirds of the benchmark's length, to save time."""
     monkeypatch.setattr(forms, "SECONDS", 4.0)
 
 
 @pytest.mark.parametrize("form", [forms.WheelOffItsAxis, forms.Smoothed, forms.HeavyLink])
-def test_another_form_of_a_law_gets_its_name(form: type[forms.Form], tmp_path: Path) -> None:
+def test_another_formula_of_an_effect_is_named_as_that_effect(
+    form: type[forms.Form], tmp_path: Path
+) -> None:
     right, line = forms.diagnosed(tmp_path / "case", form)
     assert right, line
     assert line.startswith(f"{form.__name__}: {form.named}; explained, named {form.named} at lift")
 
 
-def test_a_name_that_is_wrong_is_said(tmp_path: Path) -> None:
-    """Nothing hidden, under another name."""
+def test_a_wrong_answer_is_reported_as_wrong(tmp_path: Path) -> None:
+    """No effect is simulated, but the form claims backlash."""
 
     class Nothing(forms.Form):
         named = "backlash"
@@ -47,7 +49,7 @@ def test_a_name_that_is_wrong_is_said(tmp_path: Path) -> None:
     }
 
 
-def test_forms_are_of_the_catalogue_and_leave_the_other_joints_alone(tmp_path: Path) -> None:
+def test_forms_name_catalogue_effects_and_act_on_one_joint_only(tmp_path: Path) -> None:
     assert {f.named for f in forms.FORMS} - {None} <= set(catalogue())
     seen = []
     for form in (forms.Form, forms.WheelOffItsAxis):
@@ -55,6 +57,6 @@ def test_forms_are_of_the_catalogue_and_leave_the_other_joints_alone(tmp_path: P
         position = read_recording(tmp_path / "one.mcap").series["state"].position
         assert position is not None
         seen.append(position)
-    apart = np.abs(seen[1] - seen[0]).max(axis=0)
-    assert apart[forms.HERE] > 0.01
-    assert np.delete(apart, forms.HERE).max() == 0.0
+    difference = np.abs(seen[1] - seen[0]).max(axis=0)
+    assert difference[forms.HERE] > 0.01
+    assert np.delete(difference, forms.HERE).max() == 0.0

@@ -1,4 +1,4 @@
-"""Drake and Bullet as plants of blind cases: mechanics against equations, and a whole case."""
+"""Drake and Bullet as plants of blind cases: closed-form mechanics and a complete case."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def _cell(between: str = "held") -> Cell:
 
 
 def _hinge(**changed: Any) -> robots.Robot:
-    """One hinge without a servo, a motor or, unless changed, friction."""
+    """One hinge without servo, rotor inertia and, unless changed, friction."""
     robot = robots.draw(np.random.default_rng(5), 1, "position", hinges=True)
     free = {"damping": 0.0, "friction": 0.0, "kp": 0.0, "kv": 0.0, "armature": 0.0, **changed}
     return replace(robot, joints=(replace(robot.joints[0], **free),))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_pendulum_swings_as_its_equation_says(
+def test_each_engine_matches_the_equation_of_a_pendulum(
     engine: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engine_plant, "SETTLE", 0.0)
@@ -71,7 +71,7 @@ def test_a_pendulum_swings_as_its_equation_says(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_dry_friction_holds_a_joint_up_to_its_level(engine: str) -> None:
+def test_each_engine_holds_a_joint_below_the_dry_friction_level(engine: str) -> None:
     j = _hinge().joints[0]
     weight = j.mass * 9.81 * np.hypot(j.center[0], j.center[2])
     for angle, stays in ((0.2, True), (1.2, False)):
@@ -82,7 +82,7 @@ def test_dry_friction_holds_a_joint_up_to_its_level(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_resting_contact_carries_the_weight(engine: str) -> None:
+def test_each_engines_contact_force_at_rest_balances_the_weight(engine: str) -> None:
     robot = _hinge(damping=2.0)
     j = robot.joints[0]
     along = robots.link_end(robot)[2]
@@ -101,7 +101,7 @@ def test_a_resting_contact_carries_the_weight(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_an_engine_agrees_with_the_plant_of_sampled_cells(engine: str) -> None:
+def test_each_engine_agrees_with_the_plant_of_sampled_cells(engine: str) -> None:
     robot = robots.draw(np.random.default_rng(3), 2, "position", hinges=True)
     robot = replace(robot, joints=tuple(replace(j, armature=0.0) for j in robot.joints))
     t = np.arange(0.0, 2.0, 1e-3)[:, None, None]
@@ -118,7 +118,7 @@ def test_an_engine_agrees_with_the_plant_of_sampled_cells(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_slide_moves_as_in_the_plant_of_sampled_cells(engine: str) -> None:
+def test_a_prismatic_joint_moves_as_in_the_plant_of_sampled_cells(engine: str) -> None:
     drawn = (robots.draw(np.random.default_rng(seed), 1, "position") for seed in range(20))
     robot = next(r for r in drawn if r.joints[0].slide)
     robot = replace(robot, joints=(replace(robot.joints[0], armature=0.0),))
@@ -132,7 +132,9 @@ def test_a_slide_moves_as_in_the_plant_of_sampled_cells(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_seed_makes_a_case(engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_seed_generates_a_complete_case_for_each_engine(
+    engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(engine_cases, "SECONDS", (2.5,))
     monkeypatch.setattr(engine_cases, "TOUCHING", 0.0)
     seed = next(

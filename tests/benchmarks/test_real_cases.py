@@ -1,4 +1,4 @@
-"""Cases from real recordings: what a block covers, that models follow, how answers are scored."""
+"""Blind cases from real recordings: coverage of a block, model replays, committed truth."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ needs_recordings = pytest.mark.skipif(
 
 
 @pytest.mark.parametrize("first", [0, 31, 81000])
-def test_any_block_of_seeds_has_every_machine_and_kind(first: int) -> None:
+def test_any_block_of_seeds_covers_every_machine_and_kind(first: int) -> None:
     planned = [real_cases.plan(seed) for seed in range(first, first + real_cases.BLOCK)]
     kinds = Counter(kind for _, kind, _ in planned)
     assert kinds == {"none": 4, "disturbed": 8, "one": 50, "two": 10}
     assert Counter(machine for machine, _, _ in planned) == real_cases.COUNTS
 
 
-def test_every_effect_that_a_machine_can_show_comes_up_within_two_blocks() -> None:
+def test_two_blocks_of_seeds_cover_every_effect_of_a_machine() -> None:
     for machine, names in CHOICES.items():
         planned = [real_cases.plan(seed) for seed in range(2 * real_cases.BLOCK)]
         single = {names[n % len(names)] for m, kind, n in planned if m == machine and kind == "one"}
@@ -50,7 +50,7 @@ def test_every_effect_that_a_machine_can_show_comes_up_within_two_blocks() -> No
         assert set(names) <= set(DRAWS)
 
 
-def test_alike_effects_are_not_concealed_together() -> None:
+def test_indistinguishable_effects_are_not_hidden_together() -> None:
     rng = np.random.default_rng(1)
     for machine in MACHINES.values():
         for _ in range(50):
@@ -59,7 +59,7 @@ def test_alike_effects_are_not_concealed_together() -> None:
             assert not any(pair <= alike for alike in real_cases.APART)
 
 
-def _follows(machine: Machine) -> Recorded:
+def _two_seconds_held_out(machine: Machine) -> Recorded:
     """Two seconds of a held-out recording."""
     name, start, _ = machine.held_out[0]
     path = real_cases.RECORDINGS / machine.folder / "recordings" / f"{name}.mcap"
@@ -72,12 +72,12 @@ def _follows(machine: Machine) -> Recorded:
 
 @needs_recordings
 @pytest.mark.parametrize("name", list(MACHINES))
-def test_a_model_that_follows_moves_alike_in_two_simulations(
+def test_the_written_model_moves_alike_in_the_package_and_in_mujoco(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The written model and its effects, replayed by the package, against MuJoCo alone."""
+    """The replay of the written model and its effects equals a separate MuJoCo simulation."""
     machine = MACHINES[name]
-    recorded = _follows(machine)
+    recorded = _two_seconds_held_out(machine)
     real_cases.write_model(machine, tmp_path)
     write_recording(tmp_path / "r.mcap", [recorded.state, recorded.command], recorded.metadata)
     twin = tmp_path / "twin.yaml"
@@ -94,13 +94,13 @@ def test_a_model_that_follows_moves_alike_in_two_simulations(
     ) + bias  # fmt: skip
     assert recorded.state.position is not None
     moved = np.ptp(recorded.state.position, axis=0).max()
-    # Each takes the first velocity from positions in its own way; damping forgets it.
+    # Both estimate the first velocity differently; after 0.5 s damping has removed the difference.
     settled = (recorded.state.stamp - recorded.state.stamp[0]) > 500_000_000
     assert np.abs(ours - theirs)[settled].max() < 0.02 * moved
 
 
 @needs_recordings
-def test_a_payload_taken_away_is_the_mass_that_the_model_lacks(tmp_path: Path) -> None:
+def test_a_hidden_payload_is_removed_from_the_models_mass(tmp_path: Path) -> None:
     machine = MACHINES["emps"]
     drawn = DRAWS["payload"](machine, "slide", np.random.default_rng(4))
     assert drawn.falsify is not None
@@ -115,7 +115,7 @@ def test_a_payload_taken_away_is_the_mass_that_the_model_lacks(tmp_path: Path) -
 
 
 @needs_recordings
-def test_a_tilt_puts_gravity_back_where_the_catalogue_turns_it() -> None:
+def test_a_hidden_tilt_is_undone_by_the_catalogues_base_tilt() -> None:
     pitch = 0.1
     leaning = real_forms.gravity((0.0, -pitch))
     x, z = leaning[0], leaning[2]
@@ -126,7 +126,7 @@ def test_a_tilt_puts_gravity_back_where_the_catalogue_turns_it() -> None:
 
 @needs_recordings
 @pytest.mark.parametrize("seed", [81016, 81063])
-def test_a_seed_draws_the_truth_whose_digest_is_committed(seed: int, tmp_path: Path) -> None:
+def test_a_seed_reproduces_the_truth_with_the_committed_digest(seed: int, tmp_path: Path) -> None:
     name = real_cases.make(seed, tmp_path / "cases", tmp_path / "truth")
     committed = json.loads((Path(real_cases.__file__).with_name("truth_digests.json")).read_text())
     content = (tmp_path / "truth" / f"{name}.json").read_bytes()

@@ -1,4 +1,4 @@
-"""Injections into recordings change exactly what they say, and nothing else."""
+"""Errors injected into recordings change exactly the stated quantity and nothing else."""
 
 from __future__ import annotations
 
@@ -34,35 +34,35 @@ def _series(topic: str, rate: float, seed: int, *, effort: bool) -> JointSeries:
 
 @pytest.fixture
 def recorded() -> Recorded:
-    """Two seconds of two joints, states at 100 Hz and commands at 50 Hz."""
+    """A recording of 2 s and two joints, states at 100 Hz and commands at 50 Hz."""
     state = _series("/joint_states", 100.0, 1, effort=True)
     command = _series("/joint_commands", 50.0, 2, effort=True)
     return Recorded(state, command, {"role": "fit"})
 
 
-def _same(one: JointSeries, other: JointSeries, *but: str) -> None:
-    """Every array but some has the same bytes."""
+def _assert_same_arrays(one: JointSeries, other: JointSeries, *but: str) -> None:
+    """Check that all arrays except those named in ``but`` are bitwise equal."""
     for name in ("stamp", "log_time", "position", "velocity", "effort"):
         if name not in but:
             assert getattr(one, name).tobytes() == getattr(other, name).tobytes(), name
 
 
-def test_late_states_move_by_exactly_the_delay(recorded: Recorded) -> None:
+def test_late_states_shift_state_stamps_by_exactly_the_delay(recorded: Recorded) -> None:
     late = injections.late_states(recorded, 0.0123)
     assert np.unique(late.state.stamp - recorded.state.stamp).tolist() == [12_300_000]
     assert np.unique(late.state.log_time - recorded.state.log_time).tolist() == [12_300_000]
-    _same(late.state, recorded.state, "stamp", "log_time")
-    _same(late.command, recorded.command)
+    _assert_same_arrays(late.state, recorded.state, "stamp", "log_time")
+    _assert_same_arrays(late.command, recorded.command)
 
 
-def test_a_late_drive_got_its_commands_earlier_in_the_log(recorded: Recorded) -> None:
+def test_a_late_drive_shifts_command_stamps_back_by_the_delay(recorded: Recorded) -> None:
     late = injections.late_drive(recorded, 0.02)
     assert np.unique(late.command.stamp - recorded.command.stamp).tolist() == [-20_000_000]
-    _same(late.command, recorded.command, "stamp", "log_time")
-    _same(late.state, recorded.state)
+    _assert_same_arrays(late.command, recorded.command, "stamp", "log_time")
+    _assert_same_arrays(late.state, recorded.state)
 
 
-def test_one_late_drive_leaves_the_other_joint_as_it_was(recorded: Recorded) -> None:
+def test_a_late_drive_of_one_joint_leaves_the_other_joint_unchanged(recorded: Recorded) -> None:
     late = injections.late_drive_of(recorded, "lift", 3)
     assert len(late.command.stamp) == len(recorded.command.stamp) - 3
     before, after = recorded.command.position, late.command.position
@@ -71,17 +71,17 @@ def test_one_late_drive_leaves_the_other_joint_as_it_was(recorded: Recorded) -> 
     np.testing.assert_array_equal(after[:, 0], before[:-3, 0])
     np.testing.assert_array_equal(after[:, 1], before[3:, 1])
     np.testing.assert_array_equal(late.command.stamp, recorded.command.stamp[:-3])
-    _same(late.state, recorded.state)
+    _assert_same_arrays(late.state, recorded.state)
 
 
 @pytest.mark.parametrize("drift", [0.01, -0.004])
-def test_a_fast_clock_stamps_what_was_at_the_slower_time(recorded: Recorded, drift: float) -> None:
+def test_clock_drift_scales_the_state_stamps(recorded: Recorded, drift: float) -> None:
     drifted = injections.drifting_clock(recorded, drift)
     shown = (drifted.state.stamp - START) * 1e-9
     taken = (recorded.state.stamp - START) * 1e-9
     assert shown * (1.0 - drift) == pytest.approx(taken, abs=1e-9)
-    _same(drifted.state, recorded.state, "stamp", "log_time")
-    _same(drifted.command, recorded.command)
+    _assert_same_arrays(drifted.state, recorded.state, "stamp", "log_time")
+    _assert_same_arrays(drifted.command, recorded.command)
 
 
 READINGS: dict[str, tuple[Callable[[Recorded], Recorded], Callable[..., object]]] = {
@@ -90,7 +90,7 @@ READINGS: dict[str, tuple[Callable[[Recorded], Recorded], Callable[..., object]]
         lambda q, v: (1.05 * q, 1.05 * v),
     ),
     "bias": (lambda r: injections.biased_encoder(r, "lift", -0.03), lambda q, v: (q - 0.03, v)),
-    "bent": (
+    "eccentric": (
         lambda r: injections.bent_encoder(r, "lift", 0.04, 0.7),
         lambda q, v: (q + 0.04 * np.sin(q + 0.7), v * (1.0 + 0.04 * np.cos(q + 0.7))),
     ),
@@ -102,7 +102,7 @@ READINGS: dict[str, tuple[Callable[[Recorded], Recorded], Callable[..., object]]
 
 
 @pytest.mark.parametrize("kind", READINGS)
-def test_a_misread_joint_follows_its_equation_and_the_other_stays(
+def test_an_encoder_error_follows_its_equation_on_one_joint_only(
     recorded: Recorded, kind: str
 ) -> None:
     inject, equation = READINGS[kind]
@@ -116,11 +116,11 @@ def test_a_misread_joint_follows_its_equation_and_the_other_stays(
     assert changed.state.velocity[:, 1] == pytest.approx(v, abs=1e-15)
     assert not np.array_equal(changed.state.position[:, 1], recorded.state.position[:, 1])
     np.testing.assert_array_equal(changed.state.position[:, 0], recorded.state.position[:, 0])
-    _same(changed.state, recorded.state, "position", "velocity")
-    _same(changed.command, recorded.command)
+    _assert_same_arrays(changed.state, recorded.state, "position", "velocity")
+    _assert_same_arrays(changed.command, recorded.command)
 
 
-def test_dropped_states_are_rows_of_the_recording_with_its_ends(recorded: Recorded) -> None:
+def test_dropped_states_keep_the_first_and_last_state(recorded: Recorded) -> None:
     thin = injections.dropped_states(recorded, 0.4, np.random.default_rng(3))
     rows = np.flatnonzero(np.isin(recorded.state.stamp, thin.state.stamp))
     assert 0.5 * 200 < len(rows) < 0.7 * 200
@@ -128,10 +128,10 @@ def test_dropped_states_are_rows_of_the_recording_with_its_ends(recorded: Record
     assert recorded.state.position is not None
     assert thin.state.position is not None
     np.testing.assert_array_equal(thin.state.position, recorded.state.position[rows])
-    _same(thin.command, recorded.command)
+    _assert_same_arrays(thin.command, recorded.command)
 
 
-def test_a_filtered_velocity_answers_a_step_by_its_time_constant(recorded: Recorded) -> None:
+def test_a_filtered_velocity_has_the_step_response_of_its_time_constant(recorded: Recorded) -> None:
     step = np.zeros((200, 2))
     step[50:, 1] = 1.0
     stepped = replace(recorded, state=replace(recorded.state, velocity=step))
@@ -143,7 +143,7 @@ def test_a_filtered_velocity_answers_a_step_by_its_time_constant(recorded: Recor
     assert not slow[:, 0].any()
 
 
-def test_an_echoed_effort_is_the_latest_command(recorded: Recorded) -> None:
+def test_an_echoed_effort_equals_the_latest_command(recorded: Recorded) -> None:
     effort = injections.echoed_effort(recorded).state.effort
     assert recorded.command.effort is not None
     assert effort is not None
@@ -151,7 +151,7 @@ def test_an_echoed_effort_is_the_latest_command(recorded: Recorded) -> None:
     np.testing.assert_array_equal(effort[1::2], recorded.command.effort)
 
 
-def test_a_misread_effort_has_scale_and_bias(recorded: Recorded) -> None:
+def test_an_effort_error_applies_scale_and_bias(recorded: Recorded) -> None:
     changed = injections.misread_effort(recorded, "pan", 0.2, -0.5)
     assert recorded.state.effort is not None
     assert changed.state.effort is not None
@@ -178,18 +178,18 @@ NEUTRAL: dict[str, Callable[[Recorded], Recorded]] = {
 
 
 @pytest.mark.parametrize("name", NEUTRAL)
-def test_a_neutral_injection_changes_no_byte_of_what_is_written(
+def test_a_neutral_injection_leaves_the_written_file_bitwise_identical(
     recorded: Recorded, name: str, tmp_path: Path
 ) -> None:
     for file, each in (("before", recorded), ("after", NEUTRAL[name](recorded))):
         write_recording(tmp_path / f"{file}.mcap", [each.state, each.command], each.metadata)
     before, after = (read_recording(tmp_path / f"{f}.mcap") for f in ("before", "after"))
     for role in ("state", "command"):
-        _same(after.series[role], before.series[role])
+        _assert_same_arrays(after.series[role], before.series[role])
     assert (tmp_path / "after.mcap").read_bytes() == (tmp_path / "before.mcap").read_bytes()
 
 
-def test_a_cut_keeps_the_stretch_alone(recorded: Recorded) -> None:
+def test_a_cut_keeps_only_the_given_interval(recorded: Recorded) -> None:
     part = injections.cut(recorded, 0.5, 1.0)
     for series in (part.state, part.command):
         time = (series.stamp - START) * 1e-9

@@ -1,4 +1,4 @@
-"""Plant of the blind cases of sampled cells: mechanics, friction laws, servos, and a whole case."""
+"""The plant of sampled cells: mechanics, friction laws, servos, and a complete case."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def _cell(between: str = "held", law: str = "set_valued") -> Cell:
 
 
 def _pendulum(**changed: Any) -> robots.Robot:
-    """One hinge without a servo and, unless changed, without friction."""
+    """One hinge without servo and, unless changed, without friction."""
     robot = robots.draw(np.random.default_rng(5), 1, "position", hinges=True)
     free = {"damping": 0.0, "friction": 0.0, "kp": 0.0, "kv": 0.0, **changed}
     return replace(robot, joints=(replace(robot.joints[0], **free),))
 
 
 @pytest.mark.parametrize("joints", [1, 3, 6])
-def test_rigid_terms_are_those_of_pinocchio(joints: int) -> None:
+def test_mass_matrix_and_bias_forces_equal_pinocchio(joints: int) -> None:
     robot = robots.draw(np.random.default_rng(joints), joints, "position", hinges=True)
     rng = np.random.default_rng(1)
     q, v = rng.uniform(-1, 1, joints), rng.uniform(-2, 2, joints)
@@ -62,7 +62,9 @@ def test_rigid_terms_are_those_of_pinocchio(joints: int) -> None:
     assert bias == pytest.approx(pin.nonLinearEffects(model, data, q, v), abs=1e-12)
 
 
-def test_a_pendulum_swings_as_its_equation_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sampled_plant_matches_the_equation_of_a_pendulum(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     robot = _pendulum()
     monkeypatch.setattr(cell_kernel, "SETTLE", 0.0)
     j = robot.joints[0]
@@ -87,26 +89,26 @@ def test_a_pendulum_swings_as_its_equation_says(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("law", [0, 1, 2])
 @pytest.mark.parametrize("speed", [-0.4, 0.02])
-def test_friction_with_a_memory_slides_at_its_level(law: int, speed: float) -> None:
+def test_dynamic_friction_laws_reach_the_coulomb_level_when_sliding(law: int, speed: float) -> None:
     z, slip = np.zeros(cell_friction.ELEMENTS), np.zeros(cell_friction.ELEMENTS)
     for _ in range(20_000):
         effort = cell_friction.friction_effort(law, 1.5, 2e-4, 0.05, speed, 5e-5, z, slip)
     assert effort == pytest.approx(1.5 * np.sign(speed), rel=1e-3)
 
 
-def test_maxwell_slip_is_softer_the_further_it_is_stretched() -> None:
+def test_maxwell_slip_stiffness_drops_as_elements_start_to_slide() -> None:
     z, slip = np.zeros(cell_friction.ELEMENTS), np.zeros(cell_friction.ELEMENTS)
     efforts = [
         cell_friction.friction_effort(2, 1.0, 1e-3, 0.05, 0.1, 5e-5, z, slip) for _ in range(600)
     ]
     stiffness = np.diff(efforts) / (0.1 * 5e-5)
     each = cell_friction.SHARES / cell_friction.YIELDS / 1e-3  # N*m/rad of the elements
-    for stretched, sticking in ((0, 4), (100, 3), (400, 1)):  # 0, 0.5 and 2 yields
+    for stretched, sticking in ((0, 4), (100, 3), (400, 1)):  # after 0, 0.5 and 2 yield distances
         assert stiffness[stretched] == pytest.approx(each[4 - sticking :].sum(), rel=1e-6)
 
 
 @pytest.mark.parametrize("law", cell_friction.LAWS)
-def test_dry_friction_holds_a_joint_up_to_its_level(law: str) -> None:
+def test_every_friction_law_holds_a_joint_below_its_level(law: str) -> None:
     j = _pendulum().joints[0]
     weight = j.mass * 9.81 * np.hypot(j.center[0], j.center[2])
     level = 0.5 * weight
@@ -121,14 +123,16 @@ def test_dry_friction_holds_a_joint_up_to_its_level(law: str) -> None:
 @pytest.mark.parametrize(
     ("between", "expected"), [("held", 0.0), ("interpolated", 0.5), ("ramped", -0.5)]
 )
-def test_a_setpoint_is_held_moves_on_or_is_ramped_to(between: str, expected: float) -> None:
+def test_the_setpoint_between_commands_is_held_interpolated_or_ramped(
+    between: str, expected: float
+) -> None:
     sent = np.arange(100.0)[:, None]  # one unit a millisecond
     code = ("held", "interpolated", "ramped").index(between)
     value = cell_kernel.asked(sent, 0, 0.025, code, 10, 1e-3)
     assert (value - 20.0) / 10.0 == pytest.approx(expected)
 
 
-def test_a_slow_servo_damps_less_than_a_quick_one() -> None:
+def test_a_longer_servo_period_increases_the_overshoot() -> None:
     robot = robots.draw(np.random.default_rng(2), 1, "position", hinges=True)
     stepped = np.full((1500, 1, 1), 0.1)
     stepped[:300] = 0.0
@@ -140,7 +144,7 @@ def test_a_slow_servo_damps_less_than_a_quick_one() -> None:
     assert over[1] > over[0] + 1e-4
 
 
-def test_a_background_has_the_sizes_of_a_real_model() -> None:
+def test_background_differences_have_realistic_sizes() -> None:
     robot = robots.draw(np.random.default_rng(1), 2, "position")
     background = draw_background(robot, np.random.default_rng(3))
     for values in background.effects["inertial_parameters"].values():
@@ -154,7 +158,7 @@ def test_a_background_has_the_sizes_of_a_real_model() -> None:
     )
 
 
-def test_no_size_makes_a_stiffness_negative() -> None:
+def test_resizing_keeps_contact_stiffness_positive() -> None:
     hidden = Hidden({"contact_stiffness": {-1: {"relative_error": -0.7}},
                      "rate_limit": {0: {"rate": 0.4}}})  # fmt: skip
     larger = case_parts.resized(hidden, 2.0).effects
@@ -162,14 +166,14 @@ def test_no_size_makes_a_stiffness_negative() -> None:
     assert larger["rate_limit"][0]["rate"] == 0.2  # a larger effect is a lower limit
 
 
-def test_any_twenty_seeds_hide_as_planned() -> None:
+def test_any_twenty_seeds_have_the_planned_kinds() -> None:
     kinds = [cell_cases.kind_of(seed) for seed in range(7, 27)]
     assert {k: kinds.count(k) for k in set(kinds)} == {
         "none": 4, "one": 11, "two": 2, "three": 1, "outside": 2
     }  # fmt: skip
 
 
-def test_a_seed_makes_a_case_and_the_same_one_again(
+def test_a_seed_generates_the_same_case_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cell_cases, "SECONDS", (2.5,))
@@ -189,7 +193,7 @@ def test_a_seed_makes_a_case_and_the_same_one_again(
     assert topics == {"/joint_commands", "/joint_states"}
 
 
-def test_setpoints_of_every_kind_start_near_their_centre() -> None:
+def test_setpoints_of_every_kind_start_at_the_centre_and_move() -> None:
     robot = robots.draw(np.random.default_rng(1), 2, "position", hinges=True)
     for kind in setpoints.KINDS:
         out = setpoints.setpoint(robot, kind, np.full(2, 0.3), 6.0, np.random.default_rng(4))
@@ -199,8 +203,8 @@ def test_setpoints_of_every_kind_start_near_their_centre() -> None:
 
 
 @pytest.mark.parametrize("late_share", [0.0, 0.02])
-def test_a_logger_keeps_the_time_of_the_plant(late_share: float) -> None:
-    """A clock that drifts is hidden on purpose or not at all; stamps go forward all the same."""
+def test_the_logger_adds_no_unintended_clock_drift(late_share: float) -> None:
+    """Clock drift is only injected on purpose; stamps always increase."""
     rng = np.random.default_rng(3)
     drawn = replace(
         logger.draw_logger(rng), rate=1000.0, jitter=2e-4, latency=0.0, late_share=late_share,

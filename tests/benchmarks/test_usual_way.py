@@ -1,4 +1,4 @@
-"""The usual way beside the diagnosis: one line for a case, none of them fitted twice."""
+"""Comparison with mujoco.sysid: one line per case, and no case is fitted twice."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def errors(before: float, after: float) -> dict[str, dict[str, float]]:
 
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
-    """Two cases: on one both do something, on the other mujoco.sysid broke."""
+    """Two cases: in the first both methods improve the model, in the second mujoco.sysid fails."""
     (tmp_path / "truth").mkdir()
     for case, after in (("case1", 0.05), ("case2", np.inf)):
         (tmp_path / "cases" / case).mkdir(parents=True)
@@ -36,15 +36,15 @@ def place(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_both_are_held_against_the_same_error(place: Path) -> None:
+def test_both_methods_are_compared_on_the_same_held_out_error(place: Path) -> None:
     text = usual_way.table(place / "usual.jsonl", place / "results", place / "truth")
-    # Squares above the floor: (0.05^2 - 0.001^2) of (0.1^2 - 0.001^2) are left.
+    # Remaining squared error above the noise floor: (0.05^2 - 0.001^2) / (0.1^2 - 0.001^2).
     usual, ours = "0.1 -> 0.05 (0.001) | 75.0%", "0.1 -> 0.001 (0.001) | 100.0%"
     assert f"| case1 | command_delay | {usual} | {ours} |" in text
     assert any("| case2 |" in line and "| diverged |" in line for line in text)
 
 
-def test_what_has_a_line_is_not_fitted_again(
+def test_cases_with_a_result_are_not_fitted_again(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (place / "cases" / "case3").mkdir()

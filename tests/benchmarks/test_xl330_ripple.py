@@ -1,4 +1,4 @@
-"""What tells a force that is tied to the angle from one that is not."""
+"""Distinguish torque ripple that depends on the joint angle from other periodic forces."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from pytest_twin.arrays import FloatArray
 SLOTS = 150.0
 
 
-def _rises(tied: bool) -> list[FloatArray]:
-    """Four rises over ways of their own, with a wave that begins at the same angle or where they
-    do, and noise.
+def _upward_motions(tied: bool) -> list[FloatArray]:
+    """Four upward motions over different ranges, with noise and a wave.
+
+    The wave is fixed to the joint angle if ``tied``, else to the start of the motion.
     """
     random = np.random.default_rng(3)
     out = []
@@ -31,25 +32,25 @@ def _rises(tied: bool) -> list[FloatArray]:
     return out
 
 
-def test_slots_are_alike_at_the_same_angle_and_not_elsewhere() -> None:
+def test_ripple_correlates_only_if_it_is_fixed_to_the_joint_angle() -> None:
     still = np.zeros(4, dtype=int)
-    assert mean_alike(_rises(tied=True), still) > 0.5
-    assert mean_alike(_rises(tied=False), still) < 0.2
-    one, other, *_ = _rises(tied=True)
+    assert mean_alike(_upward_motions(tied=True), still) > 0.5
+    assert mean_alike(_upward_motions(tied=False), still) < 0.2
+    one, other, *_ = _upward_motions(tied=True)
     half_a_wave = round(np.pi / SLOTS / STEP)
     assert alike(one, other, half_a_wave) < -0.3
     assert alike(one, other, -half_a_wave) < -0.3
 
 
-def test_rises_that_have_too_little_in_common_are_not_compared() -> None:
-    one, other, *_ = _rises(tied=True)
+def test_motions_with_too_little_overlap_are_not_compared() -> None:
+    one, other, *_ = _upward_motions(tied=True)
     one[POSITIONS > 0.2] = np.nan
     assert np.isnan(alike(one, other, 0))
 
 
-def test_the_number_of_slots_is_what_all_share() -> None:
-    found = shared(_rises(tied=True), np.zeros(4))
+def test_the_number_of_slots_is_the_wavenumber_common_to_all_motions() -> None:
+    found = shared(_upward_motions(tied=True), np.zeros(4))
     assert WAVENUMBERS[found.argmax()] == pytest.approx(SLOTS, abs=1.0)
     assert found.max() == pytest.approx(0.5 / 0.75, abs=0.05)
-    moved = shared(_rises(tied=True), 0.01 * np.arange(4))
+    moved = shared(_upward_motions(tied=True), 0.01 * np.arange(4))
     assert moved.max() < 0.5 * found.max()
