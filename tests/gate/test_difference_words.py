@@ -1,4 +1,4 @@
-"""Words for what two simulators say of one golden."""
+"""Report line that compares the results of two simulators for one golden."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pytest_twin.gate.authority import difference_lines
 from pytest_twin.outcome import Measure, Outcome
 
 
-def said(measured: float, error: float = 0.0, time: float | None = None) -> str:
+def report_line(measured: float, error: float = 0.0, time: float | None = None) -> str:
     golden = SimpleNamespace(id="fk/tool", realizations=("mujoco", "supplier"))
     outcomes = {
         f"fk/tool@{name}": Outcome(
@@ -30,12 +30,14 @@ def said(measured: float, error: float = 0.0, time: float | None = None) -> str:
         (1.001, "position of tcp 1.001 m and 1 m, 0.001 m apart, 10 % of the tolerance"),
     ],
 )
-def test_a_difference_is_told_only_where_there_is_one(measured: float, words: str) -> None:
-    assert words in said(measured)
+def test_a_difference_is_reported_only_above_0_1_percent_of_the_tolerance(
+    measured: float, words: str
+) -> None:
+    assert words in report_line(measured)
 
 
 def test_series_are_compared_by_their_errors_as_their_worst_samples_are_at_different_times() -> (
     None
 ):
-    words = said(0.2, error=0.001, time=0.4)
+    words = report_line(0.2, error=0.001, time=0.4)
     assert "position of tcp off by 0.001 m and 0 m, 0.001 m apart, 10 % of the tolerance" in words

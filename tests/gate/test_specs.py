@@ -1,4 +1,4 @@
-"""Golden specs: what is one, what is read, and what is said of a broken one."""
+"""Golden specs: which files are specs, what is read, and errors of invalid specs."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def write(twin: Twin, name: str, text: str = SPEC) -> Path:
     return path
 
 
-def test_a_spec_becomes_a_golden(twin: Twin) -> None:
+def test_a_valid_spec_is_read_as_a_golden(twin: Twin) -> None:
     path = write(twin, "golden/fk/home.yaml")
     golden = load_golden(path, twin)
     assert golden.id == "golden/fk/home"
@@ -63,7 +63,7 @@ def test_a_spec_becomes_a_golden(twin: Twin) -> None:
     assert golden.lines["tolerance.position"] == 7
 
 
-def test_what_is_a_spec_and_what_is_not(twin: Twin) -> None:
+def test_specs_are_yaml_files_below_golden_outside_releases_and_inner_twins(twin: Twin) -> None:
     spec = write(twin, "golden/fk/home.yaml")
     trace = write(twin, "golden/fk/home.trace.csv", "time [s]\n0\n")
     write(twin, "elsewhere/other.yaml")
@@ -106,7 +106,9 @@ def test_what_is_a_spec_and_what_is_not(twin: Twin) -> None:
         ("schema: 1", "schema: 1\nschema: 1", "home.yaml:2"),
     ],
 )
-def test_a_broken_spec_says_where_and_what(twin: Twin, old: str, new: str, words: str) -> None:
+def test_an_invalid_spec_is_reported_with_line_field_and_expected_value(
+    twin: Twin, old: str, new: str, words: str
+) -> None:
     path = write(twin, "golden/fk/home.yaml", SPEC.replace(old, new))
     with pytest.raises(TwinError) as caught:
         load_golden(path, twin)
@@ -115,11 +117,11 @@ def test_a_broken_spec_says_where_and_what(twin: Twin, old: str, new: str, words
     assert "\n" not in text
 
 
-def test_the_shipped_schema_is_what_the_kinds_declare() -> None:
+def test_the_shipped_schema_matches_the_declarations_of_the_kinds() -> None:
     ours = [kind for kind in kinds() if _is_ours(kind)]
     shipped = load_schema("golden.schema.json")
     assert shipped == json.loads(json.dumps(golden_schema(ours))), (
-        "run python -m pytest_twin.gate.schema"
+        "the shipped schema is outdated: run python -m pytest_twin.gate.schema"
     )
 
 

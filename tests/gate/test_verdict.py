@@ -1,4 +1,4 @@
-"""The verdict: what is signed, what holds, and every reason to refuse, word for word."""
+"""The verdict of the gate: signed, still holds, or refused with the exact reason."""
 
 from __future__ import annotations
 
@@ -30,29 +30,29 @@ def refusals(found: Facts) -> tuple[str, ...]:
     return verdict.reasons
 
 
-def test_all_passed_is_signed() -> None:
+def test_a_run_with_all_goldens_passed_is_signed() -> None:
     assert judge(facts()) == Signed()
 
 
-def test_nothing_new_holds() -> None:
+def test_the_last_release_holds_if_no_golden_had_to_run() -> None:
     assert judge(facts(outcomes={}, proven={KEY: outcome()}, baseline=3)) == Holds(3)
 
 
-def test_an_advisory_golden_that_fails_again_is_no_news() -> None:
+def test_a_repeated_advisory_failure_needs_no_new_release() -> None:
     failed = outcome("failed", replace(FINE, error=1.0), "advisory")
     found = facts(criticality={KEY: "advisory"}, outcomes={KEY: failed}, baseline=3)
     assert judge(found) == Signed()
     assert judge(replace(found, repeated=frozenset({KEY}))) == Holds(3)
 
 
-def test_a_retired_golden_makes_a_new_release() -> None:
+def test_a_retired_golden_requires_a_new_release() -> None:
     found = facts(
         outcomes={}, proven={KEY: outcome()}, baseline=3, dropped=("golden/fk/old@mujoco",)
     )
     assert judge(found) == Signed()
 
 
-def test_proven_and_run_together_are_signed() -> None:
+def test_carried_over_and_new_results_are_signed_together() -> None:
     other = "golden/fk/b@mujoco"
     found = facts(
         criticality={KEY: "critical", other: "critical"}, proven={other: outcome()}, baseline=1
@@ -61,20 +61,20 @@ def test_proven_and_run_together_are_signed() -> None:
 
 
 @pytest.mark.parametrize("criticality", ["critical", "advisory"])
-def test_advisory_failures_do_not_block(criticality: str) -> None:
+def test_only_critical_failures_block_a_release(criticality: str) -> None:
     failed = outcome("failed", replace(FINE, error=1.0), criticality)
     verdict = judge(facts(criticality={KEY: criticality}, outcomes={KEY: failed}))
     assert isinstance(verdict, Signed) == (criticality == "advisory")
 
 
-def test_criticality_is_that_of_today() -> None:
+def test_a_carried_over_result_is_judged_by_the_current_criticality() -> None:
     carried = outcome("failed", replace(FINE, error=1.0), "advisory")
     assert refusals(facts(outcomes={}, proven={KEY: carried}, baseline=1)) == (
         f"{KEY}: a critical golden failed",
     )
 
 
-def test_an_advisory_golden_that_gave_no_number_blocks() -> None:
+def test_an_advisory_golden_without_a_result_blocks_the_release() -> None:
     crashed = outcome("error", criticality="advisory")
     assert refusals(facts(criticality={KEY: "advisory"}, outcomes={KEY: crashed})) == (
         f"{KEY}: could not be compared: it crashed",
@@ -83,7 +83,7 @@ def test_an_advisory_golden_that_gave_no_number_blocks() -> None:
 
 @pytest.mark.parametrize("field", ["error", "measured", "golden"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: float) -> None:
+def test_a_non_finite_measure_blocks_the_release_even_if_advisory(field: str, value: float) -> None:
     broken = outcome("failed", replace(FINE, **{field: value}), "advisory")
     assert refusals(facts(criticality={KEY: "advisory"}, outcomes={KEY: broken})) == (
         f"{KEY}: position of tcp is not finite",
@@ -138,7 +138,7 @@ def test_what_is_not_finite_is_refused_even_where_advisory(field: str, value: fl
         ),
     ],
 )
-def test_each_reason_to_refuse(change: dict[str, object], reason: str) -> None:
+def test_each_reason_for_refusal_is_stated_exactly(change: dict[str, object], reason: str) -> None:
     assert refusals(facts(**change)) == (reason,)
 
 
@@ -150,7 +150,9 @@ def test_each_reason_to_refuse(change: dict[str, object], reason: str) -> None:
         SessionFacts(collection_errors=("a.yaml:3: no",)),
     ],
 )
-def test_what_did_not_run_for_a_reason_that_is_said_has_no_line(session: SessionFacts) -> None:
+def test_goldens_that_did_not_run_are_not_listed_if_the_reason_is_stated(
+    session: SessionFacts,
+) -> None:
     found = refusals(facts(outcomes={}, session=session, problems=session.collection_errors))
     assert len(found) == 1
     assert "did not run" not in found[0]
