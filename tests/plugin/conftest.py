@@ -1,4 +1,4 @@
-"""A small twin in a folder of its own, and a pytest that runs in it."""
+"""A small twin in a temporary folder, and helpers that run pytest in it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import onnx
 import pytest
 from securesystemslib.signer import CryptoSigner
 
-# Loaded once out here: pytester forgets what an inner run imported, and extension modules such as
-# libyaml's cannot be imported twice.
+# Imported here once: pytester unloads modules imported by an inner run, and extension modules
+# such as libyaml's cannot be imported twice.
 from pytest_twin.checks import check_of, kinds
 
 for _kind in kinds():
@@ -89,7 +89,7 @@ target:
 
 
 class TwinFolder:
-    """A twin in ``arm/`` below pytester's folder, with two goldens: ``fk/home``, ``mass/arm``."""
+    """A twin in ``arm/`` in pytester's folder with two goldens: ``fk/home``, ``mass/arm``."""
 
     def __init__(self, pytester: pytest.Pytester) -> None:
         self.pytester = pytester
@@ -108,17 +108,17 @@ class TwinFolder:
         path.write_text(text.replace(old, new))
 
     def task(self, name: str, code: str, criticality: str = "critical") -> None:
-        """A golden of kind task, ``golden/task/<name>``, with the body of its function."""
+        """Write a golden of kind task, ``golden/task/<name>``, whose function has this body."""
         body = "".join(f"    {line}\n" for line in code.splitlines())
         self.write(f"{name}.py", f"def run(realization):\n{body}")
         self.write(f"golden/task/{name}.yaml", TASK.format(name=name, criticality=criticality))
 
     def run(self, *arguments: str) -> pytest.RunResult:
-        """pytest in the twin's folder, without a process of its own."""
+        """Run pytest in the twin's folder, in this process."""
         return self.pytester.runpytest_inprocess("-p", "no:xdist", *arguments)
 
     def run_apart(self, *arguments: str) -> pytest.RunResult:
-        """pytest in the twin's folder, as a user starts it."""
+        """Run pytest in the twin's folder in a new process, as a user does."""
         return self.pytester.run(sys.executable, "-m", "pytest", *arguments, timeout=100)
 
     @property
@@ -128,7 +128,7 @@ class TwinFolder:
 
 
 def _environment(monkeypatch: pytest.MonkeyPatch, home: Path) -> None:
-    """Nobody's keys, nobody's memory, no CI."""
+    """Use an empty home folder without keys, caches and CI variables."""
     for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME"):
         monkeypatch.setenv(name, str(home))
     for name in ("CI", "TWIN_SIGNING_KEY", "PYTEST_ADDOPTS"):
@@ -137,7 +137,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch, home: Path) -> None:
 
 @pytest.fixture(scope="session")
 def templates(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folders ``new``, ``recorded`` and ``released``, each with ``arm`` and ``home``."""
+    """Folders ``new``, ``recorded`` and ``released``, each with a twin ``arm`` and a ``home``."""
     base = tmp_path_factory.mktemp("twins")
     new = base / "new" / "arm"
     (new / "golden" / "fk").mkdir(parents=True)
@@ -176,7 +176,7 @@ def _copy(
 
 @pytest.fixture
 def twin(templates: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> TwinFolder:
-    """A twin that nobody has recorded."""
+    """A twin whose goldens were never recorded."""
     return _copy("new", templates, pytester, monkeypatch)
 
 
@@ -184,7 +184,7 @@ def twin(templates: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyP
 def recorded(
     templates: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> TwinFolder:
-    """A twin whose goldens are recorded and that was never released."""
+    """A twin with recorded goldens and no release."""
     return _copy("recorded", templates, pytester, monkeypatch)
 
 

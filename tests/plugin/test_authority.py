@@ -1,4 +1,4 @@
-"""``authority:`` in twin.yaml: what is recorded, and what is told of the other realizations."""
+"""``authority:`` in twin.yaml selects the realization whose values are recorded."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ tolerance: {rise_time: 5 ms, angle: 5 mrad}
 
 
 @pytest.fixture
-def two(recorded):
-    """The arm, and a lighter one by 0.1 g, on which the golden of the mass runs too."""
+def two_realizations(recorded):
+    """A twin with a second realization that is 0.1 g lighter; the mass golden runs on both."""
     recorded.write(
         "light.xml", (recorded.root / "arm.xml").read_text().replace('mass="0.6"', 'mass="0.5999"')
     )
@@ -44,8 +44,10 @@ def two(recorded):
     return recorded
 
 
-def test_differences_are_told_and_the_authoritative_one_is_recorded(two) -> None:
-    result = two.run("--twin-release")
+def test_differences_are_reported_and_the_authoritative_values_are_recorded(
+    two_realizations,
+) -> None:
+    result = two_realizations.run("--twin-release")
     result.stdout.fnmatch_lines(
         [
             "golden/mass/arm: light (mujoco) against mujoco (mujoco), which is authoritative: "
@@ -53,27 +55,31 @@ def test_differences_are_told_and_the_authoritative_one_is_recorded(two) -> None
             "release 0001 signed: *",
         ]
     )
-    two.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{BOTH}")
-    result = two.run("--twin-release")
+    two_realizations.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{BOTH}")
+    result = two_realizations.run("--twin-release")
     assert result.ret != 0
     result.stdout.fnmatch_lines(["*recorded on 'mujoco', and 'light' is authoritative for it*"])
-    assert two.run("--twin-update").ret == 0
-    assert "realization: light" in (two.root / "golden" / "mass" / "arm.yaml").read_text()
-    assert "realization: mujoco" in (two.root / "golden" / "fk" / "home.yaml").read_text()
-    result = two.run("--twin-release")
+    assert two_realizations.run("--twin-update").ret == 0
+    assert (
+        "realization: light" in (two_realizations.root / "golden" / "mass" / "arm.yaml").read_text()
+    )
+    assert (
+        "realization: mujoco" in (two_realizations.root / "golden" / "fk" / "home.yaml").read_text()
+    )
+    result = two_realizations.run("--twin-release")
     result.stdout.fnmatch_lines(["golden/mass/arm: mujoco (mujoco) against light (mujoco)*"])
 
 
-def test_a_rule_without_its_realization_is_one_line(two) -> None:
-    two.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{BOTH.replace('light', 'usd')}")
+def test_an_authority_rule_for_an_unknown_realization_is_refused(two_realizations) -> None:
+    two_realizations.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{BOTH.replace('light', 'usd')}")
     with pytest.raises(SpecError, match=r"no such realization .*expected mujoco, light"):
-        load_twin(two.root / "twin.yaml")
+        load_twin(two_realizations.root / "twin.yaml")
 
 
-def test_a_golden_that_leaves_the_authority_out_is_refused(two) -> None:
-    two.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{BOTH}")
-    two.edit("golden/mass/arm.yaml", "[mujoco, light]", "[mujoco]")
-    result = two.run()
+def test_a_golden_must_run_on_its_authoritative_realization(two_realizations) -> None:
+    two_realizations.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{BOTH}")
+    two_realizations.edit("golden/mass/arm.yaml", "[mujoco, light]", "[mujoco]")
+    result = two_realizations.run()
     result.stdout.fnmatch_lines(["*does not run on 'light', which is authoritative for it*"])
 
 

@@ -1,4 +1,4 @@
-"""The last signed release as the baseline: one that does not hold proves nothing."""
+"""The last signed release is the baseline; an invalid release proves no golden."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 
-def test_a_damaged_release_proves_nothing_and_is_said_loudly(released) -> None:
+def test_with_a_damaged_release_all_goldens_run_and_a_warning_is_printed(released) -> None:
     path = released.root / "releases" / "0001" / "results.json"
     path.write_bytes(path.read_bytes().replace(b"passed", b"pasted", 1))
     result = released.run()
@@ -14,7 +14,7 @@ def test_a_damaged_release_proves_nothing_and_is_said_loudly(released) -> None:
     result.stdout.fnmatch_lines(["release 1 does not hold: *results.json*"])
 
 
-def test_a_foreign_release_proves_nothing(released) -> None:
+def test_with_a_release_of_an_untrusted_key_all_goldens_run(released) -> None:
     for key in (released.root / "keys").glob("*.pub"):
         key.unlink()
     result = released.run()
@@ -22,7 +22,7 @@ def test_a_foreign_release_proves_nothing(released) -> None:
     result.stdout.fnmatch_lines(["release 1 does not hold: *"])
 
 
-def test_a_damaged_release_still_says_which_goldens_there_were(released) -> None:
+def test_a_damaged_release_still_lists_the_goldens_that_must_exist(released) -> None:
     (released.root / "releases" / "0001" / "results.json").write_text("{}")
     (released.root / "golden/fk/home.yaml").unlink()
     result = released.run("--twin-release")
@@ -30,7 +30,7 @@ def test_a_damaged_release_still_says_which_goldens_there_were(released) -> None
     assert released.releases == ["0001"]
 
 
-def test_the_cache_of_a_copied_twin_proves_nothing(released, pytester, monkeypatch) -> None:
+def test_the_cache_of_a_copied_twin_is_not_trusted(released, pytester, monkeypatch) -> None:
     released.run("--twin-why")
     copy: Path = pytester.path / "copy"
     shutil.copytree(released.root, copy)

@@ -1,4 +1,4 @@
-"""pytest-xdist: the controller plans and judges, workers run; same verdict, same release."""
+"""With pytest-xdist verdict and release equal those of a run in one process."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ def _proofs(twin, number: str) -> list[object]:
     return results["goldens"]
 
 
-def test_the_same_release(recorded, released) -> None:
-    """``recorded`` and ``released`` share one folder here: the second is the first, released."""
+def test_a_distributed_run_signs_the_same_results(recorded, released) -> None:
+    """``recorded`` and ``released`` share one folder: the released twin is the recorded one."""
     result = recorded.run_apart("-n", "2", "--twin-release", "--twin-all")
     result.stdout.fnmatch_lines(["release 0002 signed: *"])
     result.assert_outcomes(passed=2)
@@ -27,18 +27,18 @@ def test_the_same_release(recorded, released) -> None:
     assert result.ret == 0
 
 
-def test_the_same_refusal_and_the_same_words(released) -> None:
+def test_a_distributed_run_refuses_with_the_same_messages(released) -> None:
     released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
     released.write("test_a.py", "def test_b(): assert False")
     alone = released.run_apart("--twin-release", "--junitxml=alone.xml")
     spread = released.run_apart("-n", "2", "--twin-release", "--junitxml=spread.xml")
 
-    def told(result) -> list[str]:
+    def reasons(result) -> list[str]:
         lines = result.outlines
         start = next(i for i, line in enumerate(lines) if line == "no release:")
         return [line for line in lines[start:] if line.startswith("  ")]
 
-    assert told(alone) == told(spread)
+    assert reasons(alone) == reasons(spread)
     assert alone.ret == spread.ret == 1
     for result in (alone, spread):
         result.stdout.fnmatch_lines(["  ran because * mujoco/inertia:fore: mass 0.6 -> 0.7 kg"])
@@ -47,7 +47,7 @@ def test_the_same_refusal_and_the_same_words(released) -> None:
     assert 'message="gravity_torque of shoulder' in message
 
 
-def test_a_selected_subset_never_signs(released) -> None:
+def test_a_distributed_run_of_a_subset_is_never_released(released) -> None:
     result = released.run_apart("-n", "2", "--twin-release", "-k", "home")
     result.stdout.fnmatch_lines(
         ["  only a full run is released, and this one selected: -k 'home', 1 deselected"]
@@ -55,13 +55,13 @@ def test_a_selected_subset_never_signs(released) -> None:
     assert result.ret == 1
 
 
-def test_updates_return_to_the_controller(twin) -> None:
+def test_a_distributed_update_records_all_goldens(twin) -> None:
     result = twin.run_apart("-n", "2", "--twin-update")
     result.stdout.fnmatch_lines(["2 recorded, 0 unchanged"])
     assert twin.run().ret == 0
 
 
-def test_why_and_a_run_cut_short(released) -> None:
+def test_a_distributed_run_supports_why_and_refuses_an_aborted_run(released) -> None:
     released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
     result = released.run_apart("-n", "2", "--twin-why")
     result.stdout.fnmatch_lines(["stale  golden/mass/arm@mujoco", "1 stale, 1 fresh"])

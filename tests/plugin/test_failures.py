@@ -1,4 +1,4 @@
-"""What a person and a CI server read of a golden that does not pass."""
+"""Messages for people and CI servers about a golden that fails."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ def _junit(twin) -> dict[str, ElementTree.Element]:
     return {case.get("name"): case for case in tree.iter("testcase")}
 
 
-def test_a_failure_says_what_to_do(released) -> None:
+def test_a_failure_reports_values_margin_cause_spec_line_and_plot(released) -> None:
     released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
     result = released.run("--junitxml=junit.xml")
     result.stdout.fnmatch_lines(
@@ -45,16 +45,16 @@ def test_a_failure_says_what_to_do(released) -> None:
     assert all(len(value) < 120 for value in properties.values())
 
 
-def test_junit_points_at_the_spec(released) -> None:
+def test_the_junit_report_points_to_the_line_of_the_exceeded_tolerance(released) -> None:
     released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
     released.run("--junitxml=junit.xml", "-o", "junit_family=xunit1")
     case = _junit(released)["arm[mujoco]"]
     assert case.get("file") == "golden/mass/arm.yaml"
-    # Where the tolerance stands that was left, counted from 0 as pytest does.
+    # The line of the exceeded tolerance, counted from 0 as pytest does.
     assert case.get("line") == "9"
 
 
-def test_an_advisory_failure_is_reported_and_blocks_nothing(recorded) -> None:
+def test_an_advisory_failure_is_reported_and_does_not_block_the_release(recorded) -> None:
     recorded.edit("golden/mass/arm.yaml", "criticality: critical", "criticality: advisory")
     recorded.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
     result = recorded.run("--twin-release", "--junitxml=junit.xml")
@@ -76,7 +76,7 @@ def test_an_advisory_failure_is_reported_and_blocks_nothing(recorded) -> None:
     assert skipped.get("message").startswith("advisory: gravity_torque")
 
 
-def test_a_crash_fails_that_golden_alone(recorded) -> None:
+def test_a_crash_fails_only_the_golden_that_crashed(recorded) -> None:
     codes = {
         "a_abort": "import os; os.abort()",
         "b_exit": "import os; os._exit(3)",
@@ -99,7 +99,7 @@ def test_a_crash_fails_that_golden_alone(recorded) -> None:
     )
 
 
-def test_a_model_that_does_not_load_fails_its_goldens_with_its_own_words(released) -> None:
+def test_goldens_of_an_invalid_model_fail_with_the_models_error(released) -> None:
     released.edit("arm.xml", 'mass="0.6"', 'mass="-0.6"')
     result = released.run()
     result.assert_outcomes(failed=2)
@@ -107,7 +107,7 @@ def test_a_model_that_does_not_load_fails_its_goldens_with_its_own_words(release
     result.stdout.fnmatch_lines(["  ran because  mujoco/model: cannot be read"])
 
 
-def test_last_failed_runs_what_failed(released) -> None:
+def test_last_failed_runs_only_the_failed_goldens(released) -> None:
     released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
     released.edit("golden/fk/home.yaml", "position: 0.1 mm", "position: 0.2 mm")
     released.run().assert_outcomes(passed=1, failed=1)

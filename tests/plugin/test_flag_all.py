@@ -1,13 +1,13 @@
-"""--twin-all: runs what the last release still proves too."""
+"""--twin-all also runs goldens that the last release still proves."""
 
 from __future__ import annotations
 
 
-def test_everything_runs(released) -> None:
+def test_all_goldens_run(released) -> None:
     released.run("--twin-all").assert_outcomes(passed=2)
 
 
-def test_everything_runs_and_is_signed_again(released) -> None:
+def test_all_goldens_run_and_are_signed_in_a_new_release(released) -> None:
     released.write("pytest.ini", "[pytest]\ntwin_all = true\n")
     result = released.run("--twin-release")
     result.assert_outcomes(passed=2)

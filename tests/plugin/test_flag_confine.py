@@ -1,4 +1,4 @@
-"""--twin-confine: goldens read their twin and Python's files, and write a scratch folder alone."""
+"""--twin-confine: goldens read only the twin and Python, and write only a scratch folder."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ return {'reach': tried(lambda: ACTION)}
 
 
 def errno_of(folder, action: str, *flags: str) -> float:
-    """The errno of what a golden's function tries, 0 where it may."""
+    """The errno of an action in a golden's function, 0 if it is permitted."""
     folder.task("probe", TRY.replace("ACTION", action))
     assert folder.run("--twin-update", "-k", "probe", *flags).ret == 0
     return recorded_reach(folder)
 
 
 def recorded_reach(folder) -> float:
-    """What the function of the golden ``task/probe`` returned."""
+    """The recorded output of the golden ``task/probe``."""
     return yaml.safe_load((folder.root / "golden/task/probe.yaml").read_text())["expected"]["reach"]
 
 
 @needs_landlock
-def test_every_kind_of_golden_passes_confined(recorded) -> None:
+def test_goldens_pass_under_confinement(recorded) -> None:
     recorded.task(
         "mean", "import numpy, scipy.linalg\nreturn {'reach': float(numpy.ones(3).sum())}"
     )
@@ -50,7 +50,7 @@ def test_every_kind_of_golden_passes_confined(recorded) -> None:
 
 
 @needs_landlock
-def test_a_private_file_is_readable_by_a_golden_unless_it_is_confined(recorded) -> None:
+def test_confinement_denies_reading_private_files(recorded) -> None:
     secret = recorded.pytester.path / "home" / ".ssh" / "id_ed25519"
     secret.parent.mkdir(parents=True)
     secret.write_text("private")
@@ -61,7 +61,7 @@ def test_a_private_file_is_readable_by_a_golden_unless_it_is_confined(recorded) 
 
 @needs_landlock
 @pytest.mark.parametrize("place", ["arm.xml", "new.txt", "golden/fk/home.yaml", "../beside.txt"])
-def test_a_confined_golden_writes_neither_its_twin_nor_beside_it(recorded, place: str) -> None:
+def test_a_confined_golden_cannot_write_in_or_beside_its_twin(recorded, place: str) -> None:
     path = recorded.root / place
     before = path.read_bytes() if path.exists() else None
     assert (
@@ -71,7 +71,7 @@ def test_a_confined_golden_writes_neither_its_twin_nor_beside_it(recorded, place
 
 
 @needs_landlock
-def test_a_confined_golden_deletes_and_renames_nothing(recorded) -> None:
+def test_a_confined_golden_cannot_delete_or_rename_files(recorded) -> None:
     path = recorded.root / "arm.xml"
     name = str(path)
     for action in (f"os.unlink({name!r})", f"os.rename({name!r}, {name + '-moved'!r})"):
@@ -81,7 +81,7 @@ def test_a_confined_golden_deletes_and_renames_nothing(recorded) -> None:
 
 
 @needs_landlock
-def test_a_confined_golden_has_a_scratch_folder_that_goes_with_the_run(recorded) -> None:
+def test_a_confined_golden_has_a_scratch_folder_that_is_deleted_after_the_run(recorded) -> None:
     note = "__import__('tempfile').mkstemp('.kept')[1]"
     assert errno_of(recorded, note, "--twin-confine") == 0
     assert list(Path(tempfile.gettempdir()).glob("twin-*/*.kept")) == []
@@ -96,7 +96,7 @@ def test_a_program_that_a_confined_golden_starts_is_confined_too(recorded) -> No
 
 
 @needs_landlock
-def test_a_confined_golden_connects_nowhere(recorded) -> None:
+def test_a_confined_golden_cannot_open_network_connections(recorded) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         action = f"__import__('socket').create_connection({server.getsockname()!r}, 5).close()"
         assert errno_of(recorded, action) == 0
@@ -104,7 +104,9 @@ def test_a_confined_golden_connects_nowhere(recorded) -> None:
 
 
 @needs_landlock
-def test_a_confined_golden_does_not_see_tokens_of_the_environment(recorded, monkeypatch) -> None:
+def test_a_confined_golden_cannot_read_tokens_in_environment_variables(
+    recorded, monkeypatch
+) -> None:
     monkeypatch.setenv("CLOUD_TOKEN", "secret")
     recorded.task("probe", "import os\nreturn {'reach': float('CLOUD_TOKEN' in os.environ)}")
     recorded.run("--twin-update", "-k", "probe")
@@ -113,7 +115,7 @@ def test_a_confined_golden_does_not_see_tokens_of_the_environment(recorded, monk
     assert recorded_reach(recorded) == 0
 
 
-def test_where_confinement_is_not_possible_nothing_runs(recorded, monkeypatch) -> None:
+def test_no_golden_runs_if_confinement_is_not_possible(recorded, monkeypatch) -> None:
     monkeypatch.setattr(confinement, "obstacle", lambda: "no Landlock here")
     result = recorded.run("--twin-confine")
     assert result.ret == pytest.ExitCode.INTERRUPTED
@@ -132,6 +134,6 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch) -> None:
     )
 
 
-def test_other_systems_are_told_so(monkeypatch) -> None:
+def test_on_other_systems_the_message_says_that_confinement_needs_linux(monkeypatch) -> None:
     monkeypatch.setattr("sys.platform", "darwin")
     assert confinement.obstacle() == "confinement needs Linux; run without it, or in a container"

@@ -1,4 +1,4 @@
-"""--twin-release: what it signs, what it carries over, and everything that it refuses."""
+"""--twin-release: signed results, carried-over results and all reasons for refusal."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _results(twin, number: str) -> dict[str, dict[str, object]]:
     return {entry["outcome"]["golden"]: entry for entry in results["goldens"]}
 
 
-def test_everything_proven_is_signed_and_still_holds(recorded) -> None:
+def test_passed_goldens_are_signed_and_an_unchanged_twin_keeps_its_release(recorded) -> None:
     result = recorded.run("--twin-release")
     result.assert_outcomes(passed=2)
     result.stdout.fnmatch_lines(["twin arm: 2 stale, 0 still proven", "release 0001 signed: *"])
@@ -33,14 +33,14 @@ def test_everything_proven_is_signed_and_still_holds(recorded) -> None:
     assert recorded.releases == ["0001"]
 
 
-def test_a_plain_run_leaves_out_what_is_proven(released) -> None:
+def test_a_plain_run_skips_goldens_that_the_release_proves(released) -> None:
     result = released.run()
     result.assert_outcomes(deselected=2)
     result.stdout.fnmatch_lines(["2 still proven by release 0001"])
     assert result.ret == 0
 
 
-def test_fresh_results_are_carried_over_with_where_they_were_proven(released) -> None:
+def test_unaffected_results_are_carried_over_with_the_number_of_their_release(released) -> None:
     released.edit("golden/mass/arm.yaml", "mass: 1 g", "mass: 2 g")
     result = released.run("--twin-release")
     result.assert_outcomes(passed=1, deselected=1)
@@ -52,33 +52,33 @@ def test_fresh_results_are_carried_over_with_where_they_were_proven(released) ->
     assert [reason["part"] for reason in reasons] == ["spec:golden/mass/arm"]
 
 
-def test_a_comment_and_a_colour_make_nothing_stale(released) -> None:
+def test_comments_and_colours_make_no_golden_stale(released) -> None:
     released.edit("arm.xml", "<worldbody>", "<!-- hello -->\n  <worldbody>")
     released.edit("arm.xml", 'size="0.02"', 'size="0.02" rgba="1 0 0 1"')
     released.edit("golden/fk/home.yaml", "schema: 1", "# hello\nschema: 1")
     released.run("--twin-release").stdout.fnmatch_lines(["release 0001 still holds"])
 
 
-def test_an_ini_file_can_ask_for_it(released) -> None:
+def test_an_ini_option_enables_the_release(released) -> None:
     released.write("pytest.ini", "[pytest]\ntwin_release = true\n")
     released.run().stdout.fnmatch_lines(["release 0001 still holds"])
     released.run("-o", "twin_release=false").stdout.no_fnmatch_line("*still holds*")
 
 
-def test_it_excludes_update(recorded) -> None:
+def test_release_and_update_exclude_each_other(recorded) -> None:
     result = recorded.run("--twin-release", "--twin-update")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["ERROR: --twin-release and --twin-update exclude each other: *"])
 
 
-def test_without_a_twin_it_is_a_usage_error(pytester) -> None:
+def test_a_release_without_a_twin_is_a_usage_error(pytester) -> None:
     result = pytester.runpytest_inprocess("--twin-release")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["ERROR: no twin.yaml at, above or below *"])
 
 
-def refused(twin, *words: str, arguments: tuple[str, ...] = ()) -> None:
-    """The release is refused for each of ``words``, and nothing is signed."""
+def assert_release_refused(twin, *words: str, arguments: tuple[str, ...] = ()) -> None:
+    """Check that a release is refused for each of ``words`` and that none is signed."""
     before = twin.releases
     result = twin.run("--twin-release", *arguments)
     text = result.stdout.str()
@@ -89,47 +89,51 @@ def refused(twin, *words: str, arguments: tuple[str, ...] = ()) -> None:
     assert twin.releases == before
 
 
-def test_a_critical_failure_is_refused(recorded) -> None:
+def test_a_critical_failure_refuses_the_release(recorded) -> None:
     recorded.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
-    refused(recorded, "golden/mass/arm@mujoco: a critical golden failed")
+    assert_release_refused(recorded, "golden/mass/arm@mujoco: a critical golden failed")
 
 
-def test_a_golden_never_proven_is_refused(twin) -> None:
-    refused(twin, "golden/fk/home: never recorded: run pytest --twin-update")
+def test_a_never_recorded_golden_refuses_the_release(twin) -> None:
+    assert_release_refused(twin, "golden/fk/home: never recorded: run pytest --twin-update")
     twin.run().stdout.fnmatch_lines(["*golden/fk/home@mujoco: never recorded: run pytest --twin-*"])
 
 
-def test_an_orphaned_trace_is_refused(released) -> None:
+def test_a_trace_without_a_spec_refuses_the_release(released) -> None:
     released.write("golden/old.trace.csv", "time [s]\n0\n")
-    refused(released, "golden/old.trace.csv: no spec refers to this trace")
+    assert_release_refused(released, "golden/old.trace.csv: no spec refers to this trace")
 
 
-def test_a_missing_golden_is_refused_until_it_is_retired(released) -> None:
+def test_a_missing_golden_refuses_the_release_until_it_is_retired(released) -> None:
     (released.root / "golden/fk/home.yaml").unlink()
-    refused(released, "golden/fk/home: no spec: restore it, or give a reason under 'retired:'")
+    assert_release_refused(
+        released, "golden/fk/home: no spec: restore it, or give a reason under 'retired:'"
+    )
     released.edit("twin.yaml", "tcp: tcp", "retired: {golden/fk/home: replaced by a better one}")
     released.run("--twin-release").stdout.fnmatch_lines(["release 0002 signed: *"])
     assert list(_results(released, "0002")) == ["golden/mass/arm"]
 
 
-def test_all_goldens_gone_is_refused(released) -> None:
+def test_a_twin_without_goldens_refuses_the_release(released) -> None:
     shutil.rmtree(released.root / "golden")
-    refused(released, "golden/fk/home: no spec", "golden/mass/arm: no spec", "no golden")
+    assert_release_refused(
+        released, "golden/fk/home: no spec", "golden/mass/arm: no spec", "no golden"
+    )
 
 
-def test_what_is_not_finite_is_refused_even_where_advisory(recorded) -> None:
+def test_a_non_finite_advisory_result_refuses_the_release(recorded) -> None:
     recorded.task("odd", "return {'reach': 1.0}", criticality="advisory")
     assert recorded.run("--twin-update", "-k", "odd").ret == 0
     recorded.write("odd.py", "def run(realization):\n    return {'reach': float('nan')}\n")
-    refused(recorded, "golden/task/odd@mujoco: could not be compared: ")
+    assert_release_refused(recorded, "golden/task/odd@mujoco: could not be compared: ")
 
 
-def test_a_failing_ordinary_test_is_refused(released) -> None:
+def test_a_failing_ordinary_test_refuses_the_release(released) -> None:
     released.write("test_a.py", "def test_b(): assert False")
-    refused(released, "test_a.py::test_b: an ordinary test failed in the same run")
+    assert_release_refused(released, "test_a.py::test_b: an ordinary test failed in the same run")
 
 
-def test_a_broken_spec_is_refused(released) -> None:
+def test_an_invalid_spec_refuses_the_release(released) -> None:
     released.write("golden/b.yaml", "schema: 1\nkind: teleport\n")
     result = released.run("--twin-release", "--continue-on-collection-errors")
     result.stdout.fnmatch_lines(["no release:", "  could not be collected: *b.yaml:2: kind: *"])
@@ -137,7 +141,7 @@ def test_a_broken_spec_is_refused(released) -> None:
     assert released.releases == ["0001"]
 
 
-def test_what_a_broken_spec_stands_for_is_not_gone(released) -> None:
+def test_an_invalid_spec_is_not_also_reported_as_missing(released) -> None:
     released.edit("golden/fk/home.yaml", "kind: fk", "kind: teleport")
     released.write("golden/fk/home.trace.csv", "time [s]\n0\n")
     result = released.run("--twin-release", "--continue-on-collection-errors")
@@ -155,8 +159,8 @@ def test_what_a_broken_spec_stands_for_is_not_gone(released) -> None:
         (("golden/fk",), "golden/fk"),
     ],
 )
-def test_a_selected_subset_never_signs(released, arguments, words) -> None:
-    refused(
+def test_a_run_of_a_subset_is_never_released(released, arguments, words) -> None:
+    assert_release_refused(
         released,
         f"only a full run is released, and this one selected: {words}",
         arguments=arguments,
@@ -174,14 +178,16 @@ def test_a_selected_subset_never_signs(released, arguments, words) -> None:
         (("--ignore-glob", "*fk*"), "--ignore-glob *fk*"),
     ],
 )
-def test_what_selects_a_subset(pytester, arguments, words) -> None:
+def test_options_that_select_a_subset_are_recognized(pytester, arguments, words) -> None:
     assert selected_by(pytester.parseconfigure(*arguments)) == (words,)
 
 
-def test_a_run_cut_short_is_refused(recorded) -> None:
+def test_an_aborted_run_refuses_the_release(recorded) -> None:
     recorded.write("test_a.py", "def test_b(): assert False\ndef test_c(): pass\n")
     recorded.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
-    refused(recorded, "the run was stopped: stopping after 1 failures", arguments=("-x",))
+    assert_release_refused(
+        recorded, "the run was stopped: stopping after 1 failures", arguments=("-x",)
+    )
 
 
 @pytest.mark.parametrize(
@@ -192,12 +198,12 @@ def test_a_run_cut_short_is_refused(recorded) -> None:
         ("open('golden/more.yaml', 'w').write('a: 1')", "golden/more.yaml: a new spec"),
     ],
 )
-def test_what_changes_under_the_run_is_refused(recorded, code, words) -> None:
+def test_a_file_changed_during_the_run_refuses_the_release(recorded, code, words) -> None:
     recorded.write("test_zz.py", f"def test_sabotage():\n    {code}\n")
-    refused(recorded, f"changed during the run: {recorded.root}/{words}")
+    assert_release_refused(recorded, f"changed during the run: {recorded.root}/{words}")
 
 
-def test_a_version_that_changes_under_the_run_is_refused(recorded) -> None:
+def test_a_package_version_changed_during_the_run_refuses_the_release(recorded) -> None:
     recorded.write(
         "test_zz.py",
         "from importlib import metadata\n"
@@ -210,7 +216,7 @@ def test_a_version_that_changes_under_the_run_is_refused(recorded) -> None:
     assert recorded.releases == []
 
 
-def test_two_twins_are_judged_each_on_its_own(released, pytester) -> None:
+def test_two_twins_in_one_run_get_separate_verdicts(released, pytester) -> None:
     shutil.copytree(released.root, pytester.path / "other")
     (pytester.path / "other" / "golden" / "fk" / "home.yaml").unlink()
     result = pytester.runpytest_inprocess(
@@ -220,7 +226,7 @@ def test_two_twins_are_judged_each_on_its_own(released, pytester) -> None:
     assert result.ret == pytest.ExitCode.TESTS_FAILED
 
 
-def test_a_trace_that_somebody_changed_is_refused(released) -> None:
+def test_an_edited_or_deleted_trace_refuses_the_release(released) -> None:
     released.write("golden/settle.yaml", SETTLE)
     assert released.run("--twin-update", "-k", "settle").ret == 0
     released.run("--twin-release").stdout.fnmatch_lines(["release 0002 signed: *"])
@@ -231,6 +237,8 @@ def test_a_trace_that_somebody_changed_is_refused(released) -> None:
     result.stdout.fnmatch_lines(
         ["stale  golden/settle@mujoco", "         trace:golden/settle: sha256 * -> *"]
     )
-    refused(released, f"golden/settle@mujoco: could not be compared: {trace}: ")
+    assert_release_refused(released, f"golden/settle@mujoco: could not be compared: {trace}: ")
     trace.unlink()
-    refused(released, f"golden/settle@mujoco: could not be compared: {trace}: no such file")
+    assert_release_refused(
+        released, f"golden/settle@mujoco: could not be compared: {trace}: no such file"
+    )

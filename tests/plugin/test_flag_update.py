@@ -1,4 +1,4 @@
-"""--twin-update: the only writer of goldens."""
+"""--twin-update is the only run that writes goldens."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from pytest_twin.formats.yaml import load
 
 
-def test_it_records_values_trace_and_provenance(twin) -> None:
+def test_update_records_values_trace_and_provenance(twin) -> None:
     twin.write(
         "golden/settle.yaml",
         "schema: 1\nkind: settling  # mine\nstimulus: {duration: 0.5 s}\n"
@@ -33,7 +33,7 @@ def test_it_records_values_trace_and_provenance(twin) -> None:
     assert twin.run("-k", "settle").ret == 0
 
 
-def test_it_prints_what_it_changes_and_the_next_release_runs_it(released) -> None:
+def test_update_prints_changed_values_and_the_next_release_runs_them(released) -> None:
     released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
     result = released.run("--twin-update")
     result.stdout.fnmatch_lines(
@@ -50,21 +50,20 @@ def test_it_prints_what_it_changes_and_the_next_release_runs_it(released) -> Non
     result.stdout.fnmatch_lines(["release 0002 signed: *"])
 
 
-def test_what_is_unchanged_is_not_written(recorded) -> None:
+def test_update_does_not_write_unchanged_goldens(recorded) -> None:
     before = {path: path.read_bytes() for path in recorded.root.rglob("*.yaml")}
     recorded.run("--twin-update").stdout.fnmatch_lines(["0 recorded, 2 unchanged"])
     assert {path: path.read_bytes() for path in recorded.root.rglob("*.yaml")} == before
     assert recorded.releases == []
 
 
-def test_a_record_that_a_reference_contradicts_is_a_failure(recorded) -> None:
-    """A person may record it; the run says at once that it will not pass."""
+def test_a_non_deterministic_task_is_recorded_and_fails_in_the_next_run(recorded) -> None:
     recorded.task("wild", "import random\nreturn {'reach': random.random()}")
     assert recorded.run("--twin-update", "-k", "wild").ret == 0
     assert recorded.run("-k", "wild").ret == pytest.ExitCode.TESTS_FAILED
 
 
-def test_what_cannot_run_is_not_recorded(twin) -> None:
+def test_a_golden_that_cannot_run_is_not_recorded(twin) -> None:
     twin.edit("golden/fk/home.yaml", "frames: [tcp]", "frames: [tpc]")
     before = (twin.root / "golden/fk/home.yaml").read_text()
     result = twin.run("--twin-update", "-k", "home")
@@ -74,7 +73,7 @@ def test_what_cannot_run_is_not_recorded(twin) -> None:
 
 
 @pytest.mark.parametrize("value", ["1", "true", "yes"])
-def test_it_refuses_in_ci(recorded, monkeypatch, value) -> None:
+def test_update_is_refused_in_ci(recorded, monkeypatch, value) -> None:
     monkeypatch.setenv("CI", value)
     result = recorded.run("--twin-update")
     assert result.ret == pytest.ExitCode.USAGE_ERROR

@@ -1,11 +1,11 @@
-"""--twin-why: fresh or stale, because of what, and nothing runs."""
+"""--twin-why reports which goldens are stale and why, and runs none."""
 
 from __future__ import annotations
 
 import pytest
 
 
-def test_it_names_the_part_and_both_values(released) -> None:
+def test_why_names_the_changed_part_with_old_and_new_value(released) -> None:
     released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
     released.write("test_a.py", "def test_b(): assert False")
     result = released.run("--twin-why")
@@ -22,13 +22,13 @@ def test_it_names_the_part_and_both_values(released) -> None:
     assert result.ret == pytest.ExitCode.OK
 
 
-def test_without_a_release_everything_is_stale(recorded) -> None:
+def test_without_a_release_all_goldens_are_stale(recorded) -> None:
     recorded.write("pytest.ini", "[pytest]\ntwin_why = true\n")
     result = recorded.run()
     result.stdout.fnmatch_lines(["stale  golden/fk/home@mujoco", "         no release yet"])
 
 
-def test_what_is_gone_and_what_nobody_needs(released) -> None:
+def test_why_lists_missing_goldens_and_orphaned_traces(released) -> None:
     (released.root / "golden/fk/home.yaml").unlink()
     released.write("golden/old.trace.csv", "time [s]\n0\n")
     result = released.run("--twin-why")

@@ -1,4 +1,4 @@
-"""--twin-report, --twin-key and --twin-timeout, each with its ini twin."""
+"""--twin-report, --twin-key and --twin-timeout, each also as an ini option."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 import pytest
 
 
-def test_the_report_lies_in_the_twins_own_output(released) -> None:
+def test_the_report_is_written_to_the_twins_output_folder(released) -> None:
     released.edit("golden/fk/home.yaml", "position: 0.1 mm", "position: 0.2 mm")
     path = released.root / ".twin" / "report.html"
     path.unlink()
@@ -17,7 +17,7 @@ def test_the_report_lies_in_the_twins_own_output(released) -> None:
     assert "golden/mass/arm" in page
 
 
-def test_what_a_selection_leaves_out_is_not_run_and_not_failed(recorded) -> None:
+def test_goldens_outside_the_selection_are_reported_as_not_run(recorded) -> None:
     for selection in (("-k", "home"), ("golden/fk/home.yaml::home[mujoco]",)):
         recorded.run(*selection).assert_outcomes(passed=1, deselected="::" not in selection[0])
         page = (recorded.root / ".twin" / "report.html").read_text()
@@ -26,13 +26,13 @@ def test_what_a_selection_leaves_out_is_not_run_and_not_failed(recorded) -> None
         assert "<h2>Failed" not in page
 
 
-def test_where_nothing_is_new_the_signed_report_is_the_report(released) -> None:
+def test_without_stale_goldens_the_signed_report_is_shown(released) -> None:
     path = released.root / "releases" / "0001" / "report.html"
     released.run().stdout.fnmatch_lines([f"report: {path}"])
     assert path.is_file()
 
 
-def test_the_report_goes_where_it_is_sent(released) -> None:
+def test_the_report_is_written_to_the_given_path(released) -> None:
     released.run("--twin-report", "out/gate.html").stdout.fnmatch_lines(
         [f"report: {released.root}/out/gate.html"]
     )
@@ -42,7 +42,7 @@ def test_the_report_goes_where_it_is_sent(released) -> None:
     assert (released.root / "from_ini.html").is_file()
 
 
-def test_a_key_that_the_twin_does_not_trust_signs_nothing(released) -> None:
+def test_an_untrusted_key_cannot_sign_a_release(released) -> None:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import (
         Encoding,
@@ -65,12 +65,12 @@ def test_a_key_that_the_twin_does_not_trust_signs_nothing(released) -> None:
     assert released.releases == ["0001"]
 
 
-def test_a_golden_past_its_time_fails_alone(recorded) -> None:
+def test_only_the_golden_that_exceeds_the_timeout_fails(recorded) -> None:
     recorded.task("long", "return {'reach': 1.0}")
     assert recorded.run("--twin-update", "-k", "long").ret == 0
     recorded.write("long.py", "import time\ndef run(realization):\n    time.sleep(60)\n")
     start = time.monotonic()
-    # Long enough for a process to start and do the others, whatever else the machine does.
+    # Long enough to start a process and run the other goldens on a busy machine.
     result = recorded.run("--twin-timeout", "8")
     assert time.monotonic() - start < 30
     result.assert_outcomes(passed=2, failed=1)
@@ -78,7 +78,7 @@ def test_a_golden_past_its_time_fails_alone(recorded) -> None:
 
 
 @pytest.mark.parametrize("value", ["0", "soon", "nan", "-1"])
-def test_a_bound_that_is_none(recorded, value) -> None:
+def test_an_invalid_timeout_is_refused(recorded, value) -> None:
     recorded.write("pytest.ini", f"[pytest]\ntwin_timeout = {value}\n")
     result = recorded.run()
     assert result.ret == pytest.ExitCode.USAGE_ERROR

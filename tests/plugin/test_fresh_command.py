@@ -1,7 +1,7 @@
-"""``pytest-twin fresh``: what has changed since data were stamped, and how much it moves the tool.
+"""``pytest-twin fresh``: changes of the twin since data were stamped, and their effect on the tool.
 
-The arm is planar: a zero of the elbow that moves by d moves the tool, 0.25 m away, by
-2 * 0.25 m * sin(d / 2), whatever the pose.
+The arm is planar: a change d (rad) of the elbow zero displaces the tool, 0.25 m away, by
+2 * 0.25 m * sin(d / 2) in every pose.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ JOINTS = ("shoulder", "elbow")
 
 @pytest.fixture
 def data(released) -> Path:
-    """One recording of a slow wave, stamped with release 1."""
+    """A recording of a slow sine motion, stamped with release 1."""
     time = np.arange(0.0, 2.0, 0.01)
     stamps = np.rint(1e9 * time).astype(np.int64) + 10**18
     wave = np.column_stack([0.4 * np.sin(3 * time), 0.8 * np.cos(2 * time)])
@@ -54,18 +54,18 @@ def fresh(data: Path, status: int) -> dict:
 
 @pytest.fixture(autouse=True)
 def in_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One test starts the child process; the others are spared its start."""
-    if request.function is not test_nothing_changed:
+    """Run without a child process to save time, except in one test."""
+    if request.function is not test_data_of_an_unchanged_twin_are_fresh:
         monkeypatch.setattr(command, "Sandbox", InProcess)
 
 
-def test_nothing_changed(released, data: Path) -> None:
+def test_data_of_an_unchanged_twin_are_fresh(released, data: Path) -> None:
     document = fresh(data, 0)
     assert document["changes"] == []
     assert document["release"] == document["newest"] == 1
 
 
-def test_a_joint_zero_is_told_by_what_it_moves(
+def test_a_changed_joint_zero_is_reported_by_the_displacement_of_the_tool(
     released, data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calibration = "calibration: {id: after the fall, joints: {elbow: {offset: 0.3}}}\n"
@@ -82,7 +82,9 @@ def test_a_joint_zero_is_told_by_what_it_moves(
     assert "over this data's poses (200 of them)" in said
 
 
-def test_a_change_below_what_matters_is_listed_and_fresh(released, data: Path) -> None:
+def test_a_change_below_the_threshold_is_listed_and_the_data_stay_fresh(
+    released, data: Path
+) -> None:
     calibration = "calibration: {id: again, joints: {elbow: {offset: 0.001}}}\n"
     released.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{calibration}")
     document = fresh(data, 0)
@@ -91,7 +93,7 @@ def test_a_change_below_what_matters_is_listed_and_fresh(released, data: Path) -
     assert fresh(data, 1)["moved"]["translation"] == pytest.approx(0.00025, rel=1e-5)
 
 
-def test_a_longer_tool_and_a_heavier_arm_are_each_told_by_their_own_size(
+def test_changed_tool_length_and_link_mass_are_each_reported_with_their_effect(
     released, data: Path
 ) -> None:
     released.edit(
@@ -107,11 +109,11 @@ def test_a_longer_tool_and_a_heavier_arm_are_each_told_by_their_own_size(
     heavier = by_part["inertia:fore"]
     assert heavier["matters"]
     assert "the simulated joint" in heavier["why"]
-    # The shoulder's servo of 40 N*m/rad stretches by the added 0.3 kg on up to 0.4 m.
+    # The shoulder servo (40 N*m/rad) deflects under the added 0.3 kg at up to 0.4 m.
     assert 0.01 < heavier["size"]["position"] < 0.3 * 9.81 * 0.4 / 20 * 2
 
 
-def test_a_controller_that_the_data_do_not_name_does_not_matter(released, data: Path) -> None:
+def test_only_the_controller_that_the_data_name_matters(released, data: Path) -> None:
     released.edit("twin.yaml", "tcp: tcp\n", "tcp: tcp\ncontrollers: {stiff: {elbow: {kp: 50}}}\n")
     by_part = {one["part"]: one for one in fresh(data, 0)["changes"]}
     assert not by_part["controller:stiff"]["matters"]
@@ -121,7 +123,7 @@ def test_a_controller_that_the_data_do_not_name_does_not_matter(released, data: 
     assert by_part["controller:soft"]["size"]["joint"] == "elbow"
 
 
-def test_a_policy_is_judged_over_the_joints_ranges(released) -> None:
+def test_changes_for_a_policy_are_evaluated_over_the_joint_ranges(released) -> None:
     onnx = pytest.importorskip("onnx")
     from onnx import TensorProto, helper
 
@@ -136,7 +138,7 @@ def test_a_policy_is_judged_over_the_joints_ranges(released) -> None:
     assert document["moved"]["translation"] == pytest.approx(0.01, rel=1e-9)
 
 
-def test_what_cannot_be_compared_is_one_line(
+def test_a_changed_release_or_unstamped_data_is_one_line_and_exit_status_2(
     released, data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (released.root / "releases" / "0001" / "files" / "arm.xml").write_text("<mujoco/>")
@@ -163,7 +165,7 @@ def test_it(twin_release):
 """
 
 
-def test_the_fixture_gives_users_tests_the_verified_release(released, data: Path) -> None:
+def test_the_twin_release_fixture_provides_the_verified_release(released, data: Path) -> None:
     released.write("tests/test_policy.py", f"DATA = {str(data)!r}\n{USER_TEST}")
     released.run("tests").assert_outcomes(passed=1)
     bare = data.with_name("other.mcap")
@@ -174,7 +176,7 @@ def test_the_fixture_gives_users_tests_the_verified_release(released, data: Path
     result.stdout.fnmatch_lines(["*other.mcap: not a whole MCAP file*"])
 
 
-def test_the_fixture_fails_without_a_release_that_holds(released) -> None:
+def test_the_twin_release_fixture_fails_if_the_release_is_damaged(released) -> None:
     released.write("tests/test_it.py", "def test_it(twin_release): pass\n")
     results = released.root / "releases" / "0001" / "results.json"
     results.write_text(results.read_text() + " ")

@@ -1,4 +1,4 @@
-"""A kind of golden from someone else's package: one file and one entry point."""
+"""A kind of golden from another package: one module and one entry point."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wheels import ENTRY_POINTS, KIND, PHYSICS, SPEC, pip_install, wheel
 
 @pytest.fixture(scope="module")
 def installed_kind(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder into which pip installed a foreign kind and its library."""
+    """A folder into which pip installed a package with a new kind and its library."""
     folder = tmp_path_factory.mktemp("kind")
     packages = [
         wheel(folder, "box_rest", "0.3", KIND, ENTRY_POINTS),
@@ -23,14 +23,14 @@ def installed_kind(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def with_kind(installed_kind, recorded, monkeypatch):
-    """A recorded twin in an environment where a foreign kind is installed."""
+    """A recorded twin in an environment with the installed new kind."""
     site = shutil.copytree(installed_kind, recorded.pytester.path / "site")
     monkeypatch.setenv("PYTHONPATH", str(site))
     recorded.write("golden/box.yaml", SPEC)
     return recorded
 
 
-def test_it_is_collected_validated_recorded_and_run(with_kind) -> None:
+def test_an_installed_kind_is_collected_validated_recorded_and_run(with_kind) -> None:
     result = with_kind.run_apart("--collect-only", "-q", "--strict-markers", "-m", "box_rest")
     result.stdout.fnmatch_lines(["golden/box.yaml::box[[]mujoco[]]"])
     with_kind.edit("golden/box.yaml", "drop: 0.02", "drop: -1")
@@ -84,7 +84,7 @@ UNUSABLE = "kind: package 'box_rest' 0.3 defines an invalid check: its"
         ),
     ],
 )
-def test_a_package_that_cannot_be_used_is_one_line_that_names_it(
+def test_an_unusable_kind_package_is_reported_in_one_line_with_its_name(
     with_kind, code: str, problem: str
 ) -> None:
     (with_kind.pytester.path / "site" / "box_rest.py").write_text(f"{code}\n")
@@ -95,14 +95,14 @@ def test_a_package_that_cannot_be_used_is_one_line_that_names_it(
         assert trace not in result.stdout.str() + result.stderr.str()
 
 
-def test_an_interrupt_while_a_package_loads_is_an_interrupt(with_kind) -> None:
+def test_a_keyboard_interrupt_during_package_loading_interrupts_the_run(with_kind) -> None:
     (with_kind.pytester.path / "site" / "box_rest.py").write_text("raise KeyboardInterrupt\n")
     result = with_kind.run_apart("--collect-only")
     assert result.ret == pytest.ExitCode.INTERRUPTED
     assert "cannot be loaded" not in result.stdout.str()
 
 
-def test_a_kind_that_two_packages_bring_is_refused(with_kind) -> None:
+def test_a_kind_defined_by_two_packages_is_refused(with_kind) -> None:
     folder = with_kind.pytester.path
     pip_install([wheel(folder, "boxes", "1.0", KIND, ENTRY_POINTS)], folder / "site")
     result = with_kind.run_apart("--collect-only")
@@ -114,11 +114,11 @@ def test_a_kind_that_two_packages_bring_is_refused(with_kind) -> None:
     )
 
 
-def test_dependency_bump_stale_subset_failure_decision_new_release(with_kind) -> None:
+def test_a_library_upgrade_makes_only_its_golden_stale_until_it_is_updated(with_kind) -> None:
     assert with_kind.run_apart("--twin-update", "-k", "box").ret == 0
     assert with_kind.run_apart("--twin-release").ret == 0
 
-    # A library is upgraded, and corrects how boxes rest.
+    # A library upgrade changes the resting height of boxes.
     folder = with_kind.pytester.path
     pip_install([wheel(folder, "boxphysics", "1.1", PHYSICS["1.1"])], folder / "site")
     why = with_kind.run_apart("--twin-why")
@@ -131,7 +131,7 @@ def test_dependency_bump_stale_subset_failure_decision_new_release(with_kind) ->
         ]
     )
 
-    # CI runs exactly that one; the failure names the dependency beside the number.
+    # CI runs only the stale golden; the failure names the dependency and the numbers.
     result = with_kind.run_apart("--twin-release")
     result.assert_outcomes(failed=1, deselected=2)
     result.stdout.fnmatch_lines(
@@ -144,7 +144,7 @@ def test_dependency_bump_stale_subset_failure_decision_new_release(with_kind) ->
     assert result.ret == 1
     assert with_kind.releases == ["0001"]
 
-    # A person looks, decides that the new number is right, and releases.
+    # An engineer accepts the new number, updates the golden and releases.
     result = with_kind.run_apart("--twin-update", "-k", "box")
     result.stdout.fnmatch_lines(
         ["  height of box: 0.1 m -> 0.0987 m (tolerance 0.0001 m)", "  height: 0.1 -> 0.0987"]
@@ -154,7 +154,7 @@ def test_dependency_bump_stale_subset_failure_decision_new_release(with_kind) ->
     assert with_kind.releases == ["0001", "0002"]
 
 
-def test_a_kind_that_cannot_say_what_it_rests_on_costs_its_own_golden_only(with_kind) -> None:
+def test_a_kind_whose_dependencies_fail_refuses_the_release_naming_its_golden(with_kind) -> None:
     assert with_kind.run_apart("--twin-update", "-k", "box").ret == 0
     path = with_kind.pytester.path / "site" / "box_rest.py"
     path.write_text(path.read_text().replace("structure.contact()", "structure.no_such_thing()"))

@@ -1,4 +1,4 @@
-"""A live line on a terminal for long work; in a file a line a minute."""
+"""Progress of long work: a live line on a terminal, one line per minute in a log file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Slow(Check):
         return [Measure("done", "it", 1.0, 1.0, 0.0, 1.0, "1")]
 """
 
-# Inside a run of its own, for a worker of pytest-xdist has no terminal: a golden of two minutes.
+# A separate pytest run, because pytest-xdist workers have no terminal. The work takes 125 s.
 INNER = """
 from pytest_twin.report import each_minute
 from pytest_twin.session.progress import ProgressLine
@@ -61,7 +61,7 @@ def slow(recorded, monkeypatch):
     return recorded
 
 
-def test_a_terminal_sees_the_fraction_done(slow) -> None:
+def test_a_terminal_shows_the_completed_fraction(slow) -> None:
     main, end = pty.openpty()
     process = subprocess.Popen(
         [sys.executable, "-m", "pytest", "--twin-update", "-k", "slow"],
@@ -87,14 +87,14 @@ def test_a_terminal_sees_the_fraction_done(slow) -> None:
     assert b"1 recorded" in seen
 
 
-def test_a_file_does_not_of_what_takes_seconds(slow) -> None:
+def test_a_log_file_shows_no_progress_of_work_that_takes_seconds(slow) -> None:
     result = slow.run_apart("--twin-update", "-k", "slow")
     assert " %\n" not in result.stdout.str().replace("100%", "")
     assert "\r" not in result.stdout.str()
     assert result.ret == 0
 
 
-def test_a_log_is_told_each_minute_how_far_a_long_golden_is(pytester: pytest.Pytester) -> None:
+def test_a_log_file_shows_the_progress_of_long_work_each_minute(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(INNER)
     told = [
         line for line in pytester.runpytest_subprocess().outlines

@@ -1,4 +1,4 @@
-"""A twin on a disk that takes no more: verdicts stand, what cannot be saved is one line."""
+"""Read-only or full disks: verdicts are unaffected, each unsaved file is reported in one line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _mount(*arguments: str) -> None:
 
 @contextlib.contextmanager
 def _read_only(folder: Path) -> Iterator[None]:
-    """``folder`` as a checkout that not even the superuser writes to."""
+    """Mount ``folder`` read-only, for the superuser too."""
     _mount("--bind", str(folder), str(folder))
     try:
         _mount("-o", "remount,bind,ro", str(folder))
@@ -30,7 +30,7 @@ def _read_only(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _full(folder: Path, spare_kib: int = 0) -> Iterator[None]:
-    """``folder`` on a disk of its own with some KiB left."""
+    """Put ``folder`` on a separate file system with ``spare_kib`` KiB free."""
     copy = folder.with_name(f"{folder.name}-aside")
     shutil.copytree(folder, copy)
     _mount("-t", "tmpfs", "-o", "size=4m", "tmpfs", str(folder))
@@ -47,19 +47,19 @@ def _full(folder: Path, spare_kib: int = 0) -> Iterator[None]:
 
 
 @pytest.fixture
-def fresh_of_output(recorded):
-    """A recorded twin as it is checked out: without what earlier runs left in it."""
+def recorded_without_output(recorded):
+    """A recorded twin without output files of earlier runs."""
     shutil.rmtree(recorded.root / ".twin", ignore_errors=True)
     return recorded
 
 
-def test_on_a_read_only_checkout_goldens_pass_and_one_line_says_what_is_not_saved(
-    fresh_of_output,
+def test_on_a_read_only_checkout_goldens_pass_and_unsaved_files_are_reported(
+    recorded_without_output,
 ) -> None:
-    with _read_only(fresh_of_output.root):
-        result = fresh_of_output.run_apart("-p", "no:cacheprovider")
+    with _read_only(recorded_without_output.root):
+        result = recorded_without_output.run_apart("-p", "no:cacheprovider")
     result.assert_outcomes(passed=2)
-    folder = f"{fresh_of_output.root}/.twin"
+    folder = f"{recorded_without_output.root}/.twin"
     result.stdout.fnmatch_lines(
         [
             f"plots are not saved: {folder}/plots/golden/*: cannot be written: Read-only file sys*",
@@ -69,10 +69,12 @@ def test_on_a_read_only_checkout_goldens_pass_and_one_line_says_what_is_not_save
     assert "Traceback" not in result.stdout.str() + result.stderr.str()
 
 
-def test_a_failure_on_a_read_only_checkout_is_told_in_full(fresh_of_output) -> None:
-    fresh_of_output.edit("arm.xml", 'pos="0.25 0 0"', 'pos="0.26 0 0"')
-    with _read_only(fresh_of_output.root):
-        result = fresh_of_output.run_apart("-p", "no:cacheprovider", "--twin-report", "/dev/null/x")
+def test_a_failure_on_a_read_only_checkout_is_fully_reported(recorded_without_output) -> None:
+    recorded_without_output.edit("arm.xml", 'pos="0.25 0 0"', 'pos="0.26 0 0"')
+    with _read_only(recorded_without_output.root):
+        result = recorded_without_output.run_apart(
+            "-p", "no:cacheprovider", "--twin-report", "/dev/null/x"
+        )
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(
         ["golden/fk/home@mujoco: position of tcp* exceeded its tolerance of 0.0001 m by *"]
@@ -80,34 +82,36 @@ def test_a_failure_on_a_read_only_checkout_is_told_in_full(fresh_of_output) -> N
     assert "plot  " not in result.stdout.str()
 
 
-def test_a_release_on_a_read_only_checkout_is_refused_in_one_line(fresh_of_output) -> None:
-    with _read_only(fresh_of_output.root):
-        result = fresh_of_output.run_apart("-p", "no:cacheprovider", "--twin-release")
+def test_a_release_on_a_read_only_checkout_is_refused_in_one_line(recorded_without_output) -> None:
+    with _read_only(recorded_without_output.root):
+        result = recorded_without_output.run_apart("-p", "no:cacheprovider", "--twin-release")
     result.assert_outcomes(passed=2)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     result.stdout.fnmatch_lines(
         [
             "no release:",
-            f"  {fresh_of_output.root}/releases: cannot be written: Read-only file system",
+            f"  {recorded_without_output.root}/releases: cannot be written: Read-only file system",
         ]
     )
 
 
-def test_an_update_on_a_read_only_checkout_fails_in_one_line(fresh_of_output) -> None:
-    fresh_of_output.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
-    with _read_only(fresh_of_output.root):
-        result = fresh_of_output.run_apart("-p", "no:cacheprovider", "--twin-update")
-    # The record of the other one says the same as before: it has nothing to write.
+def test_an_update_on_a_read_only_checkout_fails_in_one_line(recorded_without_output) -> None:
+    recorded_without_output.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
+    with _read_only(recorded_without_output.root):
+        result = recorded_without_output.run_apart("-p", "no:cacheprovider", "--twin-update")
+    # The other golden is unchanged and needs no writing.
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(
         ["golden/mass/arm@mujoco: */golden/mass/arm.yaml: cannot be written: Read-only file system"]
     )
 
 
-def test_on_a_full_disk_goldens_pass_and_a_release_leaves_nothing_behind(fresh_of_output) -> None:
-    root = fresh_of_output.root
+def test_on_a_full_disk_goldens_pass_and_a_failed_release_leaves_no_files(
+    recorded_without_output,
+) -> None:
+    root = recorded_without_output.root
     with _full(root, spare_kib=8):
-        result = fresh_of_output.run_apart("-p", "no:cacheprovider", "--twin-release")
+        result = recorded_without_output.run_apart("-p", "no:cacheprovider", "--twin-release")
         left = sorted(p.name for p in root.glob("releases/*")) + sorted(
             p.name for p in root.rglob(".twin-*")
         )

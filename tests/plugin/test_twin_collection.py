@@ -1,4 +1,4 @@
-"""Specs as pytest collects them: ids, markers, what is none, what is broken, what it costs."""
+"""Collection of golden specs by pytest: ids, markers, errors and import cost."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 import pytest
 
 
-def test_an_item_per_golden_and_realization(twin) -> None:
+def test_each_golden_and_realization_is_one_test_item(twin) -> None:
     twin.edit(
         "twin.yaml", "model: arm.xml", "model: arm.xml\nrealizations: {copy: {file: arm.xml}}"
     )
@@ -34,13 +34,13 @@ def test_an_item_per_golden_and_realization(twin) -> None:
         (("-k", "mujoco and arm and not home"), "arm"),
     ],
 )
-def test_kind_and_criticality_select(twin, arguments, chosen) -> None:
+def test_goldens_can_be_selected_by_kind_and_criticality(twin, arguments, chosen) -> None:
     result = twin.run("--collect-only", "-q", "--strict-markers", *arguments)
     result.stdout.fnmatch_lines([f"golden/*/{chosen}.yaml::{chosen}[[]mujoco[]]"])
     result.stdout.fnmatch_lines(["1/2 tests collected (1 deselected)*"])
 
 
-def test_markers_are_listed(twin) -> None:
+def test_kinds_and_criticalities_are_listed_as_markers(twin) -> None:
     result = twin.run("--markers")
     result.stdout.fnmatch_lines_random(
         ["@pytest.mark.critical: *", "@pytest.mark.advisory: *", "@pytest.mark.fk: *"]
@@ -60,7 +60,9 @@ def test_collection_imports_no_simulator(twin) -> None:
     assert "HEAVY []" in result.stdout.str()
 
 
-def test_a_project_without_twin_loads_nothing_of_ours(pytester: pytest.Pytester) -> None:
+def test_in_a_project_without_a_twin_only_the_plugin_module_is_imported(
+    pytester: pytest.Pytester,
+) -> None:
     pytester.makepyfile(
         "import sys\n"
         "def test_nothing():\n"
@@ -76,7 +78,7 @@ def test_a_project_without_twin_loads_nothing_of_ours(pytester: pytest.Pytester)
     result.stdout.fnmatch_lines(["1 passed*"])
 
 
-def test_broken_specs_are_one_line_each_and_the_others_are_collected(twin) -> None:
+def test_invalid_specs_are_one_line_each_and_the_others_are_collected(twin) -> None:
     twin.write("golden/a.yaml", "schema: 1\nkind: fk\n  bad indent: [\n")
     twin.write("golden/b.yaml", "schema: 1\nkind: teleport\n")
     result = twin.run("--collect-only")
@@ -89,14 +91,14 @@ def test_broken_specs_are_one_line_each_and_the_others_are_collected(twin) -> No
     assert "plugin.py" not in result.stdout.str()
 
 
-def test_a_broken_twin_says_so_at_its_goldens(twin) -> None:
+def test_an_invalid_twin_file_is_reported_at_its_goldens(twin) -> None:
     twin.write("twin.yaml", "model: missing.xml\n")
     result = twin.run("--collect-only")
     result.stdout.fnmatch_lines([f"{twin.root}/twin.yaml:1: *", "*no tests collected, 1 error*"])
     assert result.ret == pytest.ExitCode.INTERRUPTED
 
 
-def test_only_specs_of_a_twin_are_collected(twin) -> None:
+def test_only_specs_in_a_twins_golden_folder_are_collected(twin) -> None:
     twin.write("golden/calibration.yaml", "id: c1\n")
     twin.edit("twin.yaml", "tcp: tcp", "tcp: tcp\ncalibration: {file: golden/calibration.yaml}")
     twin.write("settings.yaml", "a: 1\n")
@@ -106,6 +108,6 @@ def test_only_specs_of_a_twin_are_collected(twin) -> None:
     result.stdout.fnmatch_lines(["2 tests collected*"])
 
 
-def test_another_import_mode_and_no_cache(recorded) -> None:
+def test_goldens_run_with_import_mode_importlib_and_without_cache(recorded) -> None:
     result = recorded.run("--import-mode=importlib", "-p", "no:cacheprovider")
     result.assert_outcomes(passed=2)

@@ -1,4 +1,4 @@
-"""Tiny distributions, built and installed as others would install ours."""
+"""Small Python packages, built as wheels and installed into a folder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 def wheel(
     folder: Path, name: str, version: str, code: str, entry_points: str | None = None
 ) -> Path:
-    """A pure wheel with one module."""
+    """Build a pure Python wheel with one module."""
     info = f"{name}-{version}.dist-info"
     files = {
         f"{name}.py": code,
@@ -31,14 +31,14 @@ def wheel(
 
 
 def pip_install(wheels: list[Path], target: Path) -> None:
-    """Install, or upgrade, into a folder."""
+    """Install or upgrade wheels in a folder with pip."""
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
     command += ["--disable-pip-version-check", "--no-warn-conflicts", "--upgrade"]
     subprocess.run([*command, "--target", str(target), *map(str, wheels)], check=True, timeout=120)
 
 
 def unpack(path: Path, target: Path) -> None:
-    """Install a pure wheel the quick way."""
+    """Install a pure Python wheel by unpacking it, without pip."""
     with zipfile.ZipFile(path) as archive:
         archive.extractall(target)
 
@@ -84,7 +84,7 @@ class BoxRest(Check):
 
 ENTRY_POINTS = "[pytest_twin.checks]\nbox_rest = box_rest:BoxRest\n"
 
-# Two releases of a library: the second one corrects how two boxes rest on one another.
+# Two versions of a library: the second one changes the resting height of boxes.
 PHYSICS = {
     "1.0": "def rest_height(model, drop):\n    return 0.1000 + 0.0 * model.nbody\n",
     "1.1": "def rest_height(model, drop):\n    return 0.0987 + 0.0 * model.nbody\n",
