@@ -1,4 +1,4 @@
-"""The SO-101 as a twin: the vendor's model and real recordings, which stay where they are."""
+"""A twin of the SO-101 arm: the vendor's model and real recordings outside the repository."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ tcp: gripperframe
 
 
 def recordings(name: str) -> Path:
-    """The folder of one set of recordings, or a skip that says where it was looked for."""
+    """The folder of one set of recordings; skips with the searched path if it is missing."""
     folder = RECORDINGS / name
     if not folder.is_dir():
         pytest.skip(
@@ -37,13 +37,13 @@ def recordings(name: str) -> Path:
 
 @dataclass
 class Workshop:
-    """A twin in a folder of its own, and a pytest that runs in it."""
+    """A twin in a temporary folder, and a method that runs pytest in it."""
 
     root: Path
     home: Path
 
     def pytest(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        """Run pytest there as a user does."""
+        """Run pytest in the twin's folder in a new process."""
         kept = {k: v for k, v in os.environ.items() if k not in ("CI", "PYTEST_ADDOPTS")}
         folders = ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")
         return subprocess.run(

@@ -1,4 +1,4 @@
-"""The gate on a real arm: its declared tolerances hold, a tight one fails joint by joint."""
+"""The gate on recordings of a real arm: declared tolerances pass, a tight one fails per joint."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ def test_the_declared_goldens_pass_and_are_released(so101) -> None:
     assert "9 passed" in ran.stdout
     (release,) = (so101.root / "releases").glob("[0-9]*")
     assert (release / "release.dsse.json").is_file()
-    # The recordings are listed by digest and stay where they are.
+    # The release lists the recordings by digest and does not copy them.
     assert not list(so101.root.rglob("*.mcap"))
     assert "staircase_motion.mcap" in (release / "results.json").read_text()
 
 
-def test_a_tight_tolerance_fails_and_says_by_how_much_joint_by_joint(so101) -> None:
+def test_a_tight_tolerance_fails_with_the_margin_of_each_joint(so101) -> None:
     shutil.copytree(TIGHT, so101.root / "golden" / "tight")
     ran = so101.pytest("--twin-release", "golden/tight")
     assert ran.returncode == 1, ran.stdout + ran.stderr
-    # The vendor's model, held against the robot over 41 s: rms in rad, margin to 0.01 rad.
+    # The vendor's model compared with the robot over 41 s: RMS in rad, margin to 0.01 rad.
     table = [line.split() for line in ran.stdout.splitlines() if "(recording)" in line]
     rows = {words[2]: words for words in table}
     verdicts = {joint: words[0] for joint, words in rows.items()}
