@@ -1,4 +1,4 @@
-"""A twin and a user of its own for each test of releases."""
+"""A temporary twin and user configuration for each test of releases."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_twin import release
 
 @pytest.fixture(autouse=True)
 def user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The user's configuration and state lie in the test's own folder."""
+    """Put the user's configuration and state into the test's temporary folder."""
     home = tmp_path / "user"
     monkeypatch.setenv("HOME", str(home))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(home / "config"))

@@ -1,4 +1,4 @@
-"""A small twin that releases can be written of."""
+"""A small twin from which releases can be written."""
 
 from __future__ import annotations
 

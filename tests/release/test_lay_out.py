@@ -1,4 +1,4 @@
-"""A released twin laid out again: its files where they were, folders outside it where they are."""
+"""Restoring the files of a released twin into a folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_twin.provenance.past import lay_out, release_folder
 from pytest_twin.twin import load_twin
 
 
-def test_roots_outside_are_those_of_today_and_roots_inside_those_of_the_release(
+def test_released_files_are_restored_and_roots_outside_the_twin_point_to_the_current_ones(
     root: Path, make: MakeRelease, tmp_path: Path
 ) -> None:
     (root / "twin.yaml").write_text(
@@ -31,7 +31,9 @@ def test_roots_outside_are_those_of_today_and_roots_inside_those_of_the_release(
     assert (into / "meshes" / "link.stl").read_bytes() == bytes(range(97))
 
 
-def test_a_file_that_was_changed_is_refused(root: Path, make: MakeRelease, tmp_path: Path) -> None:
+def test_a_changed_or_missing_release_is_not_laid_out(
+    root: Path, make: MakeRelease, tmp_path: Path
+) -> None:
     released = make()
     folder = release_folder(root, 1)
     (folder / "files" / "arm.xml").write_text("<mujoco/>")
@@ -41,7 +43,7 @@ def test_a_file_that_was_changed_is_refused(root: Path, make: MakeRelease, tmp_p
         release_folder(root, 2)
 
 
-def test_recordings_that_no_release_holds_are_not_asked_for(
+def test_a_twin_is_laid_out_without_its_recordings(
     root: Path, make: MakeRelease, tmp_path: Path
 ) -> None:
     (root / "twin.yaml").write_text(

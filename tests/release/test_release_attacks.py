@@ -1,4 +1,4 @@
-"""Every way to pass off what was not signed, by name; each must be refused, and say why."""
+"""Attacks on signed releases, one per test; each is refused with its reason."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def first(root: Path, make: MakeRelease) -> Path:
 
 
 def resign(path: Path, root: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    """Change a statement and sign it again with the trusted key: what a careless signer could."""
+    """Change a statement and sign it again with the trusted key."""
     value = json.loads((path / "release.dsse.json").read_bytes())
     payload = json.loads(base64.standard_b64decode(value["payload"]))
     change(payload)
@@ -54,8 +54,8 @@ def resign(path: Path, root: Path, change: Callable[[dict[str, Any]], None]) -> 
 # one flipped byte
 
 
-def test_a_flipped_byte_anywhere_in_the_envelope(root: Path, first: Path) -> None:
-    """Every byte, white space and base64 padding included; by the pure verification."""
+def test_a_changed_byte_in_the_envelope_is_detected(root: Path, first: Path) -> None:
+    """Each byte, including white space and base64 padding; verification without disk access."""
     data = (first / "release.dsse.json").read_bytes()
     listing = folder.listing(first)
     trusted = keys.load_trusted(root / "keys")
@@ -64,15 +64,14 @@ def test_a_flipped_byte_anywhere_in_the_envelope(root: Path, first: Path) -> Non
     rng = random.Random(7)
     for index in range(len(data)):
         changed = bytearray(data)
-        # Bit 5 is the case of a letter: hex digits, escapes.
+        # Bit 5 changes the case of a letter, as in hexadecimal digits and escapes.
         changed[index] ^= rng.choice((0x01, 0x20, 0x80, rng.randrange(1, 256)))
         verdict = verify(bytes(changed), listing, trusted, now=NOW)
-        assert not verdict.holds, f"byte {index} of the envelope"
+        assert not verdict.holds, f"changed byte {index} of the envelope is not detected"
         assert verdict.release is None
 
 
-def test_a_flipped_byte_anywhere_in_any_file(root: Path, first: Path) -> None:
-    """Every byte of every file, on the disk."""
+def test_a_changed_byte_in_any_file_is_detected(root: Path, first: Path) -> None:
     for path in [path for path in first.rglob("*") if path.is_file()]:
         data = path.read_bytes()
         is_envelope = path.name == "release.dsse.json"
@@ -83,7 +82,7 @@ def test_a_flipped_byte_anywhere_in_any_file(root: Path, first: Path) -> None:
             changed[index] ^= 1 << (index % 8)
             path.write_bytes(bytes(changed))
             found = problems(first)
-            assert found, f"byte {index} of {path.name}"
+            assert found, f"changed byte {index} of {path.name} is not detected"
             if not is_envelope:
                 name = path.relative_to(first).as_posix()
                 assert found[0][1].startswith(f"{name}: changed, SHA-256")
@@ -91,67 +90,71 @@ def test_a_flipped_byte_anywhere_in_any_file(root: Path, first: Path) -> None:
     assert problems(first) == []
 
 
-def test_a_byte_added_or_taken_away(root: Path, first: Path) -> None:
+def test_an_added_or_removed_byte_is_detected(root: Path, first: Path) -> None:
     for path in [path for path in first.rglob("*") if path.is_file()]:
         data = path.read_bytes()
         for changed in (data + b"\n", data[:-1], b"", b" " + data):
             path.write_bytes(changed)
-            assert problems(first), f"{path.name}: {len(changed)} bytes for {len(data)}"
+            assert problems(first), (
+                f"{path.name}: {len(changed)} instead of {len(data)} bytes are not detected"
+            )
         path.write_bytes(data)
     assert problems(first) == []
 
 
-# files that do not belong
+# files that are not part of the release
 
 
-def test_a_file_that_no_statement_lists(first: Path) -> None:
+def test_an_unlisted_file_is_refused(first: Path) -> None:
     (first / "files" / "meshes" / "more.stl").write_bytes(b"")
     assert problems(first) == [
         ("files", "files/meshes/more.stl: a file that the statement does not list")
     ]
 
 
-def test_a_folder_that_no_statement_lists(first: Path) -> None:
+def test_an_unlisted_folder_is_refused(first: Path) -> None:
     (first / "files" / "plugins").mkdir()
     assert problems(first) == [
         ("files", "files/plugins/: a folder that the statement does not list")
     ]
 
 
-def test_a_link_in_place_of_a_file(root: Path, first: Path) -> None:
-    """Even to the same bytes: they may be others tomorrow."""
+def test_a_symbolic_link_instead_of_a_file_is_refused(root: Path, first: Path) -> None:
+    """A link to the same bytes is refused too: its target may change later."""
     mesh = first / "files" / "meshes" / "link.stl"
     mesh.unlink()
     mesh.symlink_to(root / "meshes" / "link.stl")
     assert problems(first) == [("files", "files/meshes/link.stl: a link instead of a file")]
 
 
-def test_a_link_in_place_of_a_folder(root: Path, first: Path) -> None:
+def test_a_symbolic_link_instead_of_a_folder_is_refused(root: Path, first: Path) -> None:
     shutil.rmtree(first / "files" / "meshes")
     (first / "files" / "meshes").symlink_to(root / "meshes")
     found = problems(first)
     assert ("files", "files/meshes: a link instead of a file") in found
 
 
-def test_a_hard_link(root: Path, first: Path) -> None:
+def test_a_hard_linked_file_is_refused(root: Path, first: Path) -> None:
     os.link(first / "files" / "arm.xml", root / "elsewhere.xml")
     assert problems(first) == [("files", "files/arm.xml: linked from 2 places")]
 
 
-def test_a_link_in_place_of_the_envelope(root: Path, first: Path) -> None:
+def test_a_symbolic_link_instead_of_the_envelope_is_refused(root: Path, first: Path) -> None:
     envelope = first / "release.dsse.json"
     envelope.rename(root / "moved.json")
     envelope.symlink_to(root / "moved.json")
     assert "is a symbolic link" in problems(first)[0][1]
 
 
-def test_a_link_in_place_of_the_release(root: Path, first: Path, tmp_path: Path) -> None:
+def test_a_symbolic_link_instead_of_the_release_folder_is_refused(
+    root: Path, first: Path, tmp_path: Path
+) -> None:
     first.rename(tmp_path / "moved")
     first.symlink_to(tmp_path / "moved")
     assert problems(first) == [("files", "0001: a link, not the release itself")]
 
 
-def test_a_pipe_and_a_socket_are_not_waited_for(first: Path) -> None:
+def test_pipes_and_sockets_are_refused_without_blocking(first: Path) -> None:
     os.mkfifo(first / "files" / "pipe")
     (first / "files" / "arm.xml").unlink()
     os.mkfifo(first / "files" / "arm.xml")
@@ -169,7 +172,7 @@ def test_a_pipe_and_a_socket_are_not_waited_for(first: Path) -> None:
         ]
 
 
-def test_a_folder_in_place_of_a_file(first: Path) -> None:
+def test_a_folder_instead_of_a_file_is_refused(first: Path) -> None:
     (first / "files" / "arm.xml").unlink()
     (first / "files" / "arm.xml").mkdir()
     assert problems(first) == [
@@ -177,8 +180,8 @@ def test_a_folder_in_place_of_a_file(first: Path) -> None:
     ]
 
 
-def test_a_missing_file(first: Path) -> None:
-    """What an interrupted copy leaves: any one file less."""
+def test_a_missing_file_is_refused(first: Path) -> None:
+    """An interrupted copy may lack any one file."""
     for path in [path for path in first.rglob("*") if path.is_file()]:
         data = path.read_bytes()
         path.unlink()
@@ -194,7 +197,7 @@ def test_a_missing_file(first: Path) -> None:
         path.write_bytes(data)
 
 
-def test_files_of_two_releases_mixed(root: Path, make: MakeRelease) -> None:
+def test_files_mixed_from_two_releases_are_refused(root: Path, make: MakeRelease) -> None:
     make()
     (root / "arm.xml").write_text("<mujoco><worldbody><body/></worldbody></mujoco>\n")
     make(NOW + timedelta(hours=1))
@@ -209,16 +212,16 @@ def test_files_of_two_releases_mixed(root: Path, make: MakeRelease) -> None:
     assert problems(two, NOW + timedelta(hours=1)) == []
 
 
-# order
+# order of releases
 
 
-def test_an_older_release_beside_a_newer_one(root: Path, make: MakeRelease) -> None:
+def test_an_older_release_beside_a_newer_one_is_refused(root: Path, make: MakeRelease) -> None:
     make()
     make()
     assert problems(root / "releases" / "0001") == [("rollback", "older than release 2 beside it")]
 
 
-def test_an_older_release_after_a_newer_one_was_accepted(
+def test_an_older_release_is_refused_after_a_newer_one_was_accepted(
     root: Path, make: MakeRelease, tmp_path: Path
 ) -> None:
     make()
@@ -232,8 +235,10 @@ def test_an_older_release_after_a_newer_one_was_accepted(
     assert problems(tmp_path / "offered", keys=trusted, remember=True) == expected
 
 
-def test_verification_alone_remembers_too(root: Path, make: MakeRelease, user: Path) -> None:
-    """On a machine that received the releases and wrote none."""
+def test_a_machine_that_only_verifies_remembers_the_newest_release(
+    root: Path, make: MakeRelease, user: Path
+) -> None:
+    """The machine received the releases and wrote none."""
     make()
     make()
     shutil.rmtree(user / "state")
@@ -244,7 +249,7 @@ def test_verification_alone_remembers_too(root: Path, make: MakeRelease, user: P
     ]
 
 
-def test_what_was_accepted_of_one_twin_says_nothing_of_another_of_its_name(
+def test_accepted_releases_of_one_twin_do_not_affect_another_twin_of_the_same_name(
     root: Path, make: MakeRelease, tmp_path: Path
 ) -> None:
     make()
@@ -256,7 +261,9 @@ def test_what_was_accepted_of_one_twin_says_nothing_of_another_of_its_name(
     assert problems(other / "releases" / "0001", remember=True) == []
 
 
-def test_a_memory_that_cannot_be_read_is_an_error(root: Path, first: Path, user: Path) -> None:
+def test_an_unreadable_record_of_accepted_releases_is_an_error(
+    root: Path, first: Path, user: Path
+) -> None:
     problems(first, remember=True)
     (memory,) = (user / "state").rglob("*.json")
     memory.write_text("{")
@@ -264,14 +271,14 @@ def test_a_memory_that_cannot_be_read_is_an_error(root: Path, first: Path, user:
         problems(first, remember=True)
 
 
-def test_a_release_in_the_folder_of_another_number(root: Path, first: Path) -> None:
+def test_a_release_in_the_folder_of_another_number_is_refused(root: Path, first: Path) -> None:
     first.rename(root / "releases" / "0007")
     assert problems(root / "releases" / "0007") == [
         ("folder", "release 1 is in the folder of release 7")
     ]
 
 
-def test_a_copy_of_an_older_release_as_the_newest(root: Path, make: MakeRelease) -> None:
+def test_a_copy_of_an_older_release_as_the_newest_is_refused(root: Path, make: MakeRelease) -> None:
     make()
     make()
     shutil.copytree(root / "releases" / "0001", root / "releases" / "0003")
@@ -279,7 +286,7 @@ def test_a_copy_of_an_older_release_as_the_newest(root: Path, make: MakeRelease)
     assert "folder" in codes
 
 
-def test_a_release_of_another_twin_by_the_same_signer(
+def test_a_release_of_another_twin_by_the_same_signer_is_refused(
     root: Path, first: Path, tmp_path: Path
 ) -> None:
     other = make_twin(tmp_path / "other", name="leg")
@@ -293,7 +300,7 @@ def test_a_release_of_another_twin_by_the_same_signer(
     ]
 
 
-def test_a_release_of_a_twin_of_the_same_name_by_the_same_signer(
+def test_a_release_of_another_twin_with_the_same_name_and_signer_is_refused(
     root: Path, first: Path, tmp_path: Path
 ) -> None:
     other = make_twin(tmp_path / "other")
@@ -306,7 +313,9 @@ def test_a_release_of_a_twin_of_the_same_name_by_the_same_signer(
     ]
 
 
-def test_a_first_release_after_others(root: Path, first: Path, tmp_path: Path) -> None:
+def test_a_release_without_predecessor_after_another_release_is_refused(
+    root: Path, first: Path, tmp_path: Path
+) -> None:
     resign(first, root, lambda payload: payload["predicate"].update(number=2))
     first.rename(root / "releases" / "0002")
     (root / "releases" / "0001").mkdir()
@@ -324,13 +333,13 @@ def test_a_first_release_after_others(root: Path, first: Path, tmp_path: Path) -
 # time
 
 
-def test_an_expired_release(first: Path) -> None:
+def test_an_expired_release_is_refused(first: Path) -> None:
     expires = NOW + timedelta(days=90)
     assert problems(first, expires - timedelta(seconds=1)) == []
     assert problems(first, expires) == [("expired", "expired at 2026-08-02T12:00:00Z")]
 
 
-def test_a_release_from_the_future(first: Path) -> None:
+def test_a_release_from_the_future_is_refused(first: Path) -> None:
     assert problems(first, NOW - timedelta(minutes=9)) == []
     assert problems(first, NOW - timedelta(minutes=11)) == [
         ("future", "made at 2026-05-04T12:00:00Z, which is in the future")
@@ -340,7 +349,9 @@ def test_a_release_from_the_future(first: Path) -> None:
 # keys and signatures
 
 
-def test_an_empty_key_set(root: Path, first: Path, tmp_path: Path) -> None:
+def test_verification_without_trusted_keys_is_refused(
+    root: Path, first: Path, tmp_path: Path
+) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
     assert problems(first, keys=empty)[0] == (
@@ -351,7 +362,7 @@ def test_an_empty_key_set(root: Path, first: Path, tmp_path: Path) -> None:
     assert problems(first)[0][0] == "keys"
 
 
-def test_a_foreign_key_set(first: Path, tmp_path: Path) -> None:
+def test_a_release_signed_by_an_untrusted_key_is_refused(first: Path, tmp_path: Path) -> None:
     foreign = CryptoSigner.generate_ed25519()
     folder_of_keys = tmp_path / "foreign"
     folder_of_keys.mkdir()
@@ -363,7 +374,7 @@ def test_a_foreign_key_set(first: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"x", b"-----BEGIN PUBLIC KEY-----\n-----END"])
-def test_a_file_that_is_no_public_key(root: Path, first: Path, content: bytes) -> None:
+def test_an_invalid_public_key_file_is_an_error(root: Path, first: Path, content: bytes) -> None:
     (root / "keys" / "broken.pub").write_bytes(content)
     with pytest.raises(ReleaseError, match=r"broken\.pub: not a public key"):
         problems(first)
@@ -376,7 +387,7 @@ def envelope(payload: bytes = b"{}", kind: str = PAYLOAD_TYPE, *signers: CryptoS
     return made
 
 
-def refused(data: bytes, trusted: list[Key], words: str) -> None:
+def assert_envelope_refused(data: bytes, trusted: list[Key], words: str) -> None:
     with pytest.raises(ReleaseError, match=words):
         open_envelope(data, trusted)
 
@@ -384,52 +395,58 @@ def refused(data: bytes, trusted: list[Key], words: str) -> None:
 A, B = CryptoSigner.generate_ed25519(), CryptoSigner.generate_ed25519()
 
 
-def test_no_signature() -> None:
+def test_an_envelope_without_signature_is_refused() -> None:
     data = canonical_json.dump(envelope().to_dict())
-    refused(data, [A.public_key], "no signature or too many")
+    assert_envelope_refused(data, [A.public_key], "no signature or too many")
 
 
-def test_one_key_that_signs_twice() -> None:
+def test_two_signatures_of_one_key_are_refused() -> None:
     value = envelope(b"{}", PAYLOAD_TYPE, A).to_dict()
     value["signatures"] *= 2
-    refused(canonical_json.dump(value), [A.public_key], "one key signed twice")
+    assert_envelope_refused(canonical_json.dump(value), [A.public_key], "one key signed twice")
 
 
-def test_a_foreign_signature_beside_a_trusted_one() -> None:
-    """Nothing in an envelope may go unchecked, not even what nobody needs."""
+def test_an_untrusted_signature_beside_a_trusted_one_is_refused() -> None:
+    """Every signature in an envelope is checked, also those that are not needed."""
     data = canonical_json.dump(envelope(b"{}", PAYLOAD_TYPE, A, B).to_dict())
-    refused(data, [A.public_key], "signed by a key that is not trusted")
+    assert_envelope_refused(data, [A.public_key], "signed by a key that is not trusted")
     assert open_envelope(data, [A.public_key, B.public_key]).payload == b"{}"
 
 
-def test_a_signature_under_the_name_of_a_trusted_key() -> None:
+def test_an_untrusted_signature_with_the_key_id_of_a_trusted_key_is_refused() -> None:
     value = envelope(b"{}", PAYLOAD_TYPE, B).to_dict()
     value["signatures"][0]["keyid"] = A.public_key.keyid
-    refused(canonical_json.dump(value), [A.public_key], "the signature does not fit")
+    assert_envelope_refused(
+        canonical_json.dump(value), [A.public_key], "the signature does not fit"
+    )
 
 
-def test_a_signature_over_other_bytes() -> None:
+def test_a_signature_of_another_payload_is_refused() -> None:
     value = envelope(b"{}", PAYLOAD_TYPE, A).to_dict()
     value["payload"] = base64.standard_b64encode(b"[]").decode()
-    refused(canonical_json.dump(value), [A.public_key], "the signature does not fit")
+    assert_envelope_refused(
+        canonical_json.dump(value), [A.public_key], "the signature does not fit"
+    )
 
 
-def test_a_trusted_signature_over_another_kind_of_document() -> None:
+def test_a_trusted_signature_of_another_payload_type_is_refused() -> None:
     data = canonical_json.dump(envelope(b"{}", "application/vnd.cyclonedx+json", A).to_dict())
-    refused(data, [A.public_key], "payloadType: the envelope contains another type of payload")
+    assert_envelope_refused(
+        data, [A.public_key], "payloadType: the envelope contains another type of payload"
+    )
 
 
-def test_base64_that_decodes_alike() -> None:
+def test_non_canonical_base64_is_refused() -> None:
     value = envelope(b"{}?", PAYLOAD_TYPE, A).to_dict()
     value["payload"] = value["payload"].replace("/", "_")
-    refused(canonical_json.dump(value), [A.public_key], "not canonical")
-    # The last digit before the padding has bits that decoding drops.
+    assert_envelope_refused(canonical_json.dump(value), [A.public_key], "not canonical")
+    # Decoding ignores some bits of the last digit before the padding.
     value = envelope(b"{}", PAYLOAD_TYPE, A).to_dict()
     digits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"
     last = value["payload"][2]
     value["payload"] = value["payload"][:2] + digits[digits.index(last) + 1] + "="
     assert base64.standard_b64decode(value["payload"]) == b"{}"
-    refused(canonical_json.dump(value), [A.public_key], "not canonical")
+    assert_envelope_refused(canonical_json.dump(value), [A.public_key], "not canonical")
 
 
 @pytest.mark.parametrize(
@@ -453,20 +470,22 @@ def test_base64_that_decodes_alike() -> None:
         (lambda data: b"1e999", "cannot be written as JSON|not canonical|not JSON"),
     ],
 )
-def test_an_envelope_in_another_spelling(change: Callable[[bytes], bytes], words: str) -> None:
+def test_a_non_canonical_or_malformed_envelope_is_refused(
+    change: Callable[[bytes], bytes], words: str
+) -> None:
     data = seal(b"{}", A)
     assert open_envelope(data, [A.public_key]).payload == b"{}"
-    refused(change(data), [A.public_key], words)
+    assert_envelope_refused(change(data), [A.public_key], words)
 
 
-def test_an_envelope_without_end() -> None:
+def test_a_too_large_envelope_is_refused() -> None:
     with pytest.raises(ReleaseError, match=r"the envelope is too large .*at most 100 bytes"):
         open_envelope(seal(b"{}", A), [A.public_key], ReleaseLimits(envelope_bytes=100))
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200))
-def test_arbitrary_bytes_are_refused_in_words(data: bytes) -> None:
+def test_arbitrary_bytes_are_refused_with_a_release_error(data: bytes) -> None:
     with pytest.raises(ReleaseError):
         open_envelope(data, [A.public_key])
 
@@ -480,7 +499,7 @@ _JSON = st.recursive(
 
 @settings(max_examples=200, deadline=None)
 @given(_JSON)
-def test_any_signed_json_is_read_or_refused_in_words(value: Any) -> None:
+def test_arbitrary_signed_json_is_refused_with_a_release_error(value: Any) -> None:
     with pytest.raises(ReleaseError):
         statement.read(_dump_or_skip(value), "key", "0" * 64)
 
@@ -488,11 +507,11 @@ def test_any_signed_json_is_read_or_refused_in_words(value: Any) -> None:
 def _dump_or_skip(value: Any) -> bytes:
     try:
         return canonical_json.dump(value)
-    except ReleaseError:  # infinite
+    except ReleaseError:  # an infinite number
         return b"Infinity"
 
 
-# statements that a trusted key signed and that are no release
+# invalid statements signed by a trusted key
 
 
 @pytest.mark.parametrize(
@@ -532,7 +551,7 @@ def _dump_or_skip(value: Any) -> bytes:
         ("subject.0.name", "files/REPORT", None),
     ],
 )
-def test_a_statement_that_contradicts_itself(
+def test_an_invalid_or_contradictory_statement_is_refused(
     root: Path, first: Path, field: str, value: Any, words: str | None
 ) -> None:
     def change(payload: dict[str, Any]) -> None:
@@ -552,12 +571,12 @@ def test_a_statement_that_contradicts_itself(
         assert words in text
 
 
-def test_a_golden_proven_twice(root: Path, first: Path) -> None:
+def test_a_statement_with_a_repeated_golden_is_refused(root: Path, first: Path) -> None:
     resign(first, root, lambda p: p["predicate"]["goldens"].append(p["predicate"]["goldens"][0]))
     assert "the release states this golden twice" in problems(first)[0][1]
 
 
-def test_names_that_differ_by_case_alone(root: Path, first: Path) -> None:
+def test_file_names_that_differ_only_by_case_are_refused(root: Path, first: Path) -> None:
     def change(payload: dict[str, Any]) -> None:
         again = json.loads(json.dumps(payload["subject"][0]))
         again["name"] = again["name"].upper()
@@ -567,13 +586,15 @@ def test_names_that_differ_by_case_alone(root: Path, first: Path) -> None:
     assert "two files have the same name on other systems" in problems(first)[0][1]
 
 
-def test_a_statement_that_lists_one_file_twice(root: Path, first: Path) -> None:
+def test_a_statement_that_lists_a_file_twice_is_refused(root: Path, first: Path) -> None:
     resign(first, root, lambda p: p["subject"].append(p["subject"][0]))
     assert "two files have the same name on other systems" in problems(first)[0][1]
 
 
 @pytest.mark.parametrize("name", ["report.html", "results.json"])
-def test_a_statement_without_report_or_results(root: Path, first: Path, name: str) -> None:
+def test_a_statement_without_report_or_results_is_refused(
+    root: Path, first: Path, name: str
+) -> None:
     (first / name).unlink()
 
     def change(payload: dict[str, Any]) -> None:
@@ -583,7 +604,7 @@ def test_a_statement_without_report_or_results(root: Path, first: Path, name: st
     assert problems(first) == [("files", f"{name}: a release without it")]
 
 
-def test_a_file_that_a_statement_lists_outside_files(root: Path, first: Path) -> None:
+def test_a_listed_file_outside_the_files_folder_is_refused(root: Path, first: Path) -> None:
     data = b"#!/bin/sh\n"
     (first / "run.sh").write_bytes(data)
     entry = {
@@ -595,7 +616,7 @@ def test_a_file_that_a_statement_lists_outside_files(root: Path, first: Path) ->
     assert problems(first) == [("files", "run.sh: not a place for a file of a release")]
 
 
-def test_thousands_of_problems_are_told_in_a_few(root: Path, first: Path) -> None:
+def test_at_most_20_problems_are_listed_with_a_count_of_the_others(root: Path, first: Path) -> None:
     for index in range(500):
         (first / f"{index}.txt").touch()
     found = problems(first)
@@ -603,7 +624,7 @@ def test_thousands_of_problems_are_told_in_a_few(root: Path, first: Path) -> Non
     assert found[-1] == ("files", "and 480 more")
 
 
-# names
+# file names
 
 
 @pytest.mark.parametrize(
@@ -633,12 +654,12 @@ def test_thousands_of_problems_are_told_in_a_few(root: Path, first: Path) -> Non
         "what?",
     ],
 )
-def test_names_that_are_refused(name: str) -> None:
+def test_file_names_that_are_not_portable_are_refused(name: str) -> None:
     assert names.problem_with(name) is not None
 
 
 @pytest.mark.parametrize("name", ["a", "a/b.stl", "Arm 2 (left).xml", ".hidden", "größe.yaml"])
-def test_names_that_are_accepted(name: str) -> None:
+def test_portable_file_names_are_accepted(name: str) -> None:
     assert names.problem_with(name) is None
 
 
@@ -646,19 +667,19 @@ def test_names_that_are_accepted(name: str) -> None:
     "pair",
     [("a", "A"), ("a/b", "A/c"), ("straße", "STRASSE"), ("a", "a/b"), ("a", "A/b"), ("x", "x")],
 )
-def test_names_that_collide(pair: tuple[str, str]) -> None:
+def test_file_names_that_collide_on_other_systems_are_found(pair: tuple[str, str]) -> None:
     assert names.colliding(pair)
     assert names.colliding(reversed(pair))
 
 
-def test_names_that_do_not_collide() -> None:
+def test_distinct_file_names_do_not_collide() -> None:
     assert names.colliding(["a/b", "a/c", "b/a", "ab"]) == []
 
 
-# the core needs no disk
+# verification without disk access
 
 
-def test_verification_judges_facts_without_files(root: Path, first: Path) -> None:
+def test_verification_works_on_file_facts_without_disk_access(root: Path, first: Path) -> None:
     data = (first / "release.dsse.json").read_bytes()
     trusted = keys.load_trusted(root / "keys")
     read = release.check(first, now=NOW).release

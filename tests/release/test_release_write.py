@@ -1,4 +1,4 @@
-"""Releases are written whole or not at all, by those who may."""
+"""Writing releases: atomic, without overwriting, and only with a trusted key."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ from pytest_twin import release
 from pytest_twin.errors import ReleaseError
 
 
-def test_a_release_holds_what_was_given_to_it(root: Path, make: MakeRelease) -> None:
+def test_a_release_contains_header_ids_parts_proofs_and_files_of_its_draft(
+    root: Path, make: MakeRelease
+) -> None:
     draft = make_draft(root)
     written = make()
     read = release.check(root / "releases" / "0001", now=NOW).release
@@ -52,8 +54,10 @@ def test_a_release_holds_what_was_given_to_it(root: Path, make: MakeRelease) -> 
         assert copy.read_bytes() == (root / name).read_bytes()
 
 
-def test_the_envelope_is_dsse_that_others_can_verify(root: Path, make: MakeRelease) -> None:
-    """Against OpenSSL's Ed25519 and the text of the DSSE and in-toto specifications."""
+def test_the_envelope_is_a_dsse_envelope_that_openssl_verifies(
+    root: Path, make: MakeRelease
+) -> None:
+    """Compared with OpenSSL's Ed25519 and the DSSE and in-toto specifications."""
     import base64
 
     from cryptography.hazmat.primitives.serialization import load_pem_public_key
@@ -75,7 +79,7 @@ def test_the_envelope_is_dsse_that_others_can_verify(root: Path, make: MakeRelea
     assert golden["outcome"]["measures"][0]["margin"] == pytest.approx(3e-4)
 
 
-def test_results_stand_beside_the_report_for_machines(root: Path, make: MakeRelease) -> None:
+def test_results_are_written_as_json_and_as_an_html_report(root: Path, make: MakeRelease) -> None:
     make()
     make()
     results = json.loads((root / "releases" / "0002" / "results.json").read_text())
@@ -84,14 +88,16 @@ def test_results_stand_beside_the_report_for_machines(root: Path, make: MakeRele
     assert "release 2" in (root / "releases" / "0002" / "report.html").read_text()
 
 
-def test_numbers_count_up_and_each_names_the_one_before(root: Path, make: MakeRelease) -> None:
+def test_release_numbers_increase_and_each_release_names_its_predecessor(
+    root: Path, make: MakeRelease
+) -> None:
     first, second = make(), make()
     assert second.number == 2
     assert second.header.series == first.header.series
     assert second.header.previous == release.Previous(1, first.sha256)
 
 
-def test_a_proof_keeps_the_release_that_it_came_from(root: Path, make: MakeRelease) -> None:
+def test_a_carried_over_proof_keeps_its_release_and_time(root: Path, make: MakeRelease) -> None:
     first = make()
     old = first.goldens["golden/fk/home@mujoco"]
     signer, _ = release.signer(root)
@@ -101,7 +107,7 @@ def test_a_proof_keeps_the_release_that_it_came_from(root: Path, make: MakeRelea
     assert (proof.release, proof.at) == (1, "2026-05-04T12:00:00Z")
 
 
-def test_files_elsewhere_are_listed_and_not_copied(root: Path, tmp_path: Path) -> None:
+def test_files_outside_the_twin_are_listed_and_not_copied(root: Path, tmp_path: Path) -> None:
     recording = tmp_path / "recordings" / "a.mcap"
     recording.parent.mkdir()
     recording.write_bytes(b"mcap")
@@ -111,7 +117,7 @@ def test_files_elsewhere_are_listed_and_not_copied(root: Path, tmp_path: Path) -
     assert not list((root / "releases").rglob("*.mcap"))
 
 
-def test_a_file_that_changed_under_the_run_is_not_released(root: Path) -> None:
+def test_a_file_changed_during_the_run_prevents_the_release(root: Path) -> None:
     draft = make_draft(root)
     (root / "arm.xml").write_text("<mujoco/>")
     signer, _ = release.signer(root)
@@ -122,7 +128,7 @@ def test_a_file_that_changed_under_the_run_is_not_released(root: Path) -> None:
 
 
 @pytest.mark.parametrize("status", ["failed", "error"])
-def test_a_critical_failure_is_not_released(root: Path, status: str) -> None:
+def test_a_critical_failure_prevents_the_release(root: Path, status: str) -> None:
     signer, _ = release.signer(root)
     draft = make_draft(root, result=outcome(status))
     with pytest.raises(ReleaseError, match="home@mujoco: a critical golden did not pass"):
@@ -130,7 +136,7 @@ def test_a_critical_failure_is_not_released(root: Path, status: str) -> None:
     assert not (root / "releases").exists()
 
 
-def test_an_advisory_failure_is_released_as_such(root: Path) -> None:
+def test_an_advisory_failure_is_released_with_its_status(root: Path) -> None:
     signer, _ = release.signer(root)
     draft = make_draft(root, result=outcome("failed", "advisory", error=float("nan")))
     release.write(root, draft, signer, html, now=NOW)
@@ -150,7 +156,7 @@ def test_an_advisory_failure_is_released_as_such(root: Path) -> None:
         ("dot.", r"files/meshes/dot-[0-9a-f]{8}"),
     ],
 )
-def test_a_name_that_another_system_lacks_is_kept_under_a_portable_one(
+def test_a_file_with_an_unportable_name_is_stored_under_a_portable_name(
     root: Path, given: str, kept: str
 ) -> None:
     (root / "meshes" / given).write_bytes(b"other")
@@ -167,7 +173,7 @@ def test_a_name_that_another_system_lacks_is_kept_under_a_portable_one(
 # interrupted and concurrent writes
 
 
-def test_a_killed_write_leaves_no_release(root: Path, user: Path) -> None:
+def test_a_killed_writer_leaves_no_release(root: Path, user: Path) -> None:
     code = f"""
 import os, signal, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
@@ -187,7 +193,7 @@ release.write(root, make_draft(root), signer, lambda header: os.kill(os.getpid()
     assert not release.check(staging).holds
 
 
-def test_what_an_interrupted_write_left_is_cleaned_once_it_is_old(
+def test_old_staging_folders_of_interrupted_writes_are_deleted(
     root: Path, make: MakeRelease
 ) -> None:
     fresh, old = root / "releases" / ".staging-fresh", root / "releases" / ".staging-old"
@@ -200,7 +206,7 @@ def test_what_an_interrupted_write_left_is_cleaned_once_it_is_old(
     assert not old.exists()
 
 
-def test_a_link_in_place_of_the_next_release_is_not_followed(
+def test_a_symbolic_link_at_the_next_release_number_is_not_followed(
     root: Path, tmp_path: Path, make: MakeRelease
 ) -> None:
     make()
@@ -210,7 +216,7 @@ def test_a_link_in_place_of_the_next_release_is_not_followed(
     assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
-def test_a_failed_write_leaves_nothing_behind(root: Path) -> None:
+def test_a_failed_write_leaves_no_files(root: Path) -> None:
     signer, _ = release.signer(root)
 
     def broken(header: release.Header) -> str:
@@ -221,35 +227,37 @@ def test_a_failed_write_leaves_nothing_behind(root: Path) -> None:
     assert list((root / "releases").iterdir()) == []
 
 
-def test_of_two_writers_one_wins_and_the_other_says_so(root: Path, make: MakeRelease) -> None:
+def test_of_two_concurrent_writers_the_second_reports_an_error(
+    root: Path, make: MakeRelease
+) -> None:
     signer, _ = release.signer(root)
 
-    def overtaken(header: release.Header) -> str:
-        # Another process writes the same number while this one is at work.
+    def report_after_another_writer(header: release.Header) -> str:
+        # Another process writes the same release number in the meantime.
         assert make().number == header.number
         return "late"
 
     with pytest.raises(ReleaseError, match="release 1 was written by another process meanwhile"):
-        release.write(root, make_draft(root), signer, overtaken, now=NOW)
+        release.write(root, make_draft(root), signer, report_after_another_writer, now=NOW)
     assert [path.name for path in (root / "releases").iterdir()] == ["0001"]
     assert release.check(root / "releases" / "0001", now=NOW).holds
 
 
-def test_a_release_that_appears_between_two_looks_is_not_skipped(
+def test_a_release_written_between_reading_and_writing_is_not_skipped(
     root: Path, make: MakeRelease, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its successor would follow the one before it, and never hold."""
+    """Otherwise the next release would name the wrong predecessor and never be valid."""
     make()
     signer, _ = release.signer(root)
-    looked = release.write.__globals__["baseline"]
+    read_baseline = release.write.__globals__["baseline"]
 
-    def then_written(*args: object, **options: object) -> object:
-        found = looked(*args, **options)
-        monkeypatch.setitem(release.write.__globals__, "baseline", looked)
+    def read_baseline_then_write(*args: object, **options: object) -> object:
+        found = read_baseline(*args, **options)
+        monkeypatch.setitem(release.write.__globals__, "baseline", read_baseline)
         assert make().number == 2
         return found
 
-    monkeypatch.setitem(release.write.__globals__, "baseline", then_written)
+    monkeypatch.setitem(release.write.__globals__, "baseline", read_baseline_then_write)
     with pytest.raises(ReleaseError, match="release 2 was written by another process meanwhile"):
         release.write(root, make_draft(root), signer, html, now=NOW)
     assert sorted(path.name for path in (root / "releases").iterdir()) == ["0001", "0002"]
@@ -257,7 +265,7 @@ def test_a_release_that_appears_between_two_looks_is_not_skipped(
     assert release.check(root / "releases" / "0003", now=NOW).holds
 
 
-def test_writers_in_parallel_never_clobber(root: Path, user: Path) -> None:
+def test_parallel_writers_never_overwrite_each_other(root: Path, user: Path) -> None:
     code = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
@@ -293,7 +301,7 @@ for _ in range(5):
 # keys
 
 
-def test_a_key_is_made_for_a_user_without_one(root: Path, user: Path) -> None:
+def test_a_signing_key_is_created_for_a_user_without_one(root: Path, user: Path) -> None:
     _, notes = release.signer(root)
     path = user / "config" / "pytest-twin" / "signing_key.pem"
     assert notes == (f"created a signing key: {path} (keep it private, and keep a copy)",)
@@ -304,7 +312,7 @@ def test_a_key_is_made_for_a_user_without_one(root: Path, user: Path) -> None:
     assert [entry.name for entry in path.parent.iterdir()] == ["signing_key.pem"]
 
 
-def test_the_first_release_says_whom_the_twin_trusts_from_now_on(root: Path) -> None:
+def test_the_first_release_stores_the_trusted_public_key_and_reports_it(root: Path) -> None:
     signer, _ = release.signer(root)
     _, notes = release.write(root, make_draft(root), signer, html, now=NOW)
     (key,) = (root / "keys").glob("*.pub")
@@ -314,21 +322,23 @@ def test_the_first_release_says_whom_the_twin_trusts_from_now_on(root: Path) -> 
     assert notes == ()
 
 
-def test_of_two_first_signers_only_one_is_trusted(root: Path, tmp_path: Path) -> None:
+def test_of_two_concurrent_first_signers_only_one_is_trusted(root: Path, tmp_path: Path) -> None:
     signers = [release.signer(root, str(private_key(tmp_path / f"{name}.pem")))[0] for name in "ab"]
 
-    def overtaken(header: release.Header) -> str:
+    def report_after_another_writer(header: release.Header) -> str:
         release.write(root, make_draft(root), signers[0], html, now=NOW)
         return "late"
 
     with pytest.raises(ReleaseError, match="is not a key that this twin trusts"):
-        release.write(root, make_draft(root), signers[1], overtaken, now=NOW)
+        release.write(root, make_draft(root), signers[1], report_after_another_writer, now=NOW)
     (key,) = (root / "keys").iterdir()
     assert signers[0].public_key.keyid.startswith(key.stem)
     assert sorted(path.name for path in root.iterdir() if path.name.startswith(".")) == []
 
 
-def test_a_folder_of_keys_without_a_key_gets_its_first(root: Path, make: MakeRelease) -> None:
+def test_an_empty_key_folder_gets_the_key_of_the_first_release(
+    root: Path, make: MakeRelease
+) -> None:
     (root / "keys").mkdir()
     (root / "keys" / "README").write_text("who may sign\n")
     make()
@@ -342,7 +352,7 @@ def private_key(path: Path) -> Path:
     return path
 
 
-def test_keys_are_taken_from_flag_then_variable_then_ini(
+def test_the_signing_key_is_taken_from_flag_then_environment_then_ini(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths = [private_key(tmp_path / f"{name}.pem") for name in ("flag", "variable", "ini")]
@@ -354,7 +364,7 @@ def test_keys_are_taken_from_flag_then_variable_then_ini(
     assert release.signer(root, None, str(paths[2]))[0].public_key.keyid == ids[2]
 
 
-def test_a_foreign_key_may_not_sign(root: Path, tmp_path: Path, make: MakeRelease) -> None:
+def test_an_untrusted_key_may_not_sign(root: Path, tmp_path: Path, make: MakeRelease) -> None:
     make()
     foreign = private_key(tmp_path / "foreign.pem")
     with pytest.raises(ReleaseError, match="is not a key that this twin trusts"):
@@ -365,7 +375,7 @@ def test_a_foreign_key_may_not_sign(root: Path, tmp_path: Path, make: MakeReleas
     assert release.newest(root) == root / "releases" / "0001"
 
 
-def test_a_twin_that_lost_its_keys_does_not_trust_the_next_comer(
+def test_a_twin_with_releases_but_without_keys_trusts_no_new_key(
     root: Path, make: MakeRelease
 ) -> None:
     make()
@@ -381,21 +391,21 @@ def test_a_signing_key_inside_the_twin_is_refused(root: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"-----BEGIN PRIVATE KEY-----\nAA==\n"])
-def test_a_file_that_is_no_signing_key_is_named(root: Path, tmp_path: Path, content: bytes) -> None:
+def test_an_invalid_signing_key_file_is_named(root: Path, tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "key.pem"
     path.write_bytes(content)
     with pytest.raises(ReleaseError, match=r"key\.pem: not a key to sign with .*Ed25519"):
         release.signer(root, str(path))
 
 
-def test_a_key_of_another_kind_is_refused(root: Path, tmp_path: Path) -> None:
+def test_a_signing_key_other_than_ed25519_is_refused(root: Path, tmp_path: Path) -> None:
     path = tmp_path / "ecdsa.pem"
     path.write_bytes(CryptoSigner.generate_ecdsa().private_bytes)
     with pytest.raises(ReleaseError, match="not a key to sign with"):
         release.signer(root, str(path))
 
 
-def test_a_key_that_others_can_read_is_pointed_out(root: Path, tmp_path: Path) -> None:
+def test_a_signing_key_readable_by_others_is_reported(root: Path, tmp_path: Path) -> None:
     path = private_key(tmp_path / "key.pem")
     path.chmod(0o644)
     assert release.signer(root, str(path))[1] == (
@@ -406,7 +416,7 @@ def test_a_key_that_others_can_read_is_pointed_out(root: Path, tmp_path: Path) -
 # the baseline of the gate
 
 
-def test_the_baseline_is_the_newest_release_that_holds(root: Path, make: MakeRelease) -> None:
+def test_the_baseline_is_the_newest_valid_release(root: Path, make: MakeRelease) -> None:
     make()
     second = make()
     found = release.baseline(root, now=NOW)
@@ -414,10 +424,10 @@ def test_the_baseline_is_the_newest_release_that_holds(root: Path, make: MakeRel
     assert found.problems == ()
 
 
-def test_a_damaged_newest_release_is_reported_and_not_skipped_over(
+def test_a_damaged_newest_release_does_not_make_an_older_one_the_baseline(
     root: Path, make: MakeRelease
 ) -> None:
-    """Its envelope is authentic, so the release before it is out of date."""
+    """Its envelope is authentic, so the previous release is outdated."""
     make()
     second = make()
     (root / "releases" / "0002" / "files" / "arm.xml").write_text("<mujoco>changed</mujoco>\n")
@@ -428,7 +438,7 @@ def test_a_damaged_newest_release_is_reported_and_not_skipped_over(
     assert "release 1 does not hold: older than release 2" in found.problems[1]
 
 
-def test_a_forged_newest_release_does_not_hide_the_true_one(root: Path, make: MakeRelease) -> None:
+def test_a_forged_newest_release_does_not_hide_the_valid_one(root: Path, make: MakeRelease) -> None:
     first = make()
     (root / "releases" / "0002").mkdir()
     (root / "releases" / "0002" / "release.dsse.json").write_text("{}")
@@ -441,7 +451,7 @@ def test_a_forged_newest_release_does_not_hide_the_true_one(root: Path, make: Ma
     assert make().number == 3
 
 
-def test_an_expired_baseline_proves_nothing_but_is_known(root: Path, make: MakeRelease) -> None:
+def test_an_expired_release_is_known_but_is_not_the_baseline(root: Path, make: MakeRelease) -> None:
     first = make()
     found = release.baseline(root, now=NOW + timedelta(days=90))
     assert found.release is None

@@ -1,4 +1,4 @@
-"""``pytest-twin stamp`` and ``verify`` of data sets: every carrier, every way to break a stamp."""
+"""``pytest-twin stamp`` and ``verify`` of data sets in all supported file formats."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def write_mcap(path: Path, messages: int = 300) -> Path:
 
 
 def messages_of(path: Path) -> list[tuple[int, bytes]]:
-    """By the index at the end of the file, with the library's own reader."""
+    """Log times and data, read through the file's index with the mcap library."""
     from mcap.reader import make_reader
 
     with path.open("rb") as stream:
@@ -82,7 +82,7 @@ def write(kind: str, folder: Path) -> Path:
 
 
 def tamper(kind: str, path: Path) -> None:
-    """Change one number of the content."""
+    """Change one value of the content."""
     if kind == "lerobot":
         info = json.loads((path / "meta/info.json").read_text())
         (path / "meta/info.json").write_text(json.dumps({**info, "fps": 51}))
@@ -105,19 +105,26 @@ def tamper(kind: str, path: Path) -> None:
 
 
 @pytest.fixture
-def two(root: Path, make: MakeRelease) -> Path:
+def twin_with_two_releases(root: Path, make: MakeRelease) -> Path:
     for _ in range(2):
         make(datetime.now(UTC))
     return root
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_stamp_holds_until_the_data_change(kind: str, two: Path, tmp_path: Path) -> None:
+def test_a_stamp_is_valid_until_the_data_change(
+    kind: str, twin_with_two_releases: Path, tmp_path: Path
+) -> None:
     data = write(kind, tmp_path / "data")
-    assert cli.main(["stamp", str(data), "--release", str(two / "releases" / "0001")]) == 0
+    assert (
+        cli.main(
+            ["stamp", str(data), "--release", str(twin_with_two_releases / "releases" / "0001")]
+        )
+        == 0
+    )
     assert cli.main(["verify", str(data)]) == 0
-    # A second stamp takes the place of the first.
-    assert cli.main(["stamp", str(data), "--release", str(two)]) == 0
+    # A second stamp replaces the first.
+    assert cli.main(["stamp", str(data), "--release", str(twin_with_two_releases)]) == 0
     out = tmp_path / "verdict.json"
     assert cli.main(["verify", str(data), "--json", str(out)]) == 0
     verdict = json.loads(out.read_text())
@@ -130,7 +137,9 @@ def test_a_stamp_holds_until_the_data_change(kind: str, two: Path, tmp_path: Pat
     assert problem["text"].startswith("the data have changed since they were stamped")
 
 
-def test_content_beside_the_stamp_stays(two: Path, tmp_path: Path) -> None:
+def test_stamping_leaves_the_other_content_unchanged(
+    twin_with_two_releases: Path, tmp_path: Path
+) -> None:
     import h5py
     import onnx
 
@@ -138,9 +147,15 @@ def test_content_beside_the_stamp_stays(two: Path, tmp_path: Path) -> None:
         write(kind, tmp_path)
     before = messages_of(tmp_path / "move.mcap")
     for _ in range(2):
-        assert cli.main(["stamp", str(tmp_path / "set"), "--release", str(two)]) == 0
+        assert (
+            cli.main(["stamp", str(tmp_path / "set"), "--release", str(twin_with_two_releases)])
+            == 0
+        )
         for name in ("move.mcap", "demo.hdf5", "policy.onnx"):
-            assert cli.main(["stamp", str(tmp_path / name), "--release", str(two)]) == 0
+            assert (
+                cli.main(["stamp", str(tmp_path / name), "--release", str(twin_with_two_releases)])
+                == 0
+            )
     assert messages_of(tmp_path / "move.mcap") == before
     assert len(before) == 300
     with h5py.File(tmp_path / "demo.hdf5") as file:
@@ -154,12 +169,14 @@ def test_content_beside_the_stamp_stays(two: Path, tmp_path: Path) -> None:
     assert json.loads(props["twin"])["release"] == 2
 
 
-def test_the_index_of_a_stamped_recording_leads_to_everything(two: Path, tmp_path: Path) -> None:
+def test_a_stamped_mcap_file_has_a_complete_index(
+    twin_with_two_releases: Path, tmp_path: Path
+) -> None:
     from mcap.reader import make_reader
 
     path = write("mcap", tmp_path)
     for _ in range(3):
-        assert cli.main(["stamp", str(path), "--release", str(two)]) == 0
+        assert cli.main(["stamp", str(path), "--release", str(twin_with_two_releases)]) == 0
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -188,47 +205,47 @@ def edit(path: Path, **changes: object) -> None:
         ({"more": 1}, "not a stamp of pytest-twin"),
     ],
 )
-def test_a_stamp_that_was_changed_does_not_hold(
+def test_an_edited_stamp_is_invalid(
     changes: dict[str, object],
     said: str,
-    two: Path,
+    twin_with_two_releases: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     data = write("lerobot", tmp_path)
-    assert cli.main(["stamp", str(data), "--release", str(two)]) == 0
+    assert cli.main(["stamp", str(data), "--release", str(twin_with_two_releases)]) == 0
     edit(data, **changes)
     assert cli.main(["verify", str(data)]) == 1
     assert said in capsys.readouterr().out
 
 
-def test_a_stamp_by_a_key_that_is_not_trusted_does_not_hold(
-    two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_stamp_of_an_untrusted_release_is_invalid(
+    twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from securesystemslib.signer import CryptoSigner
 
     from pytest_twin.release.keys import public_pem
 
     data = write("lerobot", tmp_path)
-    assert cli.main(["stamp", str(data), "--release", str(two)]) == 0
+    assert cli.main(["stamp", str(data), "--release", str(twin_with_two_releases)]) == 0
     keys = tmp_path / "mine"
     keys.mkdir()
     (keys / "me.pub").write_bytes(public_pem(CryptoSigner.generate_ed25519()))
     assert cli.main(["verify", str(data), "--keys", str(keys)]) == 1
     assert "not trusted" in capsys.readouterr().out
-    assert cli.main(["verify", str(data), "--keys", str(two / "keys")]) == 0
+    assert cli.main(["verify", str(data), "--keys", str(twin_with_two_releases / "keys")]) == 0
 
 
-def test_files_of_one_data_set_bear_one_release(
-    two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_all_files_of_a_data_set_must_have_the_same_release(
+    twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "runs"
     folder.mkdir()
     for name in ("a.mcap", "b.mcap"):
         write_mcap(folder / name)
-    assert cli.main(["stamp", str(folder), "--release", str(two)]) == 0
+    assert cli.main(["stamp", str(folder), "--release", str(twin_with_two_releases)]) == 0
     assert cli.main(["verify", str(folder)]) == 0
-    older = str(two / "releases" / "0001")
+    older = str(twin_with_two_releases / "releases" / "0001")
     assert cli.main(["stamp", str(folder / "b.mcap"), "--release", older]) == 0
     assert cli.main(["verify", str(folder)]) == 1
     assert "other files with release 2" in capsys.readouterr().out
@@ -237,42 +254,49 @@ def test_files_of_one_data_set_bear_one_release(
     assert "b.mcap: is not stamped" in capsys.readouterr().out
 
 
-def test_what_cannot_be_stamped_is_one_line(
-    two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_data_that_cannot_be_stamped_are_reported_in_one_line_and_unchanged(
+    twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = write("mcap", tmp_path)
     whole = data.read_bytes()
     data.write_bytes(whole[:-40])
     broken = data.read_bytes()
-    assert cli.main(["stamp", str(data), "--release", str(two)]) == 2
+    assert cli.main(["stamp", str(data), "--release", str(twin_with_two_releases)]) == 2
     assert "no footer" in capsys.readouterr().err
     assert data.read_bytes() == broken
     (tmp_path / "a.csv").write_text("time\n")
-    assert cli.main(["stamp", str(tmp_path / "a.csv"), "--release", str(two)]) == 2
+    assert (
+        cli.main(["stamp", str(tmp_path / "a.csv"), "--release", str(twin_with_two_releases)]) == 2
+    )
     assert "pytest-twin convert" in capsys.readouterr().err
     data.write_bytes(whole)
-    (two / "releases" / "0002" / "results.json").write_text("{}")
-    assert cli.main(["stamp", str(data), "--release", str(two)]) == 2
+    (twin_with_two_releases / "releases" / "0002" / "results.json").write_text("{}")
+    assert cli.main(["stamp", str(data), "--release", str(twin_with_two_releases)]) == 2
     assert "the release does not hold: results.json: changed" in capsys.readouterr().err
     assert data.read_bytes() == whole
     assert cli.main(["verify", str(data)]) == 2
     assert "is not stamped" in capsys.readouterr().err
 
 
-def test_a_stamp_outlives_the_releases_after_it_and_the_twin(
-    two: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_stamp_stays_valid_after_newer_releases_and_without_the_twin(
+    twin_with_two_releases: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = write("lerobot", tmp_path)
-    assert cli.main(["stamp", str(data), "--release", str(two / "releases" / "0001")]) == 0
+    assert (
+        cli.main(
+            ["stamp", str(data), "--release", str(twin_with_two_releases / "releases" / "0001")]
+        )
+        == 0
+    )
     keys = tmp_path / "keys"
-    shutil.copytree(two / "keys", keys)
-    shutil.rmtree(two)
+    shutil.copytree(twin_with_two_releases / "keys", keys)
+    shutil.rmtree(twin_with_two_releases)
     assert cli.main(["verify", str(data), "--keys", str(keys)]) == 0
     assert cli.main(["verify", str(data)]) == 2
 
 
 @pytest.mark.parametrize("kind", ["mcap", "hdf5", "onnx"])
-def test_a_damaged_file_is_refused_or_read_and_never_crashes(kind: str, tmp_path: Path) -> None:
+def test_reading_a_damaged_file_raises_only_typed_errors(kind: str, tmp_path: Path) -> None:
     path = write(kind, tmp_path)
     (carrier,) = carriers_of(path)
     carrier.write('{"a": 1}')
@@ -294,10 +318,10 @@ def test_a_damaged_file_is_refused_or_read_and_never_crashes(kind: str, tmp_path
 
 
 @pytest.mark.parametrize("kind", ["hdf5", "onnx"])
-def test_what_a_library_in_c_parses_is_parsed_in_a_child_process(
+def test_hdf5_and_onnx_files_are_parsed_in_a_child_process(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The parent cannot even import the library, and reads the stamp all the same."""
+    """The parent process reads the stamp although it cannot import the library."""
     path = write(kind, tmp_path)
     (carrier,) = carriers_apart(path, writable=True)
     carrier.write('{"a": 1}')
@@ -309,7 +333,7 @@ def test_what_a_library_in_c_parses_is_parsed_in_a_child_process(
     assert len(carrier.digest()) == 64
 
 
-def test_a_damaged_file_is_told_by_the_child_in_the_same_words(tmp_path: Path) -> None:
+def test_a_parse_error_in_the_child_process_keeps_its_message(tmp_path: Path) -> None:
     path = tmp_path / "demo.hdf5"
     path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     (carrier,) = carriers_apart(path, writable=True)

@@ -1,4 +1,4 @@
-"""``pytest-twin verify``: words, JSON, and exit status."""
+"""``pytest-twin verify``: text, JSON and exit status."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from pytest_twin.formats.schema import load_schema
 
 
 @pytest.fixture
-def two(root: Path, make: MakeRelease) -> Path:
-    """A twin with two releases, made just now."""
+def twin_with_two_releases(root: Path, make: MakeRelease) -> Path:
+    """A twin with two releases with the current date."""
     for _ in range(2):
         make(datetime.now(UTC))
     return root
 
 
-def test_a_release_that_holds(two: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["verify", str(two / "releases" / "0002")]) == 0
+def test_a_valid_release_prints_a_summary_and_exits_with_0(
+    twin_with_two_releases: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["verify", str(twin_with_two_releases / "releases" / "0002")]) == 0
     out, err = capsys.readouterr()
     first, second, third = out.splitlines()
     assert first == "holds: release 2 of 'arm'"
@@ -33,22 +35,26 @@ def test_a_release_that_holds(two: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert err == ""
 
 
-def test_a_twin_stands_for_its_newest_release(
-    two: Path, capsys: pytest.CaptureFixture[str]
+def test_verifying_a_twin_verifies_its_newest_release(
+    twin_with_two_releases: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["verify", str(two)]) == 0
+    assert cli.main(["verify", str(twin_with_two_releases)]) == 0
     assert "release 2" in capsys.readouterr().out
-    shutil.rmtree(two / "releases" / "0002" / "files")
-    assert cli.main(["verify", str(two)]) == 1
+    shutil.rmtree(twin_with_two_releases / "releases" / "0002" / "files")
+    assert cli.main(["verify", str(twin_with_two_releases)]) == 1
 
 
-def test_a_release_that_does_not_hold(two: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["verify", str(two / "releases" / "0001")]) == 1
+def test_an_invalid_release_prints_the_reason_and_exits_with_1(
+    twin_with_two_releases: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["verify", str(twin_with_two_releases / "releases" / "0001")]) == 1
     assert capsys.readouterr().out.splitlines()[-1] == ("  older than release 2 beside it")
 
 
-def test_json_on_standard_output(two: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["verify", str(two / "releases" / "0001"), "--json"]) == 1
+def test_json_is_written_to_standard_output(
+    twin_with_two_releases: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["verify", str(twin_with_two_releases / "releases" / "0001"), "--json"]) == 1
     out, err = capsys.readouterr()
     fields = json.loads(out)
     jsonschema.validate(fields, load_schema("results/verify.schema.json"))
@@ -58,25 +64,34 @@ def test_json_on_standard_output(two: Path, capsys: pytest.CaptureFixture[str]) 
     assert err.startswith("does not hold: release 1")
 
 
-def test_json_beside_the_text(
-    two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_json_is_written_to_a_file_in_addition_to_the_text(
+    twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "verdict.json"
-    assert cli.main(["verify", str(two), "--json", str(path)]) == 0
+    assert cli.main(["verify", str(twin_with_two_releases), "--json", str(path)]) == 0
     assert json.loads(path.read_text())["holds"] is True
     assert capsys.readouterr().out.startswith("holds")
 
 
-def test_a_release_is_not_written_into(two: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    inside = two / "releases" / "0002" / "verdict.json"
-    assert cli.main(["verify", str(two), "--json", str(inside)]) == 2
+def test_json_is_not_written_into_a_release(
+    twin_with_two_releases: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    inside = twin_with_two_releases / "releases" / "0002" / "verdict.json"
+    assert cli.main(["verify", str(twin_with_two_releases), "--json", str(inside)]) == 2
     assert not inside.exists()
-    assert cli.main(["verify", str(two)]) == 0
+    assert cli.main(["verify", str(twin_with_two_releases)]) == 0
 
 
-def test_keys_from_elsewhere(two: Path, tmp_path: Path) -> None:
-    shutil.copytree(two / "releases" / "0002", tmp_path / "received")
-    assert cli.main(["verify", str(tmp_path / "received"), "--keys", str(two / "keys")]) == 0
+def test_trusted_keys_can_be_given_as_a_folder(
+    twin_with_two_releases: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(twin_with_two_releases / "releases" / "0002", tmp_path / "received")
+    assert (
+        cli.main(
+            ["verify", str(tmp_path / "received"), "--keys", str(twin_with_two_releases / "keys")]
+        )
+        == 0
+    )
     assert cli.main(["verify", str(tmp_path / "received")]) == 1
 
 
@@ -88,14 +103,14 @@ def test_keys_from_elsewhere(two: Path, tmp_path: Path) -> None:
         (["arm", "--keys", "nowhere"], "nowhere: no such folder of keys"),
     ],
 )
-def test_unusable_input(
-    two: Path,
+def test_unusable_input_of_verify_is_one_line_and_exit_status_2(
+    twin_with_two_releases: Path,
     arguments: list[str],
     words: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.chdir(two.parent)
+    monkeypatch.chdir(twin_with_two_releases.parent)
     assert cli.main(["verify", *arguments]) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -104,22 +119,26 @@ def test_unusable_input(
     assert len(err.splitlines()) == 1
 
 
-def test_a_twin_without_releases(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verifying_a_twin_without_releases_is_refused(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(["verify", str(root)]) == 2
     assert "this twin has no release yet" in capsys.readouterr().err
 
 
-def test_from_within_the_release(
-    two: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_relative_paths_work_from_inside_a_release_folder(
+    twin_with_two_releases: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.chdir(two / "releases" / "0002")
+    monkeypatch.chdir(twin_with_two_releases / "releases" / "0002")
     assert cli.main(["verify", "."]) == 0
     assert cli.main(["verify", "../0001"]) == 1
 
 
-def test_an_escape_in_a_name_reaches_no_terminal(
-    two: Path, capsys: pytest.CaptureFixture[str]
+def test_escape_sequences_in_file_names_are_not_printed(
+    twin_with_two_releases: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (two / "releases" / "0002" / "a\x1b[2Jb").touch()
-    assert cli.main(["verify", str(two)]) == 1
+    (twin_with_two_releases / "releases" / "0002" / "a\x1b[2Jb").touch()
+    assert cli.main(["verify", str(twin_with_two_releases)]) == 1
     assert "\x1b" not in capsys.readouterr().out
