@@ -1,4 +1,4 @@
-"""Small robots for the tests of this folder, and where real ones lie."""
+"""Small robot models for the tests of this folder, and paths of real ones."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ ARM = """<robot name="arm">
 
 
 def written(folder: Path, text: str, name: str = "model.xml") -> Path:
-    """The text as a file."""
+    """Write the text to a file and return its path."""
     path = folder / name
     path.write_text(text)
     return path
 
 
 def example_robot(name: str) -> Path:
-    """A URDF of the package example-robot-data, by the end of its path."""
+    """Path of a URDF of the package example-robot-data with this file name."""
     try:
         files = distribution("example-robot-data").files or []
     except PackageNotFoundError:
@@ -80,7 +80,7 @@ def example_robot(name: str) -> Path:
 
 
 def recordings() -> Path:
-    """The folder of real recordings."""
+    """The folder of real recordings; skips if it is missing."""
     default = Path(__file__).parents[2].parent / "shared/recordings"
     folder = Path(os.environ.get("TWIN_RECORDINGS", default))
     if not folder.is_dir():

@@ -1,4 +1,4 @@
-"""What the tests call in the child."""
+"""Functions that the sandbox tests call in the child process."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def load_model(path: str) -> list[str]:
 
 
 def load_text(text: str, folder: str, suffix: str) -> tuple[str, str | None] | None:
-    """None, or words and file of the typed error; anything else is a defect and comes out so."""
+    """None, or message and file of a typed error; any other exception is a defect and is raised."""
     from pytest_twin.errors import TwinError
     from pytest_twin.realization import load
 

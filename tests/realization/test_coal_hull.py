@@ -1,4 +1,4 @@
-"""Hulls for coal: exact where it can take them, a little smaller where it cannot."""
+"""Convex hulls for coal: exact, or slightly smaller for vertices with too many neighbours."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def cone(count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count", [60, 300, 2000])
-def test_a_vertex_may_have_any_number_of_neighbours(count: int) -> None:
+def test_distances_to_a_hull_are_right_for_any_number_of_neighbours_of_a_vertex(count: int) -> None:
     points = cone(count)
     made = convex(points, outward_faces(ConvexHull(points), points))
     ball = coal.Sphere(0.05)

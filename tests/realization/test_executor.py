@@ -1,4 +1,4 @@
-"""One interface for forks and Dask workers: results in order, and nothing lost with a worker."""
+"""Executors with forks or Dask workers: ordered results, no loss when a worker dies."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ import pytest
 from pytest_twin.errors import TwinError
 from pytest_twin.realization.executor import Dask, Executor, Forks
 
-forks = pytest.mark.skipif(sys.platform != "linux", reason="forks are shared with on Linux alone")
+forks = pytest.mark.skipif(sys.platform != "linux", reason="forks are used on Linux only")
 
 
 def work(item: int, folder: Path, here: int, fatal: int | None = None) -> int:
-    """Square an item, and leave a file for each attempt; one item kills its first worker."""
+    """Square an item and write a file per attempt; the item ``fatal`` kills its first worker."""
     first = not list(folder.glob(f"{item}.*"))
     (folder / f"{item}.{os.getpid()}.{time.monotonic_ns()}").touch()
     time.sleep(0.05)
@@ -29,8 +29,8 @@ def work(item: int, folder: Path, here: int, fatal: int | None = None) -> int:
     return item * item
 
 
-def in_a_worker_first(item: int, folder: Path, here: int) -> int:
-    """As :func:`work`; a fork's second item kills it."""
+def work_with_dying_forks(item: int, folder: Path, here: int) -> int:
+    """As :func:`work`, but each fork dies at its second item."""
     mine = [p for p in folder.iterdir() if p.name.split(".")[1] == str(os.getpid())]
     (folder / f"{item}.{os.getpid()}").touch()
     time.sleep(0.05)
@@ -40,17 +40,17 @@ def in_a_worker_first(item: int, folder: Path, here: int) -> int:
 
 
 @forks
-def test_forks_give_results_in_the_order_of_items(tmp_path: Path) -> None:
+def test_forks_return_results_in_the_order_of_items(tmp_path: Path) -> None:
     function = partial(work, folder=tmp_path, here=os.getpid())
     assert Forks(3).map(function, range(9)) == [i * i for i in range(9)]
     assert len({p.name.split(".")[1] for p in tmp_path.iterdir()}) > 1
 
 
 @forks
-def test_a_fork_that_dies_takes_only_its_last_item_with_it(tmp_path: Path) -> None:
-    function = partial(in_a_worker_first, folder=tmp_path, here=os.getpid())
+def test_only_the_last_item_of_a_dying_fork_is_repeated(tmp_path: Path) -> None:
+    function = partial(work_with_dying_forks, folder=tmp_path, here=os.getpid())
     assert Forks(2).map(function, range(8)) == [i * i for i in range(8)]
-    # The item at which the fork died was begun twice; what it had finished stands.
+    # The item at which the fork died runs twice; its finished items are kept.
     attempts = [int(p.name.split(".")[0]) for p in tmp_path.iterdir()]
     assert sorted(set(attempts)) == list(range(8))
     assert len(attempts) == 9
@@ -83,7 +83,7 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
 
 
 @pytest.mark.filterwarnings("default")
-def test_nothing_is_lost_where_a_dask_worker_is_killed(scheduler: str, tmp_path: Path) -> None:
+def test_no_result_is_lost_when_a_dask_worker_is_killed(scheduler: str, tmp_path: Path) -> None:
     folder = tmp_path / "attempts"
     folder.mkdir()
     executor: Executor = Dask(scheduler)
@@ -95,14 +95,16 @@ def test_nothing_is_lost_where_a_dask_worker_is_killed(scheduler: str, tmp_path:
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreachable_dask_scheduler_is_reported_with_its_address(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("pytest_twin.realization.executor._CONNECT_SECONDS", 0.2)
     with pytest.raises(TwinError, match=r"no Dask scheduler answers.*tcp://127\.0\.0\.1:1"):
         Dask("tcp://127.0.0.1:1").map(len, ["a"])
 
 
-def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_dask_the_error_names_the_package_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(TwinError, match=r"pip install 'pytest-twin\[dask\]'"):
         Dask("tcp://127.0.0.1:1").map(len, ["a"])

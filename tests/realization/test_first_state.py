@@ -1,4 +1,4 @@
-"""Joints that nobody commands or records: they stay, and follow what they are tied to."""
+"""Uncommanded or unrecorded joints hold their position or follow their equality constraint."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ SERVOS = '<position joint="shoulder" kp="40" kv="2"/><position joint="lift" kp="
 START = np.array([0.4, 0.03])
 
 
-def held(text: str) -> mujoco.MjData:
-    """Two seconds after a start at rest, nothing commanded."""
+def simulate_uncommanded(text: str) -> mujoco.MjData:
+    """State 2 s after a start at rest without commands."""
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     data.qpos[:] = START
@@ -57,17 +57,18 @@ def held(text: str) -> mujoco.MjData:
         ("", "", '<general joint="shoulder" biastype="affine" gainprm="7" biasprm="1.5 -30 -2"/>'
          '<position joint="lift" kp="300" kv="10"/>'),
     ],
-    ids=["plain", "geared", "spring", "compensated", "compensated by the drive", "two", "general"],
+    ids=["plain", "geared", "spring", "gravity compensation", "compensation by actuator",
+         "two servos", "general"],
 )  # fmt: skip
-def test_servos_that_nobody_commands_hold_their_joints(
+def test_uncommanded_servos_hold_their_joints_against_gravity(
     upper: str, shoulder: str, drives: str
 ) -> None:
-    data = held(ARM.format(upper=upper, shoulder=shoulder, drives=drives))
+    data = simulate_uncommanded(ARM.format(upper=upper, shoulder=shoulder, drives=drives))
     assert data.qpos == pytest.approx(START, abs=1e-7)
 
 
 @pytest.mark.parametrize("gear", [1.0, -2.5])
-def test_a_servo_that_integrates_carries_its_load_where_it_starts(gear: float) -> None:
+def test_an_integrated_velocity_servo_starts_in_static_equilibrium(gear: float) -> None:
     drives = (
         f'<intvelocity joint="shoulder" kp="40" kv="2" gear="{gear}"/>'
         '<position joint="lift" kp="300" kv="10"/>'
@@ -77,14 +78,16 @@ def test_a_servo_that_integrates_carries_its_load_where_it_starts(gear: float) -
     data.qpos[:] = START
     data.ctrl[:] = holding_controls(model, data, ())
     settle_actuators(model, data)
-    assert data.act[0] == pytest.approx(gear * START[0]), "where the joint is"
+    assert data.act[0] == pytest.approx(gear * START[0]), (
+        "the integrator does not start at the joint position"
+    )
     settle_under_load(model, data)
     for _ in range(2000):
         mujoco.mj_step(model, data)
     assert data.qpos == pytest.approx(START, abs=1e-7)
 
 
-def test_what_is_commanded_and_what_is_no_servo_is_left_alone() -> None:
+def test_holding_controls_are_zero_for_commanded_joints_and_non_servos() -> None:
     drives = SERVOS + '<motor joint="shoulder"/><velocity joint="lift" kv="3"/>'
     model = mujoco.MjModel.from_xml_string(ARM.format(upper="", shoulder="", drives=drives))
     data = mujoco.MjData(model)
@@ -96,7 +99,7 @@ def test_what_is_commanded_and_what_is_no_servo_is_left_alone() -> None:
     assert (data.qpos == before).all()
 
 
-def test_followers_stand_where_equalities_put_them() -> None:
+def test_mimic_joints_start_at_position_and_velocity_of_their_equality() -> None:
     finger = '<body><joint name="{}" type="slide" ref="{}"/><geom size=".01"/></body>'
     names = (("a", 0.0), ("b", 0.1), ("c", 0.0), ("d", 0.0))
     bodies = "".join(finger.format(*each) for each in names)

@@ -1,4 +1,4 @@
-"""Work that is shared with forks of the process."""
+"""Distribution of work among forked processes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 from pytest_twin.realization import forks as forks_of_the_process
 from pytest_twin.realization.forks import free_cores, in_forks, threads_here, usable_cores
 
-forks = pytest.mark.skipif(sys.platform != "linux", reason="forks are shared with on Linux alone")
+forks = pytest.mark.skipif(sys.platform != "linux", reason="forks are used on Linux only")
 
 
 def _open_files() -> set[Path]:
@@ -30,28 +30,28 @@ def _squared(x: int) -> tuple[int, int]:
 
 
 @forks
-def test_results_come_in_order_from_more_than_one_process() -> None:
+def test_forked_results_are_in_order_and_from_several_processes() -> None:
     found = in_forks([partial(_squared, i) for i in range(12)], 3)
     assert [square for square, _ in found] == [i * i for i in range(12)]
     assert len({process for _, process in found}) == 3
 
 
-def test_one_process_does_all_itself() -> None:
+def test_with_one_process_no_fork_is_made() -> None:
     found = in_forks([partial(_squared, i) for i in range(3)], 1)
     assert {process for _, process in found} == {os.getpid()}
 
 
 @forks
-def test_arrays_come_back_whole() -> None:
-    def made(seed: int) -> np.ndarray:
+def test_large_arrays_are_returned_unchanged() -> None:
+    def random_array(seed: int) -> np.ndarray:
         return np.random.default_rng(seed).normal(size=(300_000, 3))
 
-    for i, array in enumerate(in_forks([partial(made, i) for i in range(4)], 2)):
-        assert np.array_equal(array, made(i))
+    for i, array in enumerate(in_forks([partial(random_array, i) for i in range(4)], 2)):
+        assert np.array_equal(array, random_array(i))
 
 
 @forks
-def test_tasks_of_tasks_are_not_shared_again() -> None:
+def test_tasks_inside_a_fork_are_not_forked_again() -> None:
     def outer() -> tuple[int, int, set[int]]:
         inner = in_forks([partial(_squared, i) for i in range(4)], 4)
         return free_cores(4), threads_here(4), {process for _, process in inner}
@@ -62,7 +62,7 @@ def test_tasks_of_tasks_are_not_shared_again() -> None:
 
 
 @forks
-def test_what_fails_in_a_fork_is_done_again_here_and_raises_here() -> None:
+def test_a_task_that_fails_in_a_fork_is_repeated_in_the_parent() -> None:
     here = os.getpid()
 
     def dies() -> int:
@@ -83,7 +83,7 @@ def test_what_fails_in_a_fork_is_done_again_here_and_raises_here() -> None:
 
 
 @forks
-def test_no_fork_and_no_pipe_is_left_behind() -> None:
+def test_no_process_and_no_pipe_remains() -> None:
     before = _open_files()
 
     def interrupted() -> None:
@@ -103,7 +103,7 @@ def test_no_fork_and_no_pipe_is_left_behind() -> None:
 
 
 @forks
-def test_where_the_system_gives_no_fork_all_is_done_here(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_if_fork_fails_all_tasks_run_in_the_parent(monkeypatch: pytest.MonkeyPatch) -> None:
     def none() -> int:
         raise BlockingIOError
 
@@ -115,7 +115,9 @@ def test_where_the_system_gives_no_fork_all_is_done_here(monkeypatch: pytest.Mon
     assert _open_files() == before
 
 
-def test_cores_are_those_that_the_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_usable_cores_follow_the_cpu_affinity_of_the_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {1, 5, 6}, raising=False)
     assert usable_cores() == 3
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)

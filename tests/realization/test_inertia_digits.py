@@ -1,4 +1,4 @@
-"""Inertias at the edge of what a body can have: floats add up differently from decimals."""
+"""Inertias at the limit of the triangle inequality, with rounding errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from pytest_twin.realization import inertia, load, mjcf_file
 
 
 @pytest.mark.parametrize("moments", [(0.1, 0.7, 0.8), (1e-7, 7e-7, 8e-7)])
-def test_a_flat_plate_is_a_body(moments: tuple[float, ...], tmp_path: Path) -> None:
+def test_a_flat_plate_with_rounded_moments_is_loaded(
+    moments: tuple[float, ...], tmp_path: Path
+) -> None:
     stated = "ixx='{}' iyy='{}' izz='{}' ixy='0'".format(*moments)
     text = ARM.replace('ixx="0.02" iyy="0.03" izz="0.04" ixy="0.001"', stated)
     assert stated in text
@@ -23,7 +25,7 @@ def test_a_flat_plate_is_a_body(moments: tuple[float, ...], tmp_path: Path) -> N
     np.testing.assert_allclose(found, sorted(moments), rtol=1e-14)
 
 
-def test_a_repair_stated_in_nine_digits_is_still_a_body() -> None:
+def test_a_repaired_inertia_rounded_to_nine_digits_still_compiles() -> None:
     random = np.random.default_rng(7)
     for _ in range(300):
         axes, _ = np.linalg.qr(random.normal(size=(3, 3)))
@@ -33,11 +35,11 @@ def test_a_repair_stated_in_nine_digits_is_still_a_body() -> None:
         body = spec.worldbody.add_body()
         body.add_joint()
         inertia.write(body, 1.0, np.zeros(3), inertia.tensor(tuple(stated)))
-        spec.compile()  # MuJoCo refuses what breaks the triangle inequality by one bit
+        spec.compile()  # MuJoCo refuses any violation of the triangle inequality
 
 
-def test_a_written_thin_body_is_still_one() -> None:
-    """Six digits of these moments break the triangle inequality in most cases."""
+def test_a_written_mjcf_keeps_the_inertia_of_a_thin_body_exactly() -> None:
+    """Rounded to six digits, most of these moments violate the triangle inequality."""
     random = np.random.default_rng(8)
     refused = 0
     for _ in range(50):
@@ -55,4 +57,4 @@ def test_a_written_thin_body_is_still_one() -> None:
             refused += 1
         again = mujoco.MjModel.from_xml_string(mjcf_file.with_exact_inertia(spec, model))
         np.testing.assert_array_equal(again.body_inertia, model.body_inertia)
-    assert refused  # else this proves nothing
+    assert refused  # otherwise plain rounding would have been sufficient

@@ -1,4 +1,4 @@
-"""Robots load in the place in which they are shipped, and name nothing outside of it."""
+"""Search for the files that a model references, restricted to the model's root folder."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def loaded(path: Path, **named: object) -> Located:
     return located
 
 
-def test_the_usual_ros_layout_needs_no_option(tmp_path: Path) -> None:
+def test_meshes_in_the_usual_ros_layout_are_found_without_options(tmp_path: Path) -> None:
     stl(tmp_path / "ws/arm/meshes/a.stl")
     path = urdf(tmp_path / "ws/arm/urdf", "../meshes/a.stl")
     located = loaded(path)
@@ -63,7 +63,7 @@ def test_the_usual_ros_layout_needs_no_option(tmp_path: Path) -> None:
     )
 
 
-def test_a_package_without_a_manifest_is_found_by_the_folder_above(tmp_path: Path) -> None:
+def test_a_package_without_manifest_is_found_by_the_name_of_a_parent_folder(tmp_path: Path) -> None:
     stl(tmp_path / "arm_description/meshes/a.stl")
     path = urdf(tmp_path / "arm_description/urdf", "package://arm_description/meshes/a.stl")
     located = loaded(path)
@@ -72,7 +72,7 @@ def test_a_package_without_a_manifest_is_found_by_the_folder_above(tmp_path: Pat
     assert package.by == "the name of a folder above the file"
 
 
-def test_a_package_beside_is_found_by_its_name(tmp_path: Path) -> None:
+def test_a_package_in_a_sibling_folder_is_found_by_its_name(tmp_path: Path) -> None:
     stl(tmp_path / "ws/meshes_of_arm/a.stl")
     path = urdf(tmp_path / "ws/arm/urdf", "package://meshes_of_arm/a.stl")
     package = loaded(path).packages.found["meshes_of_arm"]
@@ -81,7 +81,7 @@ def test_a_package_beside_is_found_by_its_name(tmp_path: Path) -> None:
 
 
 def test_a_package_is_found_by_the_name_in_its_manifest(tmp_path: Path) -> None:
-    # As GitHub names the folder of an archive.
+    # The folder name of a GitHub archive.
     folder = tmp_path / "arm_description-1.2"
     stl(folder / "meshes/a.stl")
     (folder / "package.xml").write_text("<package><name>arm_description</name></package>")
@@ -92,7 +92,7 @@ def test_a_package_is_found_by_the_name_in_its_manifest(tmp_path: Path) -> None:
     assert located.root.folder == folder
 
 
-def test_an_archive_without_a_manifest_is_found_by_what_is_in_it(tmp_path: Path) -> None:
+def test_a_renamed_package_without_manifest_is_found_by_its_contents(tmp_path: Path) -> None:
     stl(tmp_path / "arm-main/meshes/a.stl")
     path = urdf(tmp_path / "arm-main/urdf", "package://arm_description/meshes/a.stl")
     located = loaded(path)
@@ -102,7 +102,7 @@ def test_an_archive_without_a_manifest_is_found_by_what_is_in_it(tmp_path: Path)
     assert located.root.why == "the nearest folder that holds every file that it names"
 
 
-def test_the_environment_of_ros_is_looked_at_last(
+def test_ros_environment_variables_are_searched_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stl(tmp_path / "opt/share/arm/a.stl")
@@ -117,7 +117,7 @@ def test_the_environment_of_ros_is_looked_at_last(
     assert loaded(path).packages.found["arm"].folder == tmp_path / "ws/src/arm"
 
 
-def test_the_command_line_names_a_package_above_all(tmp_path: Path) -> None:
+def test_a_package_given_on_the_command_line_has_priority(tmp_path: Path) -> None:
     stl(tmp_path / "ws/arm/a.stl")
     stl(tmp_path / "mine/a.stl")
     path = urdf(tmp_path / "ws/arm/urdf", "package://arm/a.stl")
@@ -125,13 +125,13 @@ def test_the_command_line_names_a_package_above_all(tmp_path: Path) -> None:
     assert (package.folder, package.by) == (tmp_path / "mine", "--package")
 
 
-def test_of_two_folders_of_one_name_that_counts_which_has_the_file(tmp_path: Path) -> None:
+def test_of_two_folders_with_the_package_name_the_one_with_the_file_is_used(tmp_path: Path) -> None:
     stl(tmp_path / "arm/meshes/a.stl")
     path = urdf(tmp_path / "arm/python/arm/urdf", "package://arm/meshes/a.stl")
     assert loaded(path).packages.found["arm"].folder == tmp_path / "arm"
 
 
-def test_a_package_that_is_nowhere_is_refused_with_every_place_that_was_looked_in(
+def test_a_missing_package_is_refused_with_all_searched_places(
     tmp_path: Path,
 ) -> None:
     path = urdf(tmp_path / "ws/urdf", "package://nowhere/a.stl")
@@ -145,13 +145,13 @@ def test_a_package_that_is_nowhere_is_refused_with_every_place_that_was_looked_i
     assert "AMENT_PREFIX_PATH (not set), ROS_PACKAGE_PATH (not set)" in words
 
 
-def test_a_gazebo_model_is_found_as_a_package_is(tmp_path: Path) -> None:
+def test_gazebo_model_uris_are_resolved_like_package_uris(tmp_path: Path) -> None:
     stl(tmp_path / "models/arm/meshes/a.stl")
     path = urdf(tmp_path / "models/arm", "model://arm/meshes/a.stl")
     assert loaded(path).packages.found["arm"].folder == tmp_path / "models/arm"
 
 
-def test_a_reference_that_leaves_the_root_is_refused_with_the_line_that_mends_it(
+def test_a_reference_outside_the_root_is_refused_with_the_option_that_permits_it(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "arm/.git").mkdir(parents=True)
@@ -165,7 +165,7 @@ def test_a_reference_that_leaves_the_root_is_refused_with_the_line_that_mends_it
     loaded(path, roots=(tmp_path / "shared",))
 
 
-def test_a_model_in_downloads_names_nothing_of_its_owner(
+def test_a_model_in_downloads_cannot_reference_private_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     home = tmp_path / "home/ann"
@@ -184,7 +184,7 @@ def test_a_model_in_downloads_names_nothing_of_its_owner(
             load(urdf(home / folder, mesh))
 
 
-def test_no_link_leads_out_of_the_root(tmp_path: Path) -> None:
+def test_symbolic_links_out_of_the_root_are_refused(tmp_path: Path) -> None:
     secret = stl(tmp_path / "secret/a.stl")
     (tmp_path / "arm/meshes").mkdir(parents=True)
     (tmp_path / "arm/meshes/a.stl").symlink_to(secret)
@@ -203,7 +203,9 @@ MJCF = """<mujoco>{compiler}{include}
 
 
 @pytest.mark.parametrize("key", ["meshdir", "assetdir"])
-def test_an_mjcf_may_point_up_and_sideways(tmp_path: Path, key: str) -> None:
+def test_an_mjcf_may_reference_meshes_in_folders_above_and_beside_it(
+    tmp_path: Path, key: str
+) -> None:
     stl(tmp_path / "hand/stls/left/a.stl")
     folder = tmp_path / "hand/xml/left"
     folder.mkdir(parents=True)
@@ -214,7 +216,7 @@ def test_an_mjcf_may_point_up_and_sideways(tmp_path: Path, key: str) -> None:
     assert located.root.folder == tmp_path / "hand"
 
 
-def test_what_an_include_names_counts_too(tmp_path: Path) -> None:
+def test_references_of_included_files_widen_the_root_too(tmp_path: Path) -> None:
     stl(tmp_path / "robots/assets/a.stl")
     for name in ("robots/shared", "robots/hand"):
         (tmp_path / name).mkdir()
@@ -239,7 +241,7 @@ def test_an_include_through_a_link_does_not_widen_the_root(tmp_path: Path) -> No
         load(path)
 
 
-def test_declared_roots_hold_alone(tmp_path: Path) -> None:
+def test_declared_roots_replace_the_search_for_a_root(tmp_path: Path) -> None:
     stl(tmp_path / "arm/meshes/a.stl")
     path = urdf(tmp_path / "arm/urdf", "../meshes/a.stl")
     with pytest.raises(PathError):
@@ -249,7 +251,7 @@ def test_declared_roots_hold_alone(tmp_path: Path) -> None:
     assert load(named, roots=Roots(path.parent, (tmp_path / "arm",))).model.nmesh == 1
 
 
-def test_a_workspace_with_many_folders_is_looked_through_within_bounds(tmp_path: Path) -> None:
+def test_a_package_is_found_in_a_workspace_with_many_folders(tmp_path: Path) -> None:
     for index in range(50):
         (tmp_path / f"p{index}").mkdir()
         (tmp_path / f"p{index}/package.xml").write_text(f"<package><name>n{index}</name></package>")

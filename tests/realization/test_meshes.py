@@ -1,4 +1,4 @@
-"""Triangles as they are read and scaled."""
+"""Reading and scaling of triangle meshes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from pytest_twin.realization.shapes import hull, polyhedron
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (2, 1, 3), (1, -1, 1), (-1, -2, -1), (-1, -1, 1)])
-def test_faces_look_out_after_a_mirror(tmp_path: Path, scale: tuple[float, ...]) -> None:
+def test_faces_keep_their_outward_orientation_when_mirrored(
+    tmp_path: Path, scale: tuple[float, ...]
+) -> None:
     (tmp_path / "t.stl").write_bytes(binary_stl())
     read = mesh.read(tmp_path / "t.stl", LIMITS)
     scaled = read.scaled(np.array(scale, dtype=float))
@@ -24,7 +26,7 @@ def test_faces_look_out_after_a_mirror(tmp_path: Path, scale: tuple[float, ...])
     assert signed == pytest.approx(1e-3 / 6 * abs(np.prod(scale)), rel=1e-6)
 
 
-def test_a_box_as_triangles_has_the_inertia_of_a_box() -> None:
+def test_volume_and_inertia_of_a_triangulated_box_match_the_closed_form() -> None:
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 2) for z in (0, 3)], dtype=float)
     faces = hull(corners)
     assert faces is not None
@@ -44,7 +46,7 @@ def test_a_flat_mesh_has_no_volume() -> None:
     assert mesh.Triangles(square, faces).thickness < 1e-12
 
 
-def test_a_name_in_another_encoding_is_no_fault(tmp_path: Path) -> None:
+def test_mesh_files_with_names_in_another_encoding_are_read(tmp_path: Path) -> None:
     facet = b"facet normal 0 0 1 outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet"
     (tmp_path / "t.stl").write_bytes(
         b"solid pi\xe8ce\n" + facet.replace(b" outer", b"\nouter").replace(b" vertex", b"\nvertex")
@@ -58,7 +60,9 @@ def test_a_name_in_another_encoding_is_no_fault(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stated", [4_000_000_000, 3, 5])
-def test_an_stl_of_another_length_than_it_says(tmp_path: Path, stated: int) -> None:
+def test_an_stl_whose_length_contradicts_its_triangle_count_is_refused(
+    tmp_path: Path, stated: int
+) -> None:
     data = bytearray(binary_stl())
     data[80:84] = stated.to_bytes(4, "little")
     (tmp_path / "t.stl").write_bytes(data)

@@ -1,4 +1,4 @@
-"""MJCF: what is refused before MuJoCo sees it, and that what is loaded is what was meant."""
+"""Loading of MJCF: refusals before MuJoCo compiles, and equality with MuJoCo's own loading."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def refusal(folder: Path, text: str, kind: type[TwinError] = ModelError) -> str:
 
 
 @pytest.mark.parametrize("name", ["so101", "xl330", "emps"])
-def test_the_model_is_the_one_that_mujoco_loads_from_the_file(name: str) -> None:
+def test_the_loaded_model_equals_the_model_that_mujoco_loads(name: str) -> None:
     path = recordings() / name / "model.xml"
     ours, theirs = load(path).model, mujoco.MjModel.from_xml_path(str(path))
     for field in dir(theirs):
@@ -48,7 +48,7 @@ def test_the_model_is_the_one_that_mujoco_loads_from_the_file(name: str) -> None
             np.testing.assert_array_equal(getattr(ours, field), value, err_msg=field)
 
 
-def test_includes_meshes_and_nested_models_are_read_here_and_compile_the_same(
+def test_includes_meshes_and_attached_models_compile_as_in_mujoco(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "meshes").mkdir()
@@ -76,7 +76,7 @@ def test_includes_meshes_and_nested_models_are_read_here_and_compile_the_same(
     assert names == {"model.xml", "part.xml", "tool.xml", "Tip.STL"}
 
 
-def test_a_folder_behind_a_link_still_holds_its_files(tmp_path: Path) -> None:
+def test_a_model_in_a_linked_folder_finds_its_files(tmp_path: Path) -> None:
     real = tmp_path / "real"
     real.mkdir()
     written(real, "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "part.xml")
@@ -102,7 +102,7 @@ def test_a_folder_behind_a_link_still_holds_its_files(tmp_path: Path) -> None:
         "<compiler assetdir='/etc'/><asset><mesh name='m' file='secret.stl'/></asset>",
     ],
 )
-def test_no_reference_leaves_the_checkout(tmp_path: Path, element: str) -> None:
+def test_mjcf_references_outside_the_checkout_are_refused(tmp_path: Path, element: str) -> None:
     for suffix in ("xml", "stl", "png", "skn"):
         (tmp_path / f"secret.{suffix}").write_text("<mujoco/>")
     inside = tmp_path / "robot"
@@ -114,7 +114,7 @@ def test_no_reference_leaves_the_checkout(tmp_path: Path, element: str) -> None:
     assert caught.value.line == 2
 
 
-def test_declared_roots_open_the_way(tmp_path: Path) -> None:
+def test_declared_roots_permit_references_outside_the_checkout(tmp_path: Path) -> None:
     inside, shared = tmp_path / "robot", tmp_path / "shared"
     (inside / ".git").mkdir(parents=True)
     shared.mkdir()
@@ -126,7 +126,7 @@ def test_declared_roots_open_the_way(tmp_path: Path) -> None:
     assert load(path, roots=Roots(inside, (shared,))).model.nmesh == 1
 
 
-def test_a_missing_file_is_named_with_its_line(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_with_the_line_of_its_reference(tmp_path: Path) -> None:
     words = refusal(
         tmp_path,
         "<mujoco><asset>\n<texture type='2d' name='t' file='t.png'/></asset></mujoco>",
@@ -136,13 +136,13 @@ def test_a_missing_file_is_named_with_its_line(tmp_path: Path) -> None:
     assert "no such file" in words
 
 
-def test_files_that_include_each_other_end(tmp_path: Path) -> None:
+def test_cyclic_includes_are_refused(tmp_path: Path) -> None:
     written(tmp_path, "<mujoco><include file='b.xml'/></mujoco>", "a.xml")
     written(tmp_path, "<mujoco><include file='a.xml'/></mujoco>", "b.xml")
     assert "includes itself" in refusal(tmp_path, "<mujoco><include file='a.xml'/></mujoco>")
 
 
-def test_models_that_attach_themselves_end(tmp_path: Path) -> None:
+def test_cyclic_model_attachments_are_refused(tmp_path: Path) -> None:
     text = "<mujoco><asset><model name='m' file='model.xml'/></asset></mujoco>"
     assert "nested too deep" in refusal(tmp_path, text, LimitError)
 
@@ -170,7 +170,7 @@ def test_models_that_attach_themselves_end(tmp_path: Path) -> None:
         ("<sdf/>", "not a robot model"),
     ],
 )
-def test_impossible_values_are_refused_with_their_place(
+def test_impossible_values_are_refused_with_file_and_line(
     tmp_path: Path, text: str, words: str
 ) -> None:
     said = refusal(tmp_path, text, TwinError)
@@ -200,19 +200,19 @@ def test_impossible_values_are_refused_with_their_place(
         model_with(head="<actuator><motor joint='j' nsample='2000000000'/></actuator>"),
     ],
 )
-def test_what_is_out_of_all_proportion_is_refused_unexpanded(tmp_path: Path, text: str) -> None:
+def test_excessive_sizes_are_refused_before_expansion(tmp_path: Path, text: str) -> None:
     said = refusal(tmp_path, text, LimitError)
     assert said.startswith(f"{tmp_path}/model.xml:1: ")
 
 
-def test_an_image_bomb_is_refused_by_its_header(tmp_path: Path) -> None:
+def test_a_huge_image_is_refused_by_its_header(tmp_path: Path) -> None:
     head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 60_000, 60_000)
     (tmp_path / "bomb.png").write_bytes(head + bytes(40))
     text = model_with(asset="<texture name='t' type='2d' file='bomb.png'/>")
     assert "got '60000 x 60000' pixels" in refusal(tmp_path, text, LimitError)
 
 
-def test_an_stl_that_promises_more_than_it_holds_is_refused(tmp_path: Path) -> None:
+def test_an_stl_with_fewer_triangles_than_stated_is_refused(tmp_path: Path) -> None:
     (tmp_path / "m.stl").write_bytes(bytes(80) + struct.pack("<I", 4_000_000_000) + bytes(50))
     said = refusal(tmp_path, model_with(asset="<mesh file='m.stl'/>"))
     assert "not a whole binary STL" in said
@@ -221,11 +221,11 @@ def test_an_stl_that_promises_more_than_it_holds_is_refused(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     "text", ["<mujoco", "", "<!DOCTYPE a [<!ENTITY b 'c'>]><mujoco>&b;</mujoco>"]
 )
-def test_broken_xml_and_document_types_are_refused(tmp_path: Path, text: str) -> None:
+def test_malformed_xml_and_document_types_are_refused(tmp_path: Path, text: str) -> None:
     refusal(tmp_path, text, FormatError)
 
 
-def test_what_mujoco_refuses_is_told_with_the_line_of_the_file_it_stands_in(
+def test_mujoco_errors_are_reported_with_file_and_line(
     tmp_path: Path,
 ) -> None:
     written(tmp_path, "<mujoco>\n\n<body name='x'><joint/></body></mujoco>", "part.xml")
@@ -237,7 +237,7 @@ def test_what_mujoco_refuses_is_told_with_the_line_of_the_file_it_stands_in(
     assert said.startswith(f"{tmp_path}/model.xml:3: MuJoCo refuses the model: Schema violation")
 
 
-def test_names_answer_with_what_was_probably_meant(tmp_path: Path) -> None:
+def test_unknown_names_are_refused_with_similar_names(tmp_path: Path) -> None:
     realization = load(written(tmp_path, PENDULUM))
     assert realization.joints == ("swing",)
     assert realization.actuators == ("servo",)
@@ -250,7 +250,7 @@ def test_names_answer_with_what_was_probably_meant(tmp_path: Path) -> None:
         realization.frame_index("tp")
 
 
-def test_a_configuration_and_the_pose_of_a_frame_in_closed_form(tmp_path: Path) -> None:
+def test_the_pose_of_a_frame_equals_the_closed_form(tmp_path: Path) -> None:
     realization = load(written(tmp_path, PENDULUM))
     data = mujoco.MjData(realization.model)
     data.qpos[:] = realization.qpos({"swing": 0.3})

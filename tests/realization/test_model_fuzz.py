@@ -1,4 +1,4 @@
-"""Damaged models give a typed error or a model, and nothing else."""
+"""Damaged models either load or raise a typed error."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from model_texts import ARM, PENDULUM
 from test_mjcf_loading import binary_stl
-from test_reference import EVERYTHING
+from test_reference import FULL_MODEL
 
 from pytest_twin.realization import Sandbox
 
-FULL = EVERYTHING.format(
+FULL = FULL_MODEL.format(
     angle="radian", eulerseq="xyz", extra="", euler="0.1 0.2 0.3", angle_value="0.5"
 ).replace("<worldbody>", "<asset><mesh file='tip.stl'/></asset><worldbody>", 1)
 ACTUATED = PENDULUM.replace(
@@ -120,7 +120,7 @@ def outcome(sandbox: Sandbox, text: str, folder: Path, suffix: str) -> str | Non
 @pytest.mark.parametrize(
     ("text", "suffix"), [(FULL, ".xml"), (ACTUATED, ".xml"), (PENDULUM, ".xml"), (ARM, ".urdf")]
 )
-def test_the_whole_models_load(sandbox: Sandbox, folder: Path, text: str, suffix: str) -> None:
+def test_the_undamaged_models_load(sandbox: Sandbox, folder: Path, text: str, suffix: str) -> None:
     assert outcome(sandbox, text, folder, suffix) is None
 
 
@@ -133,13 +133,17 @@ FUZZ = settings(
 
 @FUZZ
 @given(text=st.sampled_from([FULL, ACTUATED, PENDULUM]).flatmap(damaged))
-def test_damaged_mjcf(sandbox: Sandbox, folder: Path, text: str) -> None:
+def test_damaged_mjcf_loads_or_raises_a_typed_error(
+    sandbox: Sandbox, folder: Path, text: str
+) -> None:
     outcome(sandbox, text, folder, ".xml")
 
 
 @FUZZ
 @given(text=damaged(ARM))
-def test_damaged_urdf(sandbox: Sandbox, folder: Path, text: str) -> None:
+def test_damaged_urdf_loads_or_raises_a_typed_error(
+    sandbox: Sandbox, folder: Path, text: str
+) -> None:
     outcome(sandbox, text, folder, ".urdf")
 
 
@@ -149,7 +153,9 @@ def test_damaged_urdf(sandbox: Sandbox, folder: Path, text: str) -> None:
     cut=st.integers(0, 400),
     suffix=st.sampled_from([".stl", ".obj", ".dae"]),
 )
-def test_damaged_meshes(sandbox: Sandbox, folder: Path, data: bytes, cut: int, suffix: str) -> None:
+def test_damaged_meshes_load_or_raise_a_typed_error(
+    sandbox: Sandbox, folder: Path, data: bytes, cut: int, suffix: str
+) -> None:
     whole = binary_stl()
     content = {".stl": whole[:cut] + data, ".obj": b"v 0 0 0\nf 1 1 1\n" + data, ".dae": data}
     (folder / f"damaged{suffix}").write_bytes(content[suffix])

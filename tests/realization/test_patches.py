@@ -1,4 +1,4 @@
-"""Fits, controllers, payloads and a calibrated base over a model."""
+"""Changes that twin.yaml applies to a model: fits, controllers, payloads, calibrated base."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def twin_of(folder: Path, text: str = CONTROLLED, model: str = PENDULUM) -> Real
     return load(twin.realizations["mujoco"].file, twin=twin)
 
 
-def test_a_controller_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
+def test_a_controller_changes_only_the_stated_gains(tmp_path: Path) -> None:
     plain = twin_of(tmp_path)
     soft = plain.variant(controller="soft")
     np.testing.assert_array_equal(soft.model.actuator_gainprm[0, :3], [2, 0, 0])
@@ -45,7 +45,7 @@ def test_a_controller_changes_what_it_names_and_nothing_else(tmp_path: Path) -> 
     assert plain.variant() is plain
 
 
-def test_the_gains_of_the_recorded_servo(tmp_path: Path) -> None:
+def test_the_recorded_xl330_twin_applies_the_gain_of_its_controller(tmp_path: Path) -> None:
     twin = load_twin(recordings() / "xl330/twin.yaml")
     realization = load(twin.realizations["mujoco"].file, twin=twin).variant(controller="kp800")
     assert realization.model.actuator_gainprm[0, 0] == 1.914
@@ -73,7 +73,7 @@ def test_the_gains_of_the_recorded_servo(tmp_path: Path) -> None:
         ("<motor name='a' joint='swing'/>", "gear: 5", [1, 0, 0], [0, 0, 0]),
     ],
 )
-def test_a_patched_gain_is_the_one_that_the_file_would_have_stated(
+def test_a_changed_gain_compiles_as_if_stated_in_the_mjcf(
     tmp_path: Path, kind: str, patch: str, gain: list[float], bias: list[float] | None
 ) -> None:
     model = PENDULUM.replace("</actuator>", kind + "</actuator>")
@@ -107,7 +107,7 @@ def test_a_patched_gain_is_the_one_that_the_file_would_have_stated(
         ({"controller": "no_gain"}, 5, "no such actuator"),
     ],
 )
-def test_what_is_not_there_is_told_with_the_line_in_the_twin(
+def test_unknown_names_are_refused_with_the_line_in_the_twin_file(
     tmp_path: Path, arguments: dict[str, str], line: int, words: str
 ) -> None:
     with pytest.raises(SpecError) as caught:
@@ -117,7 +117,7 @@ def test_what_is_not_there_is_told_with_the_line_in_the_twin(
     assert words.removesuffix(" (got") in said
 
 
-def test_gains_make_a_position_servo_of_a_motor(tmp_path: Path) -> None:
+def test_gains_turn_a_motor_into_a_position_servo(tmp_path: Path) -> None:
     motor = "<motor name='a' joint='swing' ctrlrange='-4 4'/>"
     model = PENDULUM.replace("</actuator>", motor + "</actuator>")
     text = "model: model.xml\nfit: {id: gains, actuator: {a: {kp: 30, kv: 2}}}\n"
@@ -132,7 +132,7 @@ def test_gains_make_a_position_servo_of_a_motor(tmp_path: Path) -> None:
         assert not made.actuator_ctrllimited[1]
 
 
-def test_gains_make_a_servo_of_a_urdf_joint_within_its_range_and_effort(tmp_path: Path) -> None:
+def test_gains_of_a_urdf_joint_make_a_servo_with_its_range_and_effort_limit(tmp_path: Path) -> None:
     urdf = (
         "<robot name='r'><link name='base'/><link name='arm'><inertial><mass value='1'/>"
         "<inertia ixx='.01' iyy='.01' izz='.01' ixy='0' ixz='0' iyz='0'/></inertial></link>"
@@ -146,15 +146,15 @@ def test_gains_make_a_servo_of_a_urdf_joint_within_its_range_and_effort(tmp_path
     np.testing.assert_array_equal(made.actuator_forcerange[0], [-5, 5])
 
 
-def test_an_actuator_that_is_no_motor_and_no_servo_has_no_position_gain(tmp_path: Path) -> None:
+def test_a_position_gain_of_a_muscle_is_refused(tmp_path: Path) -> None:
     muscle = "<muscle name='drive' joint='swing' lengthrange='0 1'/>"
     model = PENDULUM.replace("</actuator>", muscle + "</actuator>")
     with pytest.raises(SpecError, match=r"controllers\.no_gain\.drive\.kp: .*no such gain"):
         twin_of(tmp_path, model=model).variant(controller="no_gain")
 
 
-def test_a_payload_is_what_a_welded_body_would_be(tmp_path: Path) -> None:
-    """Against MuJoCo's own fusing of two bodies, a computation that shares nothing with ours."""
+def test_a_payload_equals_a_welded_body(tmp_path: Path) -> None:
+    """Compared with MuJoCo's fusion of two bodies, an independent computation."""
     loaded = twin_of(tmp_path).variant(payload="brick").model
     brick = (
         "<body pos='0.1 0.2 -0.3'><inertial pos='0 0 0' mass='2'"
@@ -163,15 +163,15 @@ def test_a_payload_is_what_a_welded_body_would_be(tmp_path: Path) -> None:
     text = PENDULUM.replace("<site", brick + "<site").replace(
         "<compiler ", "<compiler fusestatic='true' "
     )
-    # Fusing wants a body with no name to refer to.
+    # MuJoCo fuses only bodies without a name.
     fused = mujoco.MjModel.from_xml_string(text)
     assert fused.nbody == 2
     assert loaded.body_mass[1] == pytest.approx(fused.body_mass[1], rel=1e-12)
     np.testing.assert_allclose(loaded.body_ipos, fused.body_ipos, atol=1e-12)
-    np.testing.assert_allclose(tensor(loaded), tensor(fused), rtol=1e-9)
+    np.testing.assert_allclose(inertia_tensor(loaded), inertia_tensor(fused), rtol=1e-9)
 
 
-def tensor(model: mujoco.MjModel, body: int = 1) -> np.ndarray:
+def inertia_tensor(model: mujoco.MjModel, body: int = 1) -> np.ndarray:
     axes = np.empty(9)
     mujoco.mju_quat2Mat(axes, model.body_iquat[body])
     axes = axes.reshape(3, 3)
@@ -179,7 +179,7 @@ def tensor(model: mujoco.MjModel, body: int = 1) -> np.ndarray:
 
 
 @pytest.mark.parametrize("head", ["inertiafromgeom='true'", "settotalmass='3'"])
-def test_a_payload_adds_up_where_the_compiler_derives_the_mass(tmp_path: Path, head: str) -> None:
+def test_a_payload_is_added_to_masses_derived_by_the_compiler(tmp_path: Path, head: str) -> None:
     model = PENDULUM.replace("<compiler ", f"<compiler {head} ")
     plain = twin_of(tmp_path, model=model)
     loaded = plain.variant(payload="cup")
@@ -187,7 +187,7 @@ def test_a_payload_adds_up_where_the_compiler_derives_the_mass(tmp_path: Path, h
     check_agreement(loaded)
 
 
-def test_controller_and_payload_go_together(tmp_path: Path) -> None:
+def test_controller_and_payload_can_be_combined(tmp_path: Path) -> None:
     both = twin_of(tmp_path).variant(controller="soft", payload="cup")
     assert both.model.actuator_gainprm[0, 0] == 2
     assert both.model.body_mass[1] == 1.0
@@ -207,9 +207,7 @@ fit:
 
 
 @pytest.mark.parametrize("angle", ["radian", "degree"])
-def test_a_fit_is_applied_in_si_units_whatever_the_file_counts_in(
-    tmp_path: Path, angle: str
-) -> None:
+def test_a_fit_is_in_si_units_even_if_the_mjcf_uses_degrees(tmp_path: Path, angle: str) -> None:
     realization = twin_of(tmp_path, FITTED, PENDULUM.replace('"radian"', f'"{angle}"'))
     model = realization.model
     np.testing.assert_allclose(model.jnt_range, [[-1, 1.5]], rtol=1e-14)
@@ -221,14 +219,19 @@ def test_a_fit_is_applied_in_si_units_whatever_the_file_counts_in(
     assert model.actuator_gainprm[0, 0] == 5
     assert model.body_mass[1] == 0.7
     np.testing.assert_allclose(
-        tensor(model), [[2e-4, 1e-5, 0], [1e-5, 2e-4, 0], [0, 0, 1e-4]], rtol=1e-12, atol=1e-18
+        inertia_tensor(model),
+        [[2e-4, 1e-5, 0], [1e-5, 2e-4, 0], [0, 0, 1e-4]],
+        rtol=1e-12,
+        atol=1e-18,
     )
     assert model.geom_friction[0, 0] == 0.3
     assert (model.opt.gravity[2], model.opt.timestep) == (-9.7, 0.001)
     check_agreement(realization)
 
 
-def test_a_fit_over_a_urdf_moves_both_computations(tmp_path: Path) -> None:
+def test_a_fit_changes_the_mujoco_model_and_the_pinocchio_reference_of_a_urdf(
+    tmp_path: Path,
+) -> None:
     text = (
         "model: model.xml\nfit:\n  id: bench\n"
         "  body: {upper: {mass: 3, com: [0.1, 0, 0.05]}, lower: {pos: [0.25, 0, 0]}}\n"
@@ -240,7 +243,7 @@ def test_a_fit_over_a_urdf_moves_both_computations(tmp_path: Path) -> None:
     check_agreement(kept)
 
 
-def test_a_stated_inertia_takes_the_place_of_an_impossible_one(tmp_path: Path) -> None:
+def test_a_fitted_inertia_replaces_an_impossible_one(tmp_path: Path) -> None:
     broken = ARM.replace('ixx="0.02"', 'ixx="0.2"')
     with pytest.raises(ModelError, match="no body can have"):
         twin_of(tmp_path, "model: model.xml\n", broken)
@@ -259,7 +262,7 @@ def test_a_stated_inertia_takes_the_place_of_an_impossible_one(tmp_path: Path) -
         ("geom: {arm: {friction: 1}}", "fit.geom.arm: the model has no such geom"),
     ],
 )
-def test_a_fit_of_what_is_not_there_is_told_with_its_line(
+def test_a_fit_of_an_unknown_element_is_refused_with_its_line(
     tmp_path: Path, fit: str, words: str
 ) -> None:
     with pytest.raises(SpecError) as caught:
@@ -273,7 +276,7 @@ calibration: {id: c, base: {position: [1, 2, 3], quaternion: [0.8, 0, 0.6, 0]}}
 
 
 @pytest.mark.parametrize("model", [PENDULUM, ARM, ARM.replace('"base"', '"world"')])
-def test_a_calibrated_base_stands_where_it_was_found(tmp_path: Path, model: str) -> None:
+def test_a_calibrated_base_has_the_calibrated_pose(tmp_path: Path, model: str) -> None:
     realization = twin_of(tmp_path, BASED, model)
     data = mujoco.MjData(realization.model)
     mujoco.mj_kinematics(realization.model, data)
@@ -284,7 +287,7 @@ def test_a_calibrated_base_stands_where_it_was_found(tmp_path: Path, model: str)
     check_agreement(realization)
 
 
-def test_a_model_without_one_base_cannot_be_placed(tmp_path: Path) -> None:
+def test_a_base_calibration_of_a_model_with_two_bases_is_refused(tmp_path: Path) -> None:
     second = "<body name='second'><joint/><geom size='.1'/></body></worldbody>"
     with pytest.raises(SpecError, match=r"calibration\.base: the model has no single base"):
         twin_of(tmp_path, BASED, PENDULUM.replace("</worldbody>", second))

@@ -1,4 +1,4 @@
-"""Pinocchio and MuJoCo, two computations of one robot."""
+"""The independent reference in Pinocchio agrees with MuJoCo."""
 
 from __future__ import annotations
 
@@ -36,7 +36,11 @@ def unit(vector: np.ndarray) -> np.ndarray:
 
 
 def check_agreement(realization: Realization, poses: int = 3) -> None:
-    """FK in m and rotation entries, the rest relative to its largest entry."""
+    """Compare mass, forward kinematics, centre of mass, gravity torque and mass matrix.
+
+    Poses are compared in m and rotation matrix entries, torques and the mass matrix relative to
+    their largest entry.
+    """
     random = np.random.default_rng(7)
     model, data = realization.model, mujoco.MjData(realization.model)
     reference = realization.reference
@@ -56,7 +60,7 @@ def check_agreement(realization: Realization, poses: int = 3) -> None:
         mujoco.mj_rne(model, data, 0, force)
         torque = reference.gravity_torque(q)
         ours = np.concatenate([np.zeros(0), *(np.atleast_1d(torque[j]) for j in reference.joints)])
-        # Where a joint runs through the centre of mass, what is left of the torque is rounding.
+        # The torque of a joint axis through the centre of mass is only a rounding error.
         weight = 9.81 * float(model.body_mass.sum())
         scale = max(np.abs(force).max(initial=0.0), 1e-3 * weight, 1e-9)
         np.testing.assert_allclose(ours / scale, force / scale, rtol=0, atol=TOLERANCE)
@@ -81,17 +85,17 @@ def check_agreement(realization: Realization, poses: int = 3) -> None:
         "double_pendulum_continuous.urdf",
     ],
 )
-def test_real_urdfs_agree(name: str) -> None:
+def test_the_reference_agrees_on_urdfs_of_real_robots(name: str) -> None:
     check_agreement(load(example_robot(name), accept_invalid_inertia=True))
 
 
 @pytest.mark.parametrize(
     "name", ["so101/model.xml", "so101/robot.urdf", "xl330/model.xml", "emps/model.xml"]
 )
-def test_real_recorded_robots_agree(name: str, tmp_path: Path) -> None:
+def test_the_reference_agrees_on_the_recorded_robots(name: str, tmp_path: Path) -> None:
     path = recordings() / name
     if path.suffix == ".urdf":
-        # Its meshes are not there; shapes carry no mass in a URDF.
+        # The mesh files are not available; shapes have no mass in a URDF.
         text = path.read_text()
         while "<collision>" in text:
             head, _, rest = text.partition("<collision>")
@@ -100,16 +104,16 @@ def test_real_recorded_robots_agree(name: str, tmp_path: Path) -> None:
     check_agreement(load(path))
 
 
-def test_a_floating_base_agrees(tmp_path: Path) -> None:
+def test_the_reference_agrees_on_a_floating_base(tmp_path: Path) -> None:
     text = ARM.replace('"base"', '"world"').replace(
         'name="shoulder" type="revolute"', 'name="shoulder" type="floating"'
     )
     check_agreement(load(written(tmp_path, text, "arm.urdf")))
 
 
-def test_the_gravity_torque_of_a_pendulum_in_closed_form(tmp_path: Path) -> None:
+def test_mass_and_gravity_torque_of_a_pendulum_equal_the_closed_form(tmp_path: Path) -> None:
     reference = load(written(tmp_path, PENDULUM)).reference
-    # m g l sin(q): 0.5 kg, its centre 0.1 m below the joint.
+    # m g l sin(q) with 0.5 kg and the centre of mass 0.1 m below the joint.
     expected = 0.5 * 9.81 * 0.1 * np.sin(0.4)
     assert reference.gravity_torque({"swing": 0.4})["swing"] == pytest.approx(expected, rel=1e-12)
     assert reference.mass() == 0.5
@@ -117,14 +121,14 @@ def test_the_gravity_torque_of_a_pendulum_in_closed_form(tmp_path: Path) -> None
     assert reference.mass_matrix({}) == pytest.approx(np.array([[inertia]]), rel=1e-12)
 
 
-def test_the_reference_would_see_a_wrong_conversion(tmp_path: Path) -> None:
+def test_the_reference_detects_a_reversed_joint_axis(tmp_path: Path) -> None:
     realization = load(written(tmp_path, ARM, "arm.urdf"))
     realization.model.jnt_axis[0] *= -1
     with pytest.raises(AssertionError, match="Not equal to tolerance"):
         check_agreement(realization)
 
 
-EVERYTHING = """<mujoco>
+FULL_MODEL = """<mujoco>
   <compiler angle="{angle}" eulerseq="{eulerseq}" {extra}/>
   <option gravity="0.5 -1 -9"/>
   <default>
@@ -181,12 +185,12 @@ EVERYTHING = """<mujoco>
         ("degree", "XyZ", 'inertiafromgeom="true"'),
     ],
 )
-def test_every_way_to_state_a_model_is_worked_out(
+def test_the_reference_agrees_on_all_mjcf_notations(
     tmp_path: Path, angle: str, eulerseq: str, extra: str, mode: str
 ) -> None:
     radians = np.array([0.3, -0.5, 0.7])
     values = np.rad2deg(radians) if angle == "degree" else radians
-    text = EVERYTHING.format(
+    text = FULL_MODEL.format(
         angle=angle,
         eulerseq=eulerseq,
         extra=extra,
@@ -201,7 +205,7 @@ def test_every_way_to_state_a_model_is_worked_out(
     assert realization.reference.notes == ()
 
 
-def test_a_shape_that_is_not_worked_out_is_noted(tmp_path: Path) -> None:
+def test_a_shape_that_the_reference_does_not_compute_is_noted(tmp_path: Path) -> None:
     text = PENDULUM.replace(
         "</mujoco>",
         "<worldbody><body name='hull'><geom name='thin' size='.1' shellinertia='true'/>"
@@ -212,13 +216,13 @@ def test_a_shape_that_is_not_worked_out_is_noted(tmp_path: Path) -> None:
     assert "body 'hull' is MuJoCo's own: geom 'thin'" in reference.notes[0]
 
 
-def test_what_trees_of_rigid_bodies_cannot_say_is_refused(tmp_path: Path) -> None:
+def test_a_planar_joint_has_no_reference_and_is_refused(tmp_path: Path) -> None:
     text = ARM.replace('name="elbow" type="prismatic"', 'name="elbow" type="planar"')
     with pytest.raises(ModelError, match="no independent reference for a planar joint"):
         load(written(tmp_path, text, "arm.urdf")).reference.mass()
 
 
-def test_unknown_names_are_refused_with_what_was_meant(tmp_path: Path) -> None:
+def test_the_reference_refuses_unknown_names_with_similar_names(tmp_path: Path) -> None:
     reference = load(written(tmp_path, PENDULUM)).reference
     with pytest.raises(SpecError, match=r"no joint 'swin' \(expected perhaps 'swing'\)"):
         reference.gravity_torque({"swin": 0.1})
@@ -235,12 +239,12 @@ axes = triples.filter(lambda axis: np.linalg.norm(axis) > 0.1)
 
 @st.composite
 def bodies(draw: st.DrawFn, depth: int = 0) -> str:
-    """A body with up to two joints, an inertia, and bodies on it."""
+    """A random MJCF body with up to two joints, an inertia and child bodies."""
     words = lambda values: " ".join(str(value) for value in values)  # noqa: E731
     joints, before = "", np.zeros(3)
     for _ in range(draw(st.integers(0 if depth else 1, 2))):
         kind = draw(st.sampled_from(["hinge", "slide", "ball"]))
-        # Two joints about one axis are one: no mechanism, and a singular mass matrix.
+        # Two joints about one axis are redundant and make the mass matrix singular.
         axis = draw(axes)
         assume(np.linalg.norm(np.cross(axis, before)) > 0.1 or not before.any())
         before = np.array(axis)
@@ -263,7 +267,9 @@ def bodies(draw: st.DrawFn, depth: int = 0) -> str:
 
 @settings(max_examples=60, deadline=None)
 @given(trees=st.lists(bodies(), min_size=1, max_size=2))
-def test_random_trees_agree(tmp_path_factory: pytest.TempPathFactory, trees: list[str]) -> None:
+def test_the_reference_agrees_on_random_kinematic_trees(
+    tmp_path_factory: pytest.TempPathFactory, trees: list[str]
+) -> None:
     text = (
         "<mujoco><compiler angle='radian'/><worldbody>" + "".join(trees) + "</worldbody></mujoco>"
     )

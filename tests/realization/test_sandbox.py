@@ -1,4 +1,4 @@
-"""The child process: its answers, its bounds, and how its death is told."""
+"""The child process of the sandbox: results, limits and reports of crashes."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ def sandbox() -> Iterator[Sandbox]:
         yield found
 
 
-def test_answers_come_back_as_they_are(sandbox: Sandbox) -> None:
+def test_results_of_a_call_are_returned_unchanged(sandbox: Sandbox) -> None:
     value = {"a": [1, 2.5, None, True, "ü\n"], "big": "x" * 300_000}
     assert sandbox.call("sandboxed:echo", {"value": value}) == value
 
 
-def test_one_child_answers_many_calls(sandbox: Sandbox) -> None:
+def test_one_child_process_serves_several_calls(sandbox: Sandbox) -> None:
     first = sandbox.call("sandboxed:process")
     assert first != os.getpid()
     assert sandbox.call("sandboxed:process") == first
 
 
-def test_progress_and_output_come_through(sandbox: Sandbox) -> None:
+def test_progress_and_printed_output_reach_the_parent(sandbox: Sandbox) -> None:
     seen: list[float] = []
     assert sandbox.call("sandboxed:count", {"steps": 4}, progress=seen.append) == "done"
     assert seen == [0.25, 0.5, 0.75, 1.0]
     assert sandbox.output == "step 0\nstep 1\nstep 2\nstep 3\n"
 
 
-def test_a_typed_error_keeps_all_that_it_said(sandbox: Sandbox) -> None:
+def test_a_typed_error_keeps_all_its_fields(sandbox: Sandbox) -> None:
     with pytest.raises(ModelError) as caught:
         sandbox.call("sandboxed:raise_model_error")
     assert str(caught.value) == "/a/b.xml:3:2: x: bad (got 1.5 kg; expected more)"
 
 
-def test_another_error_is_told_with_its_place(sandbox: Sandbox) -> None:
+def test_an_untyped_error_is_reported_with_its_file(sandbox: Sandbox) -> None:
     with pytest.raises(SimulationError) as caught:
         sandbox.call("sandboxed:raise_value_error")
     error = caught.value
@@ -58,7 +58,7 @@ def test_another_error_is_told_with_its_place(sandbox: Sandbox) -> None:
     assert "Traceback" in sandbox.output
 
 
-def test_what_is_no_json_is_an_error_and_the_child_lives(sandbox: Sandbox) -> None:
+def test_a_result_that_is_not_json_is_an_error_and_the_child_survives(sandbox: Sandbox) -> None:
     before = sandbox.call("sandboxed:process")
     with pytest.raises(SimulationError, match="not JSON serializable"):
         sandbox.call("sandboxed:give_an_object")
@@ -66,19 +66,21 @@ def test_what_is_no_json_is_an_error_and_the_child_lives(sandbox: Sandbox) -> No
 
 
 @pytest.mark.parametrize("name", ["SIGSEGV", "SIGABRT", "SIGFPE", "SIGKILL"])
-def test_a_crash_is_named_and_the_next_call_has_a_new_child(sandbox: Sandbox, name: str) -> None:
+def test_a_crash_is_reported_and_the_next_call_starts_a_new_child(
+    sandbox: Sandbox, name: str
+) -> None:
     before = sandbox.call("sandboxed:process")
     with pytest.raises(SimulationError, match=rf"crashed \({name}\); .*about to crash"):
         sandbox.call("sandboxed:crash", {"name": name})
     assert sandbox.call("sandboxed:process") != before
 
 
-def test_an_exit_is_told_with_its_status(sandbox: Sandbox) -> None:
+def test_an_exit_of_the_child_is_reported_with_its_status(sandbox: Sandbox) -> None:
     with pytest.raises(SimulationError, match="ended with exit status 3"):
         sandbox.call("sandboxed:leave", {"status": 3})
 
 
-def test_a_call_without_end_is_killed_at_its_bound(sandbox: Sandbox) -> None:
+def test_an_endless_call_is_killed_at_its_time_limit(sandbox: Sandbox) -> None:
     child = sandbox.call("sandboxed:process")
     start = time.monotonic()
     with pytest.raises(LimitError, match=r"time and was killed \(expected at most 0\.3 s\)"):
@@ -88,8 +90,10 @@ def test_a_call_without_end_is_killed_at_its_bound(sandbox: Sandbox) -> None:
         os.kill(child, 0)
 
 
-def test_a_compile_without_end_is_killed_at_its_bound(sandbox: Sandbox, tmp_path: Path) -> None:
-    """MuJoCo simulates a muscle's range while it compiles, for as long as the model asks."""
+def test_an_endless_compilation_is_killed_at_its_time_limit(
+    sandbox: Sandbox, tmp_path: Path
+) -> None:
+    """MuJoCo simulates length ranges of muscles during compilation, as long as the model states."""
     text = PENDULUM.replace(
         '<compiler angle="radian"/>',
         "<compiler><lengthrange mode='all' inttotal='1e9' timestep='1e-5'/></compiler>",
@@ -100,7 +104,7 @@ def test_a_compile_without_end_is_killed_at_its_bound(sandbox: Sandbox, tmp_path
         sandbox.call("sandboxed:compile_without_end", {"path": str(path)}, seconds=1.0)
 
 
-def test_memory_is_bounded() -> None:
+def test_the_memory_of_the_child_is_limited() -> None:
     with Sandbox(memory_bytes=2 * 2**30, seconds=30) as small:
         for function in ("swallow", "swallow_in_mujoco"):
             with pytest.raises(LimitError, match="out of memory"):
@@ -128,7 +132,7 @@ def test_the_parent_imports_no_simulator() -> None:
 
 
 @pytest.mark.parametrize(("given", "taken"), [(None, "1"), ("3", "3")])
-def test_linear_algebra_has_one_thread_unless_somebody_says_otherwise(
+def test_linear_algebra_uses_one_thread_unless_configured_otherwise(
     monkeypatch: pytest.MonkeyPatch, given: str | None, taken: str
 ) -> None:
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
@@ -139,7 +143,7 @@ def test_linear_algebra_has_one_thread_unless_somebody_says_otherwise(
     assert told == taken
 
 
-def test_a_child_ends_with_its_parent() -> None:
+def test_the_child_ends_with_its_parent() -> None:
     folder = str(Path(__file__).parent)
     script = (
         f"import os, sys; sys.path.insert(0, {folder!r})\n"
@@ -162,7 +166,7 @@ def test_a_child_ends_with_its_parent() -> None:
 
 
 def _alive(group: int) -> list[int]:
-    """Processes of a group that still run."""
+    """Ids of the running processes of a process group."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
@@ -173,7 +177,7 @@ def _alive(group: int) -> list[int]:
 
 
 @pytest.mark.parametrize("call", ["spin", "spin_in_forks"])
-def test_a_long_call_ends_with_a_parent_that_was_killed(call: str) -> None:
+def test_a_long_call_ends_when_the_parent_is_killed(call: str) -> None:
     program = (
         "from pytest_twin.realization.sandbox import Sandbox\n"
         "sandbox = Sandbox()\n"
@@ -192,7 +196,7 @@ def test_a_long_call_ends_with_a_parent_that_was_killed(call: str) -> None:
             break
         time.sleep(0.1)
     else:
-        pytest.fail("not all began")
+        pytest.fail("not all processes of the call started")
     parent.kill()
     parent.wait()
     parent.stdout.close()
@@ -202,4 +206,4 @@ def test_a_long_call_ends_with_a_parent_that_was_killed(call: str) -> None:
         time.sleep(0.1)
     else:
         os.killpg(child, signal.SIGKILL)
-        pytest.fail("the child went on for nobody")
+        pytest.fail("the child kept running after its parent was killed")

@@ -1,4 +1,4 @@
-"""Every file that was read is named: what is not named, no digest guards."""
+"""A realization lists every file that was read, so that digests cover all of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import trimesh
 from pytest_twin.realization import load
 
 
-def test_equal_meshes_under_two_names_are_two_files(tmp_path: Path) -> None:
+def test_two_mesh_files_with_equal_content_are_both_listed(tmp_path: Path) -> None:
     for name in ("left", "right"):
         trimesh.creation.box((0.1, 0.2, 0.3)).export(tmp_path / f"{name}.stl")
     (tmp_path / "empty.xml").write_text("<mujocoinclude></mujocoinclude>")

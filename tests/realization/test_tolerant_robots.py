@@ -1,4 +1,4 @@
-"""Robots that MuJoCo or Pinocchio loads though a standard or a parser objects to their text."""
+"""Robot files that violate a standard but that MuJoCo or Pinocchio loads."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def realized(path: Path, folder: Path) -> dict[str, object]:
         {"more": "<gazebo:plugin/>"},
     ],
 )  # fmt: skip
-def test_a_prefix_is_kept_and_reported(
+def test_elements_with_a_namespace_prefix_are_kept_and_reported(
     tmp_path: Path, declared: str, changed: dict[str, str]
 ) -> None:
     path = robot(tmp_path, attributes=declared, **changed)
@@ -73,14 +73,14 @@ def test_a_prefix_is_kept_and_reported(
     assert ("tree.not_well_formed" in codes) == (f"xmlns:{prefix}" not in declared)
 
 
-def test_a_macro_without_a_link_is_not_taken_for_a_robot(tmp_path: Path) -> None:
+def test_an_unexpanded_xacro_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.urdf"
     path.write_text('<robot name="a"><xacro:include filename="b.xacro"/></robot>')
     with pytest.raises(TwinError, match=r"a\.urdf:1: .*a xacro macro.*the output of `xacro`"):
         load(path)
 
 
-def test_hyphens_in_a_comment_are_a_finding_with_their_line(tmp_path: Path) -> None:
+def test_double_hyphens_in_comments_are_reported_with_their_line(tmp_path: Path) -> None:
     path = robot(tmp_path, more="<!-- ---- tool ---- -->\n<!-- a --->")
     assert load(path).joints == ("j", "k")
     rows = audit_file(str(path))["findings"]
@@ -100,14 +100,14 @@ def test_hyphens_in_a_comment_are_a_finding_with_their_line(tmp_path: Path) -> N
         "<robot><!-- -- never ends </robot>",
     ],
 )
-def test_what_leaves_a_doubt_about_the_elements_is_refused(tmp_path: Path, text: str) -> None:
+def test_xml_with_ambiguous_elements_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "a.urdf"
     path.write_text(text)
     with pytest.raises(FormatError, match="not well-formed XML"):
         load(path)
 
 
-def test_a_follower_of_a_fixed_joint_is_held_at_its_offset(tmp_path: Path) -> None:
+def test_a_mimic_of_a_fixed_joint_is_held_at_its_offset(tmp_path: Path) -> None:
     path = robot(tmp_path, kind="fixed", mimic='<mimic joint="j" multiplier="1" offset="0.1"/>')
     realization = load(path)
     model = realization.model
@@ -119,7 +119,7 @@ def test_a_follower_of_a_fixed_joint_is_held_at_its_offset(tmp_path: Path) -> No
     assert said == []
 
 
-def test_a_mimic_of_no_joint_couples_nothing_and_is_critical(tmp_path: Path) -> None:
+def test_a_mimic_of_a_missing_joint_is_dropped_and_critical(tmp_path: Path) -> None:
     path = robot(tmp_path, mimic='<mimic joint="nowhere"/>')
     assert load(path).model.neq == 0
     made = realized(path, tmp_path / "made")
@@ -131,7 +131,7 @@ def test_a_mimic_of_no_joint_couples_nothing_and_is_critical(tmp_path: Path) -> 
     "limit", ["", '<limit lower="-1" upper="1"/>', '<limit effort="3"/>', '<limit velocity="3"/>']
 )
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_limit_that_urdfdom_asks_for_is_added_and_logged(
+def test_limits_required_by_urdfdom_are_added_and_logged(
     tmp_path: Path, kind: str, limit: str
 ) -> None:
     path = robot(tmp_path, kind=kind, limit=limit)
@@ -164,7 +164,7 @@ def exported(folder: Path, name: str) -> Path:
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf", ".ply"])
-def test_a_mesh_of_another_format_is_read_and_converted(tmp_path: Path, suffix: str) -> None:
+def test_gltf_and_ply_meshes_are_read_and_converted(tmp_path: Path, suffix: str) -> None:
     exported(tmp_path, f"w{suffix}")
     mesh = f'<geometry><mesh filename="w{suffix}"/></geometry>'
     path = robot(
@@ -206,7 +206,7 @@ def glb(document: dict[str, object]) -> bytes:
         ({"buffers": [{"uri": "../../../etc/hosts", "byteLength": 4}]}, "leaves|no such file"),
     ],
 )
-def test_a_hostile_gltf_is_refused_before_it_is_unpacked(
+def test_a_malicious_gltf_is_refused_before_it_is_unpacked(
     tmp_path: Path, document: dict[str, object], words: str
 ) -> None:
     (tmp_path / "w.glb").write_bytes(glb(document))

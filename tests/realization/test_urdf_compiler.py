@@ -1,4 +1,4 @@
-"""The ``<mujoco>`` block of a URDF is honoured as MuJoCo honours it, in every form of the robot."""
+"""The ``<mujoco>`` block of a URDF has the same effect as in MuJoCo."""
 
 from __future__ import annotations
 
@@ -47,7 +47,9 @@ BALANCE = 'balanceinertia="true" fusestatic="false"'
         (f'<compiler {BALANCE} discardvisual="true" angle="degree"/>', 0.05),
     ],
 )
-def test_inertias_are_those_of_mujoco(tmp_path: Path, block: str, izz: float) -> None:
+def test_compiler_options_give_the_same_inertias_as_mujoco(
+    tmp_path: Path, block: str, izz: float
+) -> None:
     path = robot(tmp_path, block, izz)
     theirs = mujoco.MjModel.from_xml_path(str(path))
     ours = load(path).model
@@ -68,18 +70,18 @@ def test_inertias_are_those_of_mujoco(tmp_path: Path, block: str, izz: float) ->
     assert report["facts"]["mass"]["value"] == pytest.approx(theirs.body_mass.sum())
 
 
-def test_an_inertia_that_nobody_asked_to_balance_is_still_refused(tmp_path: Path) -> None:
+def test_an_impossible_inertia_is_refused_without_balanceinertia(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="no body can have"):
         load(robot(tmp_path, '<compiler discardvisual="true"/>', 0.05))
 
 
-def test_what_was_corrected_is_said(tmp_path: Path) -> None:
+def test_corrected_inertias_and_ignored_options_are_noted(tmp_path: Path) -> None:
     notes = load(robot(tmp_path, f"<compiler {BALANCE} settotalmass='3'/>", 0.05)).notes
     assert any("link 'a' has the mass and inertia that <mujoco><compiler>" in n for n in notes)
     assert any("<compiler settotalmass> is not honoured" in n for n in notes)
 
 
-def test_options_are_those_of_mujoco(tmp_path: Path) -> None:
+def test_simulation_options_are_the_same_as_in_mujoco(tmp_path: Path) -> None:
     block = '<option timestep="0.01" gravity="0 0 -1"><flag contact="disable"/></option>'
     path = robot(tmp_path, block)
     theirs, ours = mujoco.MjModel.from_xml_path(str(path)), load(path).model
@@ -101,7 +103,7 @@ def test_options_are_those_of_mujoco(tmp_path: Path) -> None:
         ('strippath="true"', "sub/a.stl", "urdf/a.stl"),
     ],
 )
-def test_meshes_lie_where_mujoco_looks_for_them(
+def test_mesh_folders_are_resolved_as_in_mujoco(
     tmp_path: Path, compiler: str, named: str, place: str
 ) -> None:
     (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
@@ -118,7 +120,7 @@ def test_meshes_lie_where_mujoco_looks_for_them(
     assert mujoco.MjModel.from_xml_path(str(folder / "r.urdf")).nmesh == 1
 
 
-def test_a_mesh_where_only_ros_finds_it_is_found_all_the_same(tmp_path: Path) -> None:
+def test_a_package_uri_is_resolved_despite_a_mesh_folder_option(tmp_path: Path) -> None:
     (tmp_path / "arm/meshes").mkdir(parents=True)
     (tmp_path / "arm/meshes/a.stl").write_bytes(binary_stl())
     shape = (
@@ -128,7 +130,7 @@ def test_a_mesh_where_only_ros_finds_it_is_found_all_the_same(tmp_path: Path) ->
     assert load(robot(tmp_path / "arm/urdf", block, shape=shape)).model.nmesh == 1
 
 
-def test_a_folder_of_meshes_outside_the_checkout_is_refused(tmp_path: Path) -> None:
+def test_a_mesh_folder_outside_the_checkout_is_refused(tmp_path: Path) -> None:
     (tmp_path / "secret").mkdir()
     (tmp_path / "secret/a.stl").write_bytes(binary_stl())
     (tmp_path / "arm/.git").mkdir(parents=True)

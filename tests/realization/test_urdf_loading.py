@@ -1,4 +1,4 @@
-"""URDF: the conversion, what it notes, and what it refuses."""
+"""Loading of URDF: conversion, notes and refusals."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def with_mesh(folder: Path, file: str, scale: str = "1 1 1") -> Path:
     return arm(folder, MESH, new)
 
 
-def test_joints_limits_drives_and_dynamics_are_carried(tmp_path: Path) -> None:
+def test_joints_limits_actuators_and_joint_dynamics_are_converted(tmp_path: Path) -> None:
     realization = load(arm(tmp_path))
     model = realization.model
     assert realization.joints == ("shoulder", "elbow")
@@ -51,7 +51,7 @@ def test_joints_limits_drives_and_dynamics_are_carried(tmp_path: Path) -> None:
     assert not realization.notes
 
 
-def test_a_motor_drives_with_the_force_of_its_control_up_to_the_effort(tmp_path: Path) -> None:
+def test_a_motor_applies_its_control_up_to_the_effort_limit(tmp_path: Path) -> None:
     realization = load(arm(tmp_path))
     data = mujoco.MjData(realization.model)
     for control, force in ((5.0, 5.0), (90.0, 40.0)):
@@ -60,7 +60,7 @@ def test_a_motor_drives_with_the_force_of_its_control_up_to_the_effort(tmp_path:
         assert data.qfrc_actuator[realization.joint_dof_index("shoulder")] == force
 
 
-def test_a_mimic_joint_follows(tmp_path: Path) -> None:
+def test_a_mimic_joint_follows_with_multiplier_and_offset(tmp_path: Path) -> None:
     old = '<limit lower="0" upper="0.4" effort="100" velocity="0.5"/>'
     mimic = '<mimic joint="shoulder" multiplier="0.1" offset="0.1"/>'
     realization = load(arm(tmp_path, old, old + mimic))
@@ -77,7 +77,7 @@ def test_a_mimic_joint_follows(tmp_path: Path) -> None:
     assert elbow == pytest.approx(0.1 * shoulder + 0.1, abs=2e-4)
 
 
-def test_a_planar_and_a_floating_joint_are_taken_apart_and_noted(tmp_path: Path) -> None:
+def test_planar_and_floating_joints_are_split_into_simple_joints(tmp_path: Path) -> None:
     realization = load(
         arm(tmp_path, '<joint name="elbow" type="prismatic">', '<joint name="elbow" type="planar">')
     )
@@ -96,7 +96,7 @@ def test_a_planar_and_a_floating_joint_are_taken_apart_and_noted(tmp_path: Path)
     assert realization.joints == ("shoulder", "elbow_x", "elbow_y", "elbow_z", "elbow_ball")
 
 
-def test_a_floating_joint_on_the_world_is_free(tmp_path: Path) -> None:
+def test_a_floating_joint_on_the_world_becomes_a_free_joint(tmp_path: Path) -> None:
     text = ARM.replace('"base"', '"world"').replace(
         'name="shoulder" type="revolute"', 'name="shoulder" type="floating"'
     )
@@ -146,7 +146,7 @@ def test_a_floating_joint_on_the_world_is_free(tmp_path: Path) -> None:
         ('<box size="0.2 0.1 0.1"/>', '<mesh filename="a.stl" scale="0 1 1"/>', 9, "no such file"),
     ],
 )
-def test_what_no_robot_can_be_is_refused_with_its_place(
+def test_an_impossible_robot_is_refused_with_file_and_line(
     tmp_path: Path, old: str, new: str, line: int, words: str
 ) -> None:
     said = refusal(arm(tmp_path, old, new), TwinError)
@@ -154,7 +154,7 @@ def test_what_no_robot_can_be_is_refused_with_its_place(
     assert said.startswith(f"{tmp_path}/arm.urdf:{line}: ")
 
 
-def test_an_impossible_inertia_is_repaired_only_when_accepted_and_then_noted(
+def test_an_impossible_inertia_is_repaired_and_noted_only_if_accepted(
     tmp_path: Path,
 ) -> None:
     path = arm(
@@ -165,7 +165,7 @@ def test_an_impossible_inertia_is_repaired_only_when_accepted_and_then_noted(
     assert "got '0.02, 0.03, 0.2' kg*m^2" in refusal(path)
     realization = load(path, accept_invalid_inertia=True)
     index = realization.frame_index("upper")[1]
-    # The second moment -0.075 becomes 0: the two small moments grow by it, the large one stays.
+    # The second moment -0.075 becomes 0: the two small moments grow by 0.075, the large one stays.
     np.testing.assert_allclose(
         sorted(realization.model.body_inertia[index]), [0.095, 0.105, 0.2], rtol=1e-6
     )
@@ -176,7 +176,7 @@ def test_an_impossible_inertia_is_repaired_only_when_accepted_and_then_noted(
     )
 
 
-def test_a_moving_link_without_mass_is_raised_to_the_floor_and_noted(tmp_path: Path) -> None:
+def test_a_moving_link_without_mass_gets_the_minimum_mass_and_a_note(tmp_path: Path) -> None:
     path = written(
         tmp_path,
         '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
@@ -190,7 +190,7 @@ def test_a_moving_link_without_mass_is_raised_to_the_floor_and_noted(tmp_path: P
     assert any("moving link 'b' has no inertia" in note for note in realization.notes)
 
 
-def test_links_beside_a_joint_do_not_collide_and_others_do(tmp_path: Path) -> None:
+def test_links_connected_by_a_joint_do_not_collide(tmp_path: Path) -> None:
     box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
     inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
     links = "".join(f'<link name="l{i}">{inertial}{box}</link>' for i in range(4))
@@ -208,7 +208,7 @@ def test_links_beside_a_joint_do_not_collide_and_others_do(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("scale", ["1 1 1", "0.5 2 1", "1 -1 1", "-2 -2 -2"])
-def test_a_mesh_is_scaled_and_mirrored_as_its_vertices_say(tmp_path: Path, scale: str) -> None:
+def test_mesh_scale_scales_and_mirrors_the_vertices(tmp_path: Path, scale: str) -> None:
     (tmp_path / "t.stl").write_bytes(binary_stl())
     realization = load(with_mesh(tmp_path, "t.stl", scale))
     data = mujoco.MjData(realization.model)
@@ -221,7 +221,7 @@ def test_a_mesh_is_scaled_and_mirrored_as_its_vertices_say(tmp_path: Path, scale
     assert sorted(local.round(6).tolist()) == sorted((expected.round(6) + 0.0).tolist())
 
 
-def test_a_flat_mesh_becomes_a_thin_box_and_a_note(tmp_path: Path) -> None:
+def test_a_flat_collision_mesh_becomes_a_thin_box_with_a_note(tmp_path: Path) -> None:
     square = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]]) * 0.1
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     (tmp_path / "t.stl").write_bytes(binary_stl(square, faces))
@@ -249,7 +249,7 @@ COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" versi
 <scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
 
 
-def test_obj_and_collada_give_metres(tmp_path: Path) -> None:
+def test_obj_and_collada_meshes_are_converted_to_metres(tmp_path: Path) -> None:
     (tmp_path / "t.obj").write_text(OBJ)
     (tmp_path / "t.dae").write_text(COLLADA)
     volumes = []
@@ -276,14 +276,16 @@ def test_obj_and_collada_give_metres(tmp_path: Path) -> None:
         ("t.blend", b"x", "not a mesh that can be read"),
     ],
 )
-def test_broken_meshes_are_refused(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+def test_invalid_mesh_files_are_refused(
+    tmp_path: Path, name: str, content: bytes, words: str
+) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(FormatError, match=words) as caught:
         load(with_mesh(tmp_path, name))
     assert "arm.urdf:9" in str(caught.value)
 
 
-def test_a_mesh_beyond_the_bounds_is_refused(tmp_path: Path) -> None:
+def test_a_mesh_above_the_size_limits_is_refused(tmp_path: Path) -> None:
     from dataclasses import replace
 
     from pytest_twin.realization.limits import LIMITS
@@ -309,7 +311,7 @@ def test_a_mesh_beyond_the_bounds_is_refused(tmp_path: Path) -> None:
         "link.stl",
     ],
 )
-def test_no_mesh_leaves_the_checkout(tmp_path: Path, reference: str) -> None:
+def test_mesh_references_outside_the_checkout_are_refused(tmp_path: Path, reference: str) -> None:
     (tmp_path / "secret.stl").write_bytes(binary_stl())
     inside = tmp_path / "robot"
     (inside / ".git").mkdir(parents=True)
@@ -337,7 +339,7 @@ def check_forward_is_finite(realization: Realization) -> None:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_real_robots_compile(name: str) -> None:
+def test_urdfs_of_real_robots_compile(name: str) -> None:
     realization = load(example_robot(name), accept_invalid_inertia=True)
     check_forward_is_finite(realization)
     assert realization.actuators
@@ -345,5 +347,5 @@ def test_real_robots_compile(name: str) -> None:
     assert len(realization.source.inertia_repairs) == repaired
 
 
-def test_an_empty_robot_is_no_robot() -> None:
+def test_a_robot_without_links_is_refused() -> None:
     assert "a robot without links" in refusal(example_robot("ur3.urdf"))
