@@ -1,4 +1,4 @@
-"""Models in closed form and the way from a spec to its measures, for the dynamic checks."""
+"""Helpers of the dynamic checks: models with closed-form motion, and running of goldens."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def slider(
     integrator: str = "implicitfast",
     joint: str = "",
 ) -> str:
-    """One slide joint of 2 kg along x, gravity across it."""
+    """MJCF text of a 2 kg cart on a slide joint along x, perpendicular to gravity."""
     return f"""
     <mujoco>
       <compiler angle="radian"/>
@@ -42,7 +42,7 @@ def slider(
 
 
 def servo(stiffness: float, damping: float, extra: str = "") -> str:
-    """A position servo on the slider."""
+    """MJCF element of a position servo on the slider."""
     return f'<position name="servo" joint="x" kp="{stiffness}" kv="{damping}" {extra}/>'
 
 
@@ -50,14 +50,14 @@ MOTOR = '<motor name="motor" joint="x"/>'
 
 
 def load_text(folder: Path, text: str, name: str = "model.xml") -> Realization:
-    """A realization of MJCF text."""
+    """Write MJCF text to a file and load it."""
     path = folder / name
     path.write_text(text)
     return load(path)
 
 
 def golden_of(check: Check, spec: Mapping[str, Any], path: Path = Path("g.yaml")) -> Golden:
-    """A golden that has not been recorded; every field on a line of its own."""
+    """A golden without recorded values; each field has its own line number."""
     lines: dict[str, int] = {}
 
     def walk(value: Any, field: str) -> None:
@@ -85,14 +85,14 @@ def golden_of(check: Check, spec: Mapping[str, Any], path: Path = Path("g.yaml")
 
 
 def observe(check: Check, golden: Golden, realization: Realization) -> Observation:
-    """Run it."""
+    """Run the golden's stimulus and return its observation."""
     return check.observe(golden, realization, lambda _: None)
 
 
 def recorded(
     check: Check, spec: Mapping[str, Any], realization: Realization
 ) -> tuple[Golden, Trace | None]:
-    """A golden recorded on ``realization``, and its trace."""
+    """A golden with values recorded on ``realization``, and its trace."""
     golden = golden_of(check, spec)
     expected, trace = check.expect(golden, observe(check, golden, realization))
     return replace(golden, expected=expected), trace
@@ -101,7 +101,7 @@ def recorded(
 def measures_on(
     check: Check, golden: Golden, trace: Trace | None, realization: Realization
 ) -> dict[str, Measure]:
-    """Measures of a recorded golden on another realization, the worst of each name."""
+    """The worst measure of each name when a recorded golden runs on another realization."""
     found: dict[str, Measure] = {}
     for measure in check.compare(golden, observe(check, golden, realization), trace):
         old = found.get(measure.name)
@@ -111,5 +111,5 @@ def measures_on(
 
 
 def failed(measures: Mapping[str, Measure]) -> set[str]:
-    """Names of those that did not pass."""
+    """Names of the measures that did not pass."""
     return {name for name, measure in measures.items() if not measure.passed}

@@ -1,4 +1,4 @@
-"""Small robots and goldens that the tests of the checks share."""
+"""Small robots and goldens for the tests of the checks."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def golden(
 
 
 def from_first(check: Check, realization: Realization, index: int = 0) -> Golden:
-    """The golden of a first spec."""
+    """The golden that the check proposes for the realization."""
     spec = check.first(realization)[index]
     return golden(
         check, target=spec["target"], stimulus=spec["stimulus"], tolerance=spec["tolerance"]
@@ -106,13 +106,13 @@ def from_first(check: Check, realization: Realization, index: int = 0) -> Golden
 
 
 def measure(check: Check, spec: Golden, realization: Realization) -> list[Measure]:
-    """Observe and compare."""
+    """Run a golden and return its measures."""
     observation = check.observe(spec, realization, lambda fraction: None)
     return check.compare(spec, observation, None)
 
 
 def record(check: Check, spec: Golden, realization: Realization) -> Golden:
-    """The golden with what ``--twin-update`` would record."""
+    """The golden with the values that ``--twin-update`` would record."""
     import dataclasses
 
     expected, _ = check.expect(spec, check.observe(spec, realization, lambda fraction: None))
@@ -133,7 +133,7 @@ def directions(count: int = 3) -> st.SearchStrategy[list[float]]:
     return numbers(count).filter(lambda v: sum(x * x for x in v) > 0.05)
 
 
-# Robots shrink slowly; the example that failed is printed whole.
+# Shrinking of robots is slow and is skipped; a failing example is printed in full.
 QUICK = settings(
     max_examples=25,
     deadline=None,

@@ -25,8 +25,8 @@ SHAPES = {
 WEDGE = "0 0 0  0.2 0 0  0 0.3 0  0.2 0.3 0  0 0 0.1  0 0.3 0.15"
 
 
-def two(folder: Path, first: str, second: str, extra: str = "") -> tuple:
-    """A realization with free bodies ``a`` and ``b`` and its shapes."""
+def two_free_bodies(folder: Path, first: str, second: str, extra: str = "") -> tuple:
+    """A realization with two free bodies ``a`` and ``b``, and its shapes."""
     realization = robot(
         folder,
         f"""<mujoco><asset><mesh name="wedge" vertex="{WEDGE}"/></asset><worldbody>
@@ -37,8 +37,10 @@ def two(folder: Path, first: str, second: str, extra: str = "") -> tuple:
     return realization, collision.Shapes(realization)
 
 
-def both(realization: object, shapes: collision.Shapes, place: list[float]) -> tuple[float, float]:
-    """Distance by MuJoCo and by coal with body b at ``place`` (7,)."""
+def both_distances(
+    realization: object, shapes: collision.Shapes, place: list[float]
+) -> tuple[float, float]:
+    """Distances (m) by MuJoCo and coal with body b at the pose ``place`` (xyz, qw, qx, qy, qz)."""
     data = mujoco.MjData(realization.model)
     data.qpos[7:] = place
     mujoco.mj_kinematics(realization.model, data)
@@ -68,11 +70,11 @@ half = np.sqrt(0.5)
     ],
 )
 @pytest.mark.parametrize("extra", ["", 'margin="0.05" gap="0.02"'])
-def test_closed_forms(
+def test_distances_of_primitive_shapes_equal_closed_forms(
     tmp_path: Path, first: str, second: str, place: list[float], expected: float, extra: str
 ) -> None:
-    realization, shapes = two(tmp_path, SHAPES[first], SHAPES[second], extra)
-    by_mujoco, by_coal = both(realization, shapes, place)
+    realization, shapes = two_free_bodies(tmp_path, SHAPES[first], SHAPES[second], extra)
+    by_mujoco, by_coal = both_distances(realization, shapes, place)
     assert by_mujoco == pytest.approx(expected, abs=1e-6)
     assert by_coal == pytest.approx(expected, abs=1e-6)
 
@@ -89,7 +91,7 @@ def test_closed_forms(
     ],
 )
 @pytest.mark.parametrize("height", [0.5, 0.05])
-def test_a_plane_is_a_half_space(
+def test_distance_to_a_plane_treats_it_as_a_half_space(
     tmp_path: Path, shape: str, rotation: list[float], reach: float, height: float
 ) -> None:
     realization = robot(
@@ -117,11 +119,11 @@ places = st.tuples(*[st.floats(-0.5, 0.5)] * 3, *[st.floats(-1, 1)] * 4).filter(
     max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(place=places)
-def test_the_two_agree_wherever_shapes_are_apart(
+def test_mujoco_and_coal_agree_on_the_distance_of_separated_shapes(
     tmp_path: Path, first: str, second: str, place: tuple
 ) -> None:
-    realization, shapes = two(tmp_path, SHAPES[first], SHAPES[second])
-    by_mujoco, by_coal = both(realization, shapes, list(place))
+    realization, shapes = two_free_bodies(tmp_path, SHAPES[first], SHAPES[second])
+    by_mujoco, by_coal = both_distances(realization, shapes, list(place))
     if by_coal > 1e-4:
         assert by_mujoco == pytest.approx(by_coal, abs=1e-6)
     else:
@@ -129,7 +131,7 @@ def test_the_two_agree_wherever_shapes_are_apart(
 
 
 def support(model: mujoco.MjModel, data: mujoco.MjData, geom: int, ways: np.ndarray) -> np.ndarray:
-    """How far a geom reaches along each of ``ways`` (n, 3), m."""
+    """(n,) support function of a geom along each direction of ``ways`` (n, 3), m."""
     x, y, z = np.abs(ways @ data.geom_xmat[geom].reshape(3, 3)).T
     a, b, c = model.geom_size[geom]
     reach = {
@@ -148,10 +150,10 @@ def support(model: mujoco.MjModel, data: mujoco.MjData, geom: int, ways: np.ndar
         ("box", "box", [0.1, 0.03, 0.2]),
     ],
 )
-def test_depth_is_the_least_way_out(
+def test_penetration_depth_is_the_shortest_separating_translation(
     tmp_path: Path, first: str, second: str, offset: list[float]
 ) -> None:
-    realization, shapes = two(tmp_path, SHAPES[first], SHAPES[second])
+    realization, shapes = two_free_bodies(tmp_path, SHAPES[first], SHAPES[second])
     place = [*offset, 1, 0, 0, 0]
     data = mujoco.MjData(realization.model)
     data.qpos[7:] = place
@@ -161,21 +163,21 @@ def test_depth_is_the_least_way_out(
     ways = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), height], -1).reshape(-1, 3)
     model = realization.model
     depth = np.min(support(model, data, 0, ways) + support(model, data, 1, -ways))
-    by_mujoco, by_coal = both(realization, shapes, place)
+    by_mujoco, by_coal = both_distances(realization, shapes, place)
     assert by_mujoco == pytest.approx(-depth, abs=2e-4)
     assert by_coal == pytest.approx(-depth, abs=2e-4)
 
 
-def test_mujoco_underrates_a_capsule_deep_in_a_box_and_coal_does_not(tmp_path: Path) -> None:
-    """Known of MuJoCo's capsule-box routine; what the tolerance ``penetration`` is for."""
-    realization, shapes = two(tmp_path, SHAPES["capsule"], SHAPES["box"])
-    by_mujoco, by_coal = both(realization, shapes, [0, 0, 0, half, 0, half, 0])
-    # The box lies along x: the least way out is its thin side and the capsule's radius.
+def test_mujoco_underestimates_the_penetration_of_a_capsule_in_a_box(tmp_path: Path) -> None:
+    """A known limit of MuJoCo's capsule-box routine, covered by the tolerance ``penetration``."""
+    realization, shapes = two_free_bodies(tmp_path, SHAPES["capsule"], SHAPES["box"])
+    by_mujoco, by_coal = both_distances(realization, shapes, [0, 0, 0, half, 0, half, 0])
+    # The box is rotated so that its long side lies along x: half its thin side plus the radius.
     assert by_coal == pytest.approx(-(0.05 + 0.05), abs=1e-6)
     assert by_coal + 1e-3 < by_mujoco < 0.0
 
 
-def test_the_hull_is_built_from_the_vertices_anew(tmp_path: Path) -> None:
+def test_distance_to_a_mesh_uses_its_convex_hull(tmp_path: Path) -> None:
     cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * 0.1
     inner = np.random.default_rng(0).uniform(-0.09, 0.09, (50, 3))
     vertices = " ".join(f"{x:.9g}" for x in np.vstack([cube, inner]).ravel())
@@ -187,12 +189,12 @@ def test_the_hull_is_built_from_the_vertices_anew(tmp_path: Path) -> None:
         </worldbody></mujoco>""",
     )
     shapes = collision.Shapes(realization)
-    by_mujoco, by_coal = both(realization, shapes, [0, 0, 0.5, 1, 0, 0, 0])
+    by_mujoco, by_coal = both_distances(realization, shapes, [0, 0, 0.5, 1, 0, 0, 0])
     assert by_mujoco == pytest.approx(0.3, abs=1e-6)
     assert by_coal == pytest.approx(0.3, abs=1e-6)
 
 
-def test_a_height_field_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_height_field_is_refused_with_its_name(tmp_path: Path) -> None:
     realization = robot(
         tmp_path,
         """<mujoco><asset><hfield name="h" nrow="3" ncol="3" size="1 1 1 1"/></asset><worldbody>
@@ -227,7 +229,7 @@ def arm_spec(**target: object) -> object:
     )
 
 
-def test_an_arm_passes_against_record_and_coal(tmp_path: Path) -> None:
+def test_an_unchanged_arm_passes_against_recorded_values_and_coal(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     measures = measure(CHECK, record(CHECK, arm_spec(), arm), arm)
     assert failed(measures) == []
@@ -247,7 +249,7 @@ def test_an_arm_passes_against_record_and_coal(tmp_path: Path) -> None:
         ("0.04 0.02 0.01", "0.04 0.02 0.02", "upper_arm - palm"),
     ],
 )
-def test_a_changed_shape_fails_its_pair_alone(
+def test_a_changed_shape_fails_only_its_own_pair(
     tmp_path: Path, old: str, new: str, pair: str
 ) -> None:
     spec = record(CHECK, arm_spec(), robot(tmp_path))
@@ -258,7 +260,7 @@ def test_a_changed_shape_fails_its_pair_alone(
     assert {m.against for m in faults} == {"golden"}
 
 
-def test_a_mesh_in_millimetres_fails(tmp_path: Path) -> None:
+def test_a_mesh_scaled_by_1000_fails(tmp_path: Path) -> None:
     text = f"""<mujoco><asset><mesh name="m" vertex="{WEDGE}" scale="1 1 1"/></asset><worldbody>
         <body name="a"><joint name="j"/><geom type="mesh" mesh="m"/></body>
         <body name="b" pos="0 0 1"><geom size="0.1"/></body></worldbody></mujoco>"""
@@ -295,17 +297,17 @@ def test_a_distance_that_is_not_finite_fails(tmp_path: Path) -> None:
     assert {m.subject for m in faults} == {"turret - forearm at home"}
 
 
-def test_every_disabled_pair_needs_its_reason(tmp_path: Path) -> None:
+def test_a_disabled_collision_pair_without_a_reason_fails(tmp_path: Path) -> None:
     fault = failed(measure(CHECK, arm_spec(disabled=[]), robot(tmp_path)))
     assert [m.subject for m in fault] == [
         "left - right: an exclude element keeps them apart, and target.disabled gives no reason"
     ]
 
 
-def test_masks_disable_pairs_too(tmp_path: Path) -> None:
+def test_pairs_disabled_by_collision_masks_need_a_reason(tmp_path: Path) -> None:
     masked = ARM.replace('name="turret" type', 'name="turret" contype="2" conaffinity="2" type')
     fault = failed(measure(CHECK, arm_spec(), robot(tmp_path, masked)))
-    # The upper arm is the turret's child and never collides with it.
+    # Parent and child never collide: turret and upper arm are not listed.
     assert [m.subject.split(":")[0] for m in fault] == [
         "forearm - turret",
         "left - turret",
@@ -315,7 +317,7 @@ def test_masks_disable_pairs_too(tmp_path: Path) -> None:
     assert "contype and conaffinity keep them apart" in fault[0].subject
 
 
-def test_pairs_among_bodies_share_a_reason(tmp_path: Path) -> None:
+def test_one_reason_may_cover_all_pairs_among_several_bodies(tmp_path: Path) -> None:
     masked = ARM.replace('name="turret" type', 'name="turret" contype="2" conaffinity="2" type')
     disabled = [
         {"among": ["turret", "forearm", "palm", "left", "right"], "reason": "cannot meet"},
@@ -323,18 +325,19 @@ def test_pairs_among_bodies_share_a_reason(tmp_path: Path) -> None:
     assert failed(measure(CHECK, arm_spec(disabled=disabled), robot(tmp_path, masked))) == []
 
 
-def test_a_reason_for_a_pair_that_collides_fails(tmp_path: Path) -> None:
+def test_a_reason_for_a_pair_that_can_collide_fails(tmp_path: Path) -> None:
     plain = ARM.replace('<exclude body1="left" body2="right"/>', "")
     assert [m.subject for m in failed(measure(CHECK, arm_spec(), robot(tmp_path, plain)))] == [
         "right - left: declared as disabled, but can collide"
     ]
 
 
-def test_contact_switched_off_disables_all(tmp_path: Path) -> None:
+def test_disabling_contact_globally_disables_all_pairs(tmp_path: Path) -> None:
     text = ARM.replace('<option timestep="0.001"/>', '<option><flag contact="disable"/></option>')
     arm = robot(tmp_path, text)
     pairs = collision.disabled_pairs(arm)
-    # The palm is fixed to the forearm: both are the fingers' parents and the upper arm's child.
+    # Palm and forearm are fixed together: both count as parents of the fingers and children of the
+    # upper arm.
     assert [pair for pair, _ in pairs] == [
         ("forearm", "turret"),
         ("left", "right"),
@@ -348,7 +351,7 @@ def test_contact_switched_off_disables_all(tmp_path: Path) -> None:
     assert failed(measure(CHECK, from_first(CHECK, arm), arm)) == []
 
 
-def test_explicit_pairs_and_partial_masks(tmp_path: Path) -> None:
+def test_disabled_pairs_consider_explicit_pairs_and_partial_masks(tmp_path: Path) -> None:
     text = """<mujoco><worldbody>
       <body name="a"><joint/><geom name="a0" size="0.1"/>
         <geom name="a1" size="0.1" contype="2" conaffinity="2"/></body>
@@ -363,7 +366,7 @@ def test_explicit_pairs_and_partial_masks(tmp_path: Path) -> None:
     }
 
 
-def test_a_flat_mesh_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_flat_mesh_is_refused_with_its_name(tmp_path: Path) -> None:
     text = """<mujoco><asset>
       <mesh name="sheet" inertia="shell" vertex="0 0 0 1 0 0 0 1 0 1 1 0" face="0 1 2 1 3 2"/>
       </asset><worldbody><body name="a"><joint/><geom type="mesh" mesh="sheet" mass="1"/></body>
@@ -379,7 +382,7 @@ def test_a_flat_mesh_is_refused_by_name(tmp_path: Path) -> None:
     assert "sheet" in str(caught.value)
 
 
-def test_bodies_without_a_name_are_known_by_their_place(tmp_path: Path) -> None:
+def test_unnamed_bodies_are_identified_by_their_position_in_the_tree(tmp_path: Path) -> None:
     text = """<mujoco><worldbody><body name="a"><joint/><geom size="0.1"/></body>
       <body><joint/><geom size="0.1" contype="2" conaffinity="2"/></body></worldbody></mujoco>"""
     nameless = robot(tmp_path, text)
@@ -390,8 +393,8 @@ def test_bodies_without_a_name_are_known_by_their_place(tmp_path: Path) -> None:
     assert set(CHECK.depends(spec, nameless.structure)) <= set(nameless.parts)
 
 
-def test_the_filter_agrees_with_mujocos_own_contacts(tmp_path: Path) -> None:
-    """Every pair that is not disabled is found touching by MuJoCo in a heap, and no other."""
+def test_the_enabled_pairs_equal_the_pairs_that_mujoco_lets_collide(tmp_path: Path) -> None:
+    """All bodies overlap: MuJoCo reports contact of exactly the enabled pairs."""
     masks = {"a": (1, 1), "b": (2, 1), "c": (2, 2), "d": (4, 3), "e": (0, 1), "f": (1, 0)}
     bodies = "".join(
         f'<body name="{n}"><joint type="slide"/><geom size="0.1" contype="{t}" conaffinity="{a}"/>'
@@ -413,7 +416,7 @@ def test_the_filter_agrees_with_mujocos_own_contacts(tmp_path: Path) -> None:
     assert not touching & {pair for pair, _ in collision.disabled_pairs(heap)}
 
 
-def test_unknown_names_point_at_the_line(tmp_path: Path) -> None:
+def test_an_unknown_geom_is_refused_with_its_line(tmp_path: Path) -> None:
     spec = golden(
         CHECK,
         target={"pairs": [["turret", "forarm"]], "disabled": []},
@@ -429,7 +432,7 @@ def test_unknown_names_point_at_the_line(tmp_path: Path) -> None:
     )
 
 
-def test_a_first_spec_passes_and_writes_reasons(tmp_path: Path) -> None:
+def test_a_proposed_golden_passes_and_states_reasons_for_disabled_pairs(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     spec = record(CHECK, from_first(CHECK, arm), arm)
     assert failed(measure(CHECK, spec, arm)) == []

@@ -1,4 +1,4 @@
-"""Contact primitives against closed forms, and seen to fail on injected changes."""
+"""Contact primitives compared with closed forms, and their failure on changed models."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def workcell(
     timestep: float = 0.001,
     force: float = 10.0,
 ) -> str:
-    """A table, a slide with a round tip above it, and a gripper of two fingers."""
+    """MJCF text of a table, a spherical tip on two slides above it, and a two-finger gripper."""
     return f"""
     <mujoco>
       <compiler angle="radian"/>
@@ -103,7 +103,7 @@ GRIP = spec(
 )
 
 
-def test_at_rest_the_floor_carries_weight_and_press(tmp_path: Path) -> None:
+def test_normal_force_at_rest_equals_weight_plus_pressing_force(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell())
     found = observe(CHECK, golden_of(CHECK, APPROACH), robot).values
     assert found["normal_force"] == pytest.approx(MASS * GRAVITY + 3.0, rel=1e-4)
@@ -111,47 +111,49 @@ def test_at_rest_the_floor_carries_weight_and_press(tmp_path: Path) -> None:
     assert found["onset"][3:] == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=1e-6)
 
 
-def test_onset_of_a_fall(tmp_path: Path) -> None:
+def test_onset_time_of_a_falling_object_equals_the_closed_form(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell(timestep=0.0005))
     found = observe(CHECK, golden_of(CHECK, RELEASE), robot).values
     assert found["onset_time"] == pytest.approx(np.sqrt(2.0 * 0.05 / GRAVITY), abs=0.001)
 
 
 @pytest.mark.parametrize("damping", [10.0, 40.0, 100.0])
-def test_rebound_of_a_damped_contact(tmp_path: Path, damping: float) -> None:
-    """A hard contact with direct solref replaces all acceleration by that of a damped spring."""
+def test_rebound_of_a_damped_contact_equals_the_damped_spring(
+    tmp_path: Path, damping: float
+) -> None:
+    """A hard contact with negative solref has the acceleration of a damped spring."""
     table = HARD.replace(f"{DAMPED:g}", f"{damping:g}")
     robot = load_text(tmp_path, workcell(table=table, timestep=0.0002))
     found = observe(CHECK, golden_of(CHECK, RELEASE), robot).values
 
     def rate(_: float, state: np.ndarray) -> list[float]:
         depth, speed = state
-        return [speed, min(GRAVITY, -STIFF * depth - damping * speed)]  # it cannot pull
+        return [speed, min(GRAVITY, -STIFF * depth - damping * speed)]  # a contact cannot pull
 
-    def leaves(_: float, state: np.ndarray) -> float:
+    def separation(_: float, state: np.ndarray) -> float:
         return float(state[0])
 
-    leaves.direction, leaves.terminal = -1.0, True  # type: ignore[attr-defined]
+    separation.direction, separation.terminal = -1.0, True  # type: ignore[attr-defined]
     impact = np.sqrt(2.0 * GRAVITY * 0.05)
-    bounce = solve_ivp(rate, (0.0, 0.2), [1e-12, impact], events=leaves, rtol=1e-9, atol=1e-12)
+    bounce = solve_ivp(rate, (0.0, 0.2), [1e-12, impact], events=separation, rtol=1e-9, atol=1e-12)
     restitution = -bounce.y[1, -1] / impact
     assert found["restitution"] == pytest.approx(restitution, abs=0.01)
     assert found["rebound"] == pytest.approx(restitution**2 * 0.05, abs=1e-3)
 
 
-def test_penetration_of_a_known_stiffness(tmp_path: Path) -> None:
+def test_penetration_at_rest_follows_from_the_contact_stiffness(tmp_path: Path) -> None:
     impedance = 0.9
     table = f'solref="-{STIFF:g} -200" solimp="{impedance} {impedance} 0.001 0.5 2"'
     robot = load_text(tmp_path, workcell(table=table))
     one_point = {**APPROACH, "target": {**APPROACH["target"], "object": BALL}}
     found = observe(CHECK, golden_of(CHECK, one_point), robot).values
-    # The constraint takes the share d of the acceleration, and stiffness acts as k / d.
+    # With impedance d the constraint provides the share d of the acceleration; stiffness is k / d.
     load = GRAVITY + 3.0 / MASS
     assert found["penetration"] == pytest.approx((1.0 - impedance) * load / STIFF, rel=1e-3)
 
 
 @pytest.mark.parametrize("friction", [0.3, 0.6])
-def test_slip_at_coulomb_friction(tmp_path: Path, friction: float) -> None:
+def test_slip_starts_at_the_coulomb_friction_force(tmp_path: Path, friction: float) -> None:
     robot = load_text(tmp_path, workcell(table=f'friction="{friction} 0.005 0.0001"'))
     observation = observe(CHECK, golden_of(CHECK, SLIDE), robot)
     found = observation.values
@@ -160,20 +162,20 @@ def test_slip_at_coulomb_friction(tmp_path: Path, friction: float) -> None:
     assert found["slip_force"] == pytest.approx(friction * MASS * GRAVITY, rel=0.02)
     assert observation.trace is not None
     travel = observation.trace.columns["travel"][1][-1]
-    # From slip on, the growing force less dry friction accelerates the box.
+    # After slip onset the increasing force minus dry friction accelerates the box.
     onset = friction * MASS * GRAVITY / 6.0 * 0.5
     exact = 6.0 / 0.5 / (6.0 * MASS) * (0.5 - onset) ** 3
     assert travel == pytest.approx(exact, rel=0.05)
 
 
-def test_friction_of_the_object_is_what_counts_where_it_is_declared(tmp_path: Path) -> None:
+def test_the_declared_friction_of_the_object_is_used(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell())
     rough = {**SLIDE, "target": {**SLIDE["target"], "object": {**BOX, "friction": 0.9}}}
     found = observe(CHECK, golden_of(CHECK, rough), robot).values
     assert found["friction"] == pytest.approx(0.9, rel=2e-3)  # MuJoCo takes the greater
 
 
-def test_a_force_within_friction_does_not_slip(tmp_path: Path) -> None:
+def test_a_pair_that_no_longer_slips_fails_its_friction_measures(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell())
     golden, trace = recorded(CHECK, SLIDE, robot)
     held = load_text(tmp_path, workcell(table='friction="4 0.005 0.0001"'), "held.xml")
@@ -182,7 +184,7 @@ def test_a_force_within_friction_does_not_slip(tmp_path: Path) -> None:
     assert {"friction", "slip_force", "declared_friction"} <= failed(measures)
 
 
-def test_the_robots_own_tip_meets_the_table(tmp_path: Path) -> None:
+def test_a_robot_tip_pressed_on_the_table_has_the_servo_force(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell())
     touch = spec(
         "approach",
@@ -190,14 +192,14 @@ def test_the_robots_own_tip_meets_the_table(tmp_path: Path) -> None:
         {"duration": "2 s", "ramp": "1 s", "command": {"down": 0.11}},
     )
     found = observe(CHECK, golden_of(CHECK, touch), robot).values
-    # The servo pulls by its error, the weight helps, the table carries both.
+    # Servo force from its position error plus weight equals the normal force.
     expected = 500.0 * (0.11 - 0.1 - found["penetration"]) + 0.3 * GRAVITY
     assert found["normal_force"] == pytest.approx(expected, rel=1e-3)
     assert found["onset"][2] == pytest.approx(0.02, abs=1e-3)
     assert found["onset"][0] == pytest.approx(-0.5, abs=1e-6)
 
 
-def test_the_robots_own_tip_slides_under_load(tmp_path: Path) -> None:
+def test_a_robot_tip_under_load_slips_at_the_friction_force(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell())
     slide = spec(
         "slide",
@@ -214,7 +216,7 @@ def test_the_robots_own_tip_slides_under_load(tmp_path: Path) -> None:
     assert found["slip_force"] == pytest.approx(0.6 * found["normal_force"], rel=0.02)
 
 
-def test_an_effort_brings_a_joint_without_servo_to_the_table(tmp_path: Path) -> None:
+def test_an_effort_presses_a_joint_without_servo_on_the_table(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell().replace('<position name="down"', '<motor name="down"')
                       .replace('joint="down" kp="500" kv="20"', 'joint="down"'))  # fmt: skip
     touch = spec("approach", ["stem", "table"], {"duration": "2 s", "effort": {"down": "2 N"}})
@@ -222,7 +224,7 @@ def test_an_effort_brings_a_joint_without_servo_to_the_table(tmp_path: Path) -> 
     assert found["normal_force"] == pytest.approx(2.0 + 0.3 * GRAVITY, rel=1e-3)
 
 
-def test_a_gripper_holds_what_its_pads_can(tmp_path: Path) -> None:
+def test_a_gripper_holds_an_object_only_if_friction_exceeds_its_weight(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell())
     found = observe(CHECK, golden_of(CHECK, GRIP), robot).values
     assert found["normal_force"] == pytest.approx(10.0, rel=0.02)  # the servos' force range
@@ -248,7 +250,7 @@ def test_a_gripper_holds_what_its_pads_can(tmp_path: Path) -> None:
         (GRIP, {"pads": 'friction="0.04 0.005 0.0001"'}, {"slip"}),
     ],
 )
-def test_changes_are_caught(
+def test_changed_contact_parameters_fail_the_expected_measures(
     tmp_path: Path, golden_spec: dict[str, Any], change: dict[str, Any], caught: set[str]
 ) -> None:
     plain: dict[str, Any] = {"table": HARD} if golden_spec is RELEASE else {}
@@ -259,8 +261,8 @@ def test_changes_are_caught(
     assert bool(found) == bool(change)
 
 
-def test_a_declared_friction_that_the_contact_does_not_show_fails(tmp_path: Path) -> None:
-    # A pyramid is no cone: pushed along a diagonal it gives way late.
+def test_a_contact_that_does_not_show_its_declared_friction_fails(tmp_path: Path) -> None:
+    # A pyramidal friction cone resists more along the diagonal than the declared coefficient.
     robot = load_text(tmp_path, workcell().replace('cone="elliptic"', 'cone="pyramidal"'))
     diagonal = {**PUSH, "direction": [1, 1, 0]}
     golden, trace = recorded(
@@ -271,7 +273,7 @@ def test_a_declared_friction_that_the_contact_does_not_show_fails(tmp_path: Path
     assert not measure.passed
 
 
-def test_a_free_robot_lands_on_a_floor(tmp_path: Path) -> None:
+def test_a_floating_base_robot_is_released_onto_an_added_floor(tmp_path: Path) -> None:
     text = """
     <mujoco><option timestep="0.001"/><worldbody>
       <body name="base" pos="0 0 3"><freejoint name="root"/><geom size=".1" mass="4"/>
@@ -330,7 +332,7 @@ def test_a_free_robot_lands_on_a_floor(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_mistakes_are_named_with_their_line(
+def test_invalid_contact_specs_are_refused_with_their_line(
     tmp_path: Path, golden_spec: dict[str, Any], words: str
 ) -> None:
     robot = load_text(tmp_path, workcell())
@@ -340,7 +342,7 @@ def test_mistakes_are_named_with_their_line(
     assert caught.value.line is not None
 
 
-def test_the_asset_stays_as_it_is(tmp_path: Path) -> None:
+def test_the_contact_check_does_not_modify_the_model(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell())
     before = robot.spec.to_xml()
     observe(CHECK, golden_of(CHECK, APPROACH), robot)
@@ -349,7 +351,9 @@ def test_the_asset_stays_as_it_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("golden_spec", [APPROACH, SLIDE, RELEASE, GRIP])
-def test_the_same_twice(tmp_path: Path, golden_spec: dict[str, Any]) -> None:
+def test_repeated_runs_of_a_contact_golden_are_identical(
+    tmp_path: Path, golden_spec: dict[str, Any]
+) -> None:
     robot = load_text(tmp_path, workcell())
     first, second = (observe(CHECK, golden_of(CHECK, golden_spec), robot) for _ in range(2))
     assert first.values == second.values
@@ -359,7 +363,7 @@ def test_the_same_twice(tmp_path: Path, golden_spec: dict[str, Any]) -> None:
         np.testing.assert_array_equal(series, second.trace.columns[name][1])
 
 
-def test_first_specs_rest_on_what_stands_still(tmp_path: Path) -> None:
+def test_proposed_contact_goldens_use_a_static_surface_and_pass(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell())
     specs = CHECK.first(robot)
     assert [spec["name"] for spec in specs] == ["release_table", "slide_table"]
@@ -370,7 +374,7 @@ def test_first_specs_rest_on_what_stands_still(tmp_path: Path) -> None:
         assert failed(measures) == set()
 
 
-def test_shapes_of_the_schema_are_those_of_the_scene() -> None:
+def test_the_schema_and_the_scene_support_the_same_shapes() -> None:
     assert dict(SIZES) == scene.SIZES
 
 
@@ -383,7 +387,9 @@ def test_shapes_of_the_schema_are_those_of_the_scene() -> None:
         ("capsule", (0.01, 0.03)),
     ],
 )
-def test_moments_of_inertia_are_those_of_the_shape(shape: str, size: tuple[float, ...]) -> None:
+def test_moments_of_inertia_of_added_objects_equal_mujocos(
+    shape: str, size: tuple[float, ...]
+) -> None:
     numbers = " ".join(map(str, size))
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco><worldbody><body><freejoint/>
@@ -397,7 +403,7 @@ def test_moments_of_inertia_are_those_of_the_shape(shape: str, size: tuple[float
     np.testing.assert_allclose(np.diag(found), expected, atol=1e-12)
 
 
-def test_the_scene_does_not_depend_on_the_assets_defaults(tmp_path: Path) -> None:
+def test_added_objects_ignore_the_default_classes_of_the_model(tmp_path: Path) -> None:
     plain = observe(CHECK, golden_of(CHECK, SLIDE), load_text(tmp_path, workcell())).values
     text = workcell().replace(
         "<worldbody>",
@@ -416,7 +422,7 @@ def test_the_scene_does_not_depend_on_the_assets_defaults(tmp_path: Path) -> Non
     assert changed["penetration"] == pytest.approx(plain["penetration"], rel=1e-6)
 
 
-def test_an_object_in_a_model_whose_inertia_is_never_from_geoms(tmp_path: Path) -> None:
+def test_an_added_object_has_its_mass_if_the_model_ignores_geom_inertia(tmp_path: Path) -> None:
     text = workcell().replace(
         '<compiler angle="radian"/>', '<compiler angle="radian" inertiafromgeom="false"/>'
     )
@@ -427,7 +433,7 @@ def test_an_object_in_a_model_whose_inertia_is_never_from_geoms(tmp_path: Path) 
     assert found["normal_force"] == pytest.approx(MASS * GRAVITY + 3.0, rel=1e-4)
 
 
-def test_a_bare_arm_has_a_ball_pressed_on_it(tmp_path: Path) -> None:
+def test_for_an_arm_alone_a_contact_with_a_ball_is_proposed(tmp_path: Path) -> None:
     text = """
     <mujoco><worldbody>
       <body name="link"><joint axis="0 1 0" damping="1"/>
@@ -441,7 +447,7 @@ def test_a_bare_arm_has_a_ball_pressed_on_it(tmp_path: Path) -> None:
     assert failed(measures) == set()
 
 
-def test_a_touch_is_told_from_the_side_of_its_first(tmp_path: Path) -> None:
+def test_contact_force_and_normal_act_on_the_first_body_of_the_pair(tmp_path: Path) -> None:
     robot = load_text(
         tmp_path,
         """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>

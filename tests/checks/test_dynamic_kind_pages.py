@@ -1,4 +1,4 @@
-"""The example of each page is a spec that runs on the demo arm and passes there."""
+"""The example specs on the documentation pages of dynamic kinds pass on the demo arm."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ARM = PROJECT / "golden" / "arm.xml"
 
 
 @pytest.mark.parametrize("kind", ["settling", "step", "frequency_response", "contact"])
-def test_the_example_runs(kind: str) -> None:
+def test_the_example_of_a_dynamic_kind_page_passes(kind: str) -> None:
     page = PROJECT / "docs" / "kinds" / f"{kind}.md"
     text = page.read_text().split("```yaml\n")[1].split("```")[0]
     document = yaml.loads(text, page)
@@ -28,12 +28,12 @@ def test_the_example_runs(kind: str) -> None:
     golden, trace = recorded(check, document.data, robot)
     measures = measures_on(check, golden, trace, robot)
     assert failed(measures) == set()
-    # Nothing that the example bounds goes without a number, but what no slide or resonance shows.
+    # All bounded quantities are measured, except resonance where the response has none.
     assert set(golden.tolerance) - set(measures) <= {"resonance", "resonance_peak"}
 
 
 @pytest.mark.parametrize("kind", ["settling", "step", "frequency_response", "contact"])
-def test_the_page_names_every_tolerance(kind: str) -> None:
+def test_the_page_of_a_dynamic_kind_lists_every_tolerance(kind: str) -> None:
     text = (PROJECT / "docs" / "kinds" / f"{kind}.md").read_text()
     for name in check_of(kind).tolerances:
         assert f"`{name}`" in text

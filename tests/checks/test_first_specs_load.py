@@ -1,4 +1,4 @@
-"""Specs as people and ``init`` write them: every one passes the shipped schema."""
+"""Specs written by people and by ``init`` are valid under the shipped schema."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def write(twin: Twin, text: str) -> Path:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_first_specs_load(twin: Twin, kind: str) -> None:
+def test_proposed_specs_load_and_pass(twin: Twin, kind: str) -> None:
     realization = load(twin.root / "robot.xml", twin=twin)
     specs = check_of(kind).first(realization)
     assert specs
@@ -54,7 +54,7 @@ def test_first_specs_load(twin: Twin, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_documented_example_loads_and_runs(twin: Twin, kind: str) -> None:
+def test_the_documented_example_of_a_kind_loads_and_passes(twin: Twin, kind: str) -> None:
     page = (DOCS / f"{kind}.md").read_text()
     example = page.split("```yaml\n")[1].split("```")[0]
     golden = load_golden(write(twin, example), twin)
@@ -70,7 +70,7 @@ def test_the_documented_example_loads_and_runs(twin: Twin, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_schema_is_checked_without_a_slow_validator(kind: str) -> None:
+def test_the_schema_of_each_kind_can_be_compiled(kind: str) -> None:
     assert compile_schema(schema_of(kind)) is not None
 
 
@@ -89,7 +89,7 @@ def test_the_schema_is_checked_without_a_slow_validator(kind: str) -> None:
         ),
     ],
 )
-def test_what_means_nothing_is_refused_at_its_field(
+def test_an_invalid_target_or_stimulus_is_refused_at_its_field(
     twin: Twin, kind: str, target: str, stimulus: str, words: str
 ) -> None:
     tolerance = {

@@ -33,7 +33,9 @@ def arm_spec(**changes: object) -> object:
     return golden(CHECK, **fields | changes)
 
 
-def test_an_arm_agrees_with_record_and_pinocchio(tmp_path: Path) -> None:
+def test_forward_kinematics_of_an_unchanged_arm_pass_against_record_and_pinocchio(
+    tmp_path: Path,
+) -> None:
     arm = robot(tmp_path)
     measures = measure(CHECK, record(CHECK, arm_spec(), arm), arm)
     assert failed(measures) == []
@@ -41,7 +43,7 @@ def test_an_arm_agrees_with_record_and_pinocchio(tmp_path: Path) -> None:
     assert all(m.error < 1e-12 for m in measures)
 
 
-def test_the_closed_form_of_the_elbow(tmp_path: Path) -> None:
+def test_the_tool_position_at_a_bent_elbow_equals_the_closed_form(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     spec = arm_spec(stimulus={"poses": [{"name": "bent", "joints": {"elbow": "90 deg"}}]})
     observation = CHECK.observe(spec, arm, lambda fraction: None)
@@ -49,7 +51,7 @@ def test_the_closed_form_of_the_elbow(tmp_path: Path) -> None:
     np.testing.assert_allclose(position, [0.25, 0, 0.1 + 0.08 + 0.3], atol=1e-12)
 
 
-# Each is a fault of the kind that a supplier's update brings.
+# Faults as they occur in updated models of suppliers.
 FAULTS = {
     "flipped axis": ('name="elbow" axis="0 1 0"', 'name="elbow" axis="0 -1 0"', "both"),
     "swapped axis": ('name="elbow" axis="0 1 0"', 'name="elbow" axis="1 0 0"', "both"),
@@ -58,14 +60,14 @@ FAULTS = {
         '<body name="forearm" pos="0 0 300">',
         "both",
     ),
-    "turned tool": ('euler="0 0 0.3"', 'euler="0 0 0.31"', "tcp"),
+    "rotated tool": ('euler="0 0 0.3"', 'euler="0 0 0.31"', "tcp"),
     "moved tool": ('pos="0 0 0.05" euler', 'pos="0 0 0.0501" euler', "tcp"),
-    "mimic the other way": ("0 1 0 0 0", "0 -1 0 0 0", "none"),
+    "reversed mimic": ("0 1 0 0 0", "0 -1 0 0 0", "none"),
 }
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_fail(tmp_path: Path, fault: str) -> None:
+def test_a_changed_kinematic_chain_fails_the_affected_frames(tmp_path: Path, fault: str) -> None:
     old, new, frames = FAULTS[fault]
     spec = record(CHECK, arm_spec(), robot(tmp_path))
     assert ARM.count(old) == 1
@@ -75,13 +77,13 @@ def test_faults_fail(tmp_path: Path, fault: str) -> None:
     assert {m.against for m in faults} <= {"golden"}
 
 
-def test_a_mimic_fault_fails_the_follower(tmp_path: Path) -> None:
+def test_a_reversed_mimic_fails_the_following_finger(tmp_path: Path) -> None:
     spec = record(CHECK, arm_spec(target={"frames": ["right"]}), robot(tmp_path))
     turned = robot(tmp_path, ARM.replace("0 1 0 0 0", "0 -1 0 0 0"))
     assert {m.name for m in failed(measure(CHECK, spec, turned))} == {"position"}
 
 
-def test_the_worst_pose_is_named_with_its_error(tmp_path: Path) -> None:
+def test_a_failure_names_the_worst_pose_with_its_error(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     spec = record(CHECK, arm_spec(), arm)
     observation = CHECK.observe(spec, arm, lambda fraction: None)
@@ -94,7 +96,7 @@ def test_the_worst_pose_is_named_with_its_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_what_is_not_finite_fails(tmp_path: Path, bad: float) -> None:
+def test_a_non_finite_position_fails(tmp_path: Path, bad: float) -> None:
     arm = robot(tmp_path)
     spec = record(CHECK, arm_spec(), arm)
     observation = CHECK.observe(spec, arm, lambda fraction: None)
@@ -102,7 +104,7 @@ def test_what_is_not_finite_fails(tmp_path: Path, bad: float) -> None:
     assert {m.subject for m in failed(CHECK.compare(spec, observation, None))} == {"tcp at home"}
 
 
-def test_a_pose_that_was_not_recorded_fails(tmp_path: Path) -> None:
+def test_a_pose_without_recorded_value_fails(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     spec = record(CHECK, arm_spec(), arm)
     del spec.expected["frames"]["home"]
@@ -115,7 +117,9 @@ def test_a_pose_that_was_not_recorded_fails(tmp_path: Path) -> None:
 
 @QUICK
 @given(text=random_robots())
-def test_random_robots_agree_with_pinocchio(tmp_path: Path, text: str) -> None:
+def test_forward_kinematics_of_random_robots_agree_with_pinocchio(
+    tmp_path: Path, text: str
+) -> None:
     realization = robot(tmp_path, text)
     spec = from_first(CHECK, realization)
     measures = measure(CHECK, spec, realization)
@@ -123,17 +127,17 @@ def test_random_robots_agree_with_pinocchio(tmp_path: Path, text: str) -> None:
     assert measures
 
 
-def test_an_engine_that_disagrees_with_pinocchio_fails(
+def test_a_simulator_that_disagrees_with_pinocchio_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arm = robot(tmp_path)
-    assert arm.reference.mass() > 0  # built from the sound model
+    assert arm.reference.mass() > 0  # the reference is built before the model is changed
     arm.model.jnt_axis[arm.joint_index("lift")] *= -1.0
     faults = failed(measure(CHECK, arm_spec(), arm))
     assert {m.against for m in faults} == {"pinocchio"}
 
 
-def test_unknown_frames_point_at_the_line(tmp_path: Path) -> None:
+def test_an_unknown_frame_is_refused_with_its_line(tmp_path: Path) -> None:
     spec = arm_spec(target={"frames": ["tpc"]}, lines={"target.frames": 4, "target.frames.0": 5})
     with pytest.raises(SpecError) as caught:
         measure(CHECK, spec, robot(tmp_path))
@@ -143,7 +147,7 @@ def test_unknown_frames_point_at_the_line(tmp_path: Path) -> None:
     )
 
 
-def test_what_it_rests_on(tmp_path: Path) -> None:
+def test_forward_kinematics_depend_on_kinematics_poses_and_couplings_only(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     parts = set(CHECK.depends(arm_spec(), arm.structure))
     assert parts <= set(arm.parts)
@@ -159,14 +163,14 @@ def test_what_it_rests_on(tmp_path: Path) -> None:
     assert "mimic" in only
 
 
-def test_a_first_spec_names_tools_and_leaves(tmp_path: Path) -> None:
+def test_the_proposed_golden_covers_sites_and_last_links(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     assert CHECK.first(arm)[0]["target"] == {"frames": ["left", "right", "tcp"]}
     spec = record(CHECK, from_first(CHECK, arm), arm)
     assert failed(measure(CHECK, spec, arm)) == []
 
 
-def test_a_model_without_joints_has_no_first_spec(tmp_path: Path) -> None:
+def test_for_a_model_without_joints_nothing_is_proposed(tmp_path: Path) -> None:
     rigid = robot(tmp_path, '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>')
     with pytest.raises(NothingToProposeError, match="no joint moves a frame that has a name"):
         CHECK.first(rigid)

@@ -29,7 +29,7 @@ def arm_spec(joints: dict | None = None, **changes: object) -> object:
     return golden(CHECK, **fields | changes)
 
 
-def test_an_arm_moves_as_declared(tmp_path: Path) -> None:
+def test_joints_that_move_in_the_declared_direction_pass(tmp_path: Path) -> None:
     measures = measure(CHECK, arm_spec(), robot(tmp_path))
     assert failed(measures) == []
     assert [m.subject for m in measures] == [
@@ -46,12 +46,12 @@ def test_an_arm_moves_as_declared(tmp_path: Path) -> None:
     assert all(m.error < 1e-9 and m.unit == "rad" for m in measures)
 
 
-def test_directions_are_seen_from_the_declared_frame(tmp_path: Path) -> None:
+def test_directions_are_expressed_in_the_declared_frame(tmp_path: Path) -> None:
     joints = {
         "left": {"frame": "left", "translation": [1, 0, 0], "in": "palm"},
         "right": {"frame": "right", "translation": [0, 0, 1]},
     }
-    # At this pose the palm's x axis points down.
+    # In this pose the x axis of the palm points down.
     spec = arm_spec(joints, stimulus={"pose": {"joints": {"elbow": "90 deg"}}})
     assert failed(measure(CHECK, spec, robot(tmp_path))) == []
 
@@ -86,7 +86,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_fail(tmp_path: Path, fault: str) -> None:
+def test_a_wrong_axis_or_gear_fails_with_its_angle(tmp_path: Path, fault: str) -> None:
     old, new, expected = FAULTS[fault]
     assert ARM.count(old) == 1
     faults = failed(measure(CHECK, arm_spec(), robot(tmp_path, ARM.replace(old, new))))
@@ -95,7 +95,7 @@ def test_faults_fail(tmp_path: Path, fault: str) -> None:
         assert fault_measure.error == pytest.approx(expected[fault_measure.subject], rel=1e-6)
 
 
-def test_swapped_joint_names_fail_because_the_frame_stands_still(tmp_path: Path) -> None:
+def test_swapped_joint_names_fail_because_the_frame_does_not_move(tmp_path: Path) -> None:
     swapped = (
         ARM.replace('<joint name="lift"', '<joint name="x"')
         .replace('<joint name="elbow"', '<joint name="lift"')
@@ -106,7 +106,7 @@ def test_swapped_joint_names_fail_because_the_frame_stands_still(tmp_path: Path)
     assert np.isnan(faults[0].error)
 
 
-def test_swapped_motors_are_refused_by_name(tmp_path: Path) -> None:
+def test_a_motor_that_drives_another_joint_is_refused(tmp_path: Path) -> None:
     swapped = ARM.replace('name="lift" joint="lift"', 'name="lift" joint="elbow"')
     with pytest.raises(SpecError) as caught:
         measure(CHECK, arm_spec(lines={"target.joints.lift": 6}), robot(tmp_path, swapped))
@@ -116,14 +116,14 @@ def test_swapped_motors_are_refused_by_name(tmp_path: Path) -> None:
     )
 
 
-def test_a_dead_motor_fails(tmp_path: Path) -> None:
+def test_a_motor_without_effect_fails(tmp_path: Path) -> None:
     dead = robot(tmp_path, ARM.replace('joint="lift" gear="20"', 'joint="lift" gear="0"'))
     [fault] = failed(measure(CHECK, arm_spec(), dead))
     assert fault.subject == "lift: command of lift"
     assert np.isnan(fault.error)
 
 
-def test_a_motor_declared_to_run_backwards(tmp_path: Path) -> None:
+def test_a_reversed_motor_passes_if_declared_negative(tmp_path: Path) -> None:
     joints = {"lift": JOINTS["lift"] | {"command": "negative"}}
     backwards = robot(tmp_path, ARM.replace('gear="20"', 'gear="-20"'))
     assert failed(measure(CHECK, arm_spec(joints), backwards)) == []
@@ -136,7 +136,7 @@ def test_a_frame_on_the_axis_has_no_translation(tmp_path: Path) -> None:
     assert np.isnan(fault.error)
 
 
-def test_a_strong_motor_on_a_light_link_is_tried_gently(tmp_path: Path) -> None:
+def test_a_strong_motor_on_a_light_link_gets_a_small_command(tmp_path: Path) -> None:
     text = """<mujoco><option timestep="0.002"/><worldbody>
       <body name="f"><joint name="j" axis="0 0 1"/>
         <inertial mass="0.01" pos="0 0 0.01" diaginertia="1e-6 1e-6 1e-6"/></body></worldbody>
@@ -157,7 +157,9 @@ def test_a_strong_motor_on_a_light_link_is_tried_gently(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("gear", [1, -1])
-def test_every_sort_of_actuator_shows_its_sign(tmp_path: Path, actuator: str, gear: int) -> None:
+def test_the_direction_of_every_actuator_type_is_detected(
+    tmp_path: Path, actuator: str, gear: int
+) -> None:
     old = '<motor name="lift" joint="lift" gear="20" ctrlrange="-1 1"/>'
     text = ARM.replace(old, actuator.replace("/>", f' gear="{gear}"/>'))
     assert text != ARM
@@ -165,7 +167,7 @@ def test_every_sort_of_actuator_shows_its_sign(tmp_path: Path, actuator: str, ge
     assert [m.error for m in faults] == ([] if gear > 0 else [np.pi])
 
 
-def test_unknown_names_point_at_the_line(tmp_path: Path) -> None:
+def test_unknown_joints_and_frames_are_refused_with_their_line(tmp_path: Path) -> None:
     spec = arm_spec({"lift": {"frame": "uper_arm", "rotation": [0, 1, 0]}})
     with pytest.raises(SpecError, match=r"target.joints.lift.frame: .*did you mean 'upper_arm'"):
         measure(CHECK, spec, robot(tmp_path))
@@ -174,7 +176,9 @@ def test_unknown_names_point_at_the_line(tmp_path: Path) -> None:
         measure(CHECK, spec, robot(tmp_path))
 
 
-def test_what_it_rests_on(tmp_path: Path) -> None:
+def test_joint_direction_depends_on_dynamics_only_if_an_actuator_is_declared(
+    tmp_path: Path,
+) -> None:
     structure = robot(tmp_path).structure
     still = set(CHECK.depends(arm_spec({"right": JOINTS["right"]}), structure))
     assert not any("actuator" in part or "inertia" in part for part in still)
@@ -182,7 +186,7 @@ def test_what_it_rests_on(tmp_path: Path) -> None:
     assert {"mujoco/actuator:lift", "mujoco/inertia:forearm"} <= driven
 
 
-def test_a_first_spec_declares_what_the_model_does(tmp_path: Path) -> None:
+def test_the_proposed_golden_declares_the_directions_of_the_model(tmp_path: Path) -> None:
     arm = robot(tmp_path, ARM.replace('gear="20"', 'gear="-20"'))
     spec = record(CHECK, from_first(CHECK, arm), arm)
     assert spec.target["joints"]["lift"] == {
@@ -194,7 +198,7 @@ def test_a_first_spec_declares_what_the_model_does(tmp_path: Path) -> None:
     assert failed(measure(CHECK, spec, arm)) == []
 
 
-def test_first_specs_leave_out_joints_whose_body_has_no_name(tmp_path: Path) -> None:
+def test_joints_of_unnamed_bodies_are_not_proposed(tmp_path: Path) -> None:
     path = tmp_path / "pendulum.xml"
     path.write_text(
         "<mujoco><worldbody><body><joint name='a' axis='0 1 0'/><geom size='0.1'/>"

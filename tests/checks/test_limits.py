@@ -33,7 +33,7 @@ def arm_spec(joints: dict | None = None, **changes: object) -> object:
     return golden(CHECK, **fields | changes)
 
 
-def test_an_arm_keeps_its_limits(tmp_path: Path) -> None:
+def test_an_arm_with_the_declared_limits_passes(tmp_path: Path) -> None:
     measures = measure(CHECK, arm_spec(), robot(tmp_path))
     assert failed(measures) == []
     assert [m.subject for m in measures if m.subject.startswith("pan")] == [
@@ -106,7 +106,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_fail(tmp_path: Path, fault: str) -> None:
+def test_a_wrong_limit_fails_with_its_size(tmp_path: Path, fault: str) -> None:
     old, new, expected = FAULTS[fault]
     assert ARM.count(old) == 1
     faults = failed(measure(CHECK, arm_spec(), robot(tmp_path, ARM.replace(old, new))))
@@ -115,7 +115,7 @@ def test_faults_fail(tmp_path: Path, fault: str) -> None:
         assert found.error == pytest.approx(expected[found.subject], rel=1e-6)
 
 
-def test_commands_that_are_not_clipped_fail(tmp_path: Path) -> None:
+def test_commands_that_are_not_limited_fail(tmp_path: Path) -> None:
     text = ARM.replace(
         '<option timestep="0.001"/>',
         '<option timestep="0.001"><flag clampctrl="disable"/></option>',
@@ -125,7 +125,7 @@ def test_commands_that_are_not_clipped_fail(tmp_path: Path) -> None:
     assert "lift: positive effort, commanded past" in subjects
 
 
-def test_a_soft_stop_that_gives_way_fails(tmp_path: Path) -> None:
+def test_a_compliant_stop_fails(tmp_path: Path) -> None:
     weak = ARM.replace('axis="0 0 1" range', 'axis="0 0 1" solreflimit="0.3 1" range')
     faults = failed(measure(CHECK, arm_spec(), robot(tmp_path, weak)))
     assert {m.subject for m in faults} == {
@@ -138,10 +138,10 @@ def test_a_soft_stop_that_gives_way_fails(tmp_path: Path) -> None:
     assert not any("pushed" in subject for subject in subjects)
 
 
-def test_a_stop_is_a_spring_of_the_declared_time_constant(tmp_path: Path) -> None:
-    """At rest it gives way in proportion to the push and to the time constant squared."""
+def test_deflection_of_a_stop_follows_push_and_time_constant(tmp_path: Path) -> None:
+    """At rest the deflection is proportional to the push and to the squared time constant."""
 
-    def passed(push: float, time_constant: float) -> list[float]:
+    def deflection(push: float, time_constant: float) -> list[float]:
         text = f"""<mujoco><compiler angle="radian" autolimits="true"/>
           <option timestep="0.0005"/><worldbody><body name="b">
           <joint name="j" range="-1 1" damping="1" solreflimit="{time_constant} 1"
@@ -151,15 +151,17 @@ def test_a_stop_is_a_spring_of_the_declared_time_constant(tmp_path: Path) -> Non
         observation = CHECK.observe(spec, robot(tmp_path, text), lambda fraction: None)
         return observation.values["joints"]["j"]["stop"]
 
-    lower, upper = passed(0.5, 0.05)
+    lower, upper = deflection(0.5, 0.05)
     assert lower == pytest.approx(upper)
     assert upper > 1e-4
-    assert passed(1.0, 0.05)[1] == pytest.approx(2 * upper, rel=1e-3)
-    assert passed(0.5, 0.1)[1] == pytest.approx(4 * upper, rel=1e-3)
+    assert deflection(1.0, 0.05)[1] == pytest.approx(2 * upper, rel=1e-3)
+    assert deflection(0.5, 0.1)[1] == pytest.approx(4 * upper, rel=1e-3)
 
 
-def test_held_joints_cost_a_light_finger_none_of_its_stop(tmp_path: Path) -> None:
-    """A finger of 20 g gives way as much on an arm of held joints as alone."""
+def test_held_arm_joints_do_not_change_the_stop_deflection_of_a_light_finger(
+    tmp_path: Path,
+) -> None:
+    """The stop of a 20 g finger deflects as much on an arm with held joints as alone."""
     alone = """<mujoco><option timestep="0.001"/><worldbody><body name="left">
       <joint name="left" type="slide" axis="1 0 0" range="0 0.03" damping="5"/>
       <geom type="box" size="0.004 0.01 0.02" mass="0.02"/></body></worldbody></mujoco>"""
@@ -179,8 +181,8 @@ def test_held_joints_cost_a_light_finger_none_of_its_stop(tmp_path: Path) -> Non
     assert stops[1] == pytest.approx(stops[0], rel=1e-3)
 
 
-def test_velocity_against_what_a_command_reaches(tmp_path: Path) -> None:
-    # A motor of 20 N*m against 0.5 N*m s/rad of damping on the lift: the damper decides.
+def test_velocity_limit_is_compared_with_the_reached_speed(tmp_path: Path) -> None:
+    # At 20 N*m the damping of 0.5 N*m*s/rad limits the speed of the lift joint.
     fast = CHECK.observe(
         arm_spec({"lift": {"velocity": "1 rad/s"}}), robot(tmp_path), lambda fraction: None
     ).values["joints"]["lift"]["velocity_reached"]
@@ -200,7 +202,7 @@ URDF = """<robot name="r"><link name="a"><inertial><mass value="1"/>
   <limit lower="-1" upper="2" effort="7" velocity="3"/></joint></robot>"""
 
 
-def test_a_urdf_states_velocity_and_effort(tmp_path: Path) -> None:
+def test_velocity_and_effort_limits_of_a_urdf_are_checked(tmp_path: Path) -> None:
     joints = {"j": {"hard": [-1, 2], "velocity": "3 rad/s", "effort": "7 N*m"}}
     assert failed(measure(CHECK, arm_spec(joints), robot(tmp_path, URDF, "r.urdf"))) == []
     changed = URDF.replace('velocity="3"', 'velocity="4"').replace('effort="7"', 'effort="8"')
@@ -208,7 +210,7 @@ def test_a_urdf_states_velocity_and_effort(tmp_path: Path) -> None:
     assert {m.subject for m in faults} >= {"j: velocity limit", "j: positive effort limit"}
 
 
-def test_a_limit_that_the_model_lacks_fails(tmp_path: Path) -> None:
+def test_a_declared_limit_missing_in_the_model_fails(tmp_path: Path) -> None:
     joints = {"right": {"velocity": "1 m/s", "effort": "3 N"}}
     faults = failed(measure(CHECK, arm_spec(joints), robot(tmp_path)))
     assert [m.subject for m in faults] == [
@@ -217,21 +219,21 @@ def test_a_limit_that_the_model_lacks_fails(tmp_path: Path) -> None:
     ]
 
 
-def test_a_continuous_joint_is_declared_so(tmp_path: Path) -> None:
+def test_a_continuous_joint_passes_only_if_declared_without_stops(tmp_path: Path) -> None:
     joints = {"pan": {"hard": "none"}}
     free = robot(tmp_path, ARM.replace('axis="0 0 1" range="-2 2"', 'axis="0 0 1"'))
     assert failed(measure(CHECK, arm_spec(joints), free)) == []
     assert len(failed(measure(CHECK, arm_spec(joints), robot(tmp_path)))) == 1
 
 
-def test_a_soft_range_beyond_the_stop_fails(tmp_path: Path) -> None:
+def test_a_soft_limit_beyond_the_stop_fails(tmp_path: Path) -> None:
     joints = {"lift": {"hard": [-1.5, 1.5], "soft": [-1.4, 1.6]}}
     [fault] = failed(measure(CHECK, arm_spec(joints), robot(tmp_path)))
     assert fault.subject == "lift: upper soft bound, inside the stop"
     assert fault.error == pytest.approx(0.1)
 
 
-def test_what_is_not_finite_fails(tmp_path: Path) -> None:
+def test_a_non_finite_stop_deflection_fails(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     observation = CHECK.observe(arm_spec(), arm, lambda fraction: None)
     observation.values["joints"]["lift"]["stop"][0] = float("nan")
@@ -250,24 +252,26 @@ def test_what_is_not_finite_fails(tmp_path: Path) -> None:
         ({"left": {"velocity": "3 rad/s"}}, r"unit 'rad/s' does not fit"),
     ],
 )
-def test_errors_say_what_was_meant(tmp_path: Path, joints: dict, words: str) -> None:
+def test_invalid_limits_are_refused_with_the_expected_form(
+    tmp_path: Path, joints: dict, words: str
+) -> None:
     with pytest.raises(SpecError, match=words):
         measure(CHECK, arm_spec(joints, lines={"target.joints": 3}), robot(tmp_path))
 
 
-def test_a_tolerance_that_a_joint_needs_is_missed(tmp_path: Path) -> None:
+def test_a_missing_tolerance_of_a_limit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=r"tolerance.angle: missing: pan: lower stop"):
         measure(CHECK, arm_spec(tolerance={}), robot(tmp_path))
 
 
-def test_what_it_rests_on(tmp_path: Path) -> None:
+def test_limits_depend_on_stops_actuators_and_joints(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     parts = set(CHECK.depends(arm_spec(), arm.structure))
     assert parts <= set(arm.parts)
     assert {"mujoco/limit:pan", "mujoco/actuator:pan", "mujoco/joint:pan"} <= parts
 
 
-def test_first_specs_pass_and_split_by_what_the_stops_hold(tmp_path: Path) -> None:
+def test_proposed_limit_goldens_pass_and_push_weak_stops_less(tmp_path: Path) -> None:
     weak = robot(
         tmp_path,
         ARM.replace('axis="0 0 1" range="-2 2"', 'axis="0 0 1" range="-2 2" solreflimit="0.3 1"'),

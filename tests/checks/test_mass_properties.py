@@ -46,7 +46,7 @@ def arm_spec(**changes: object) -> object:
     return golden(CHECK, **fields | changes)
 
 
-def test_the_closed_form_of_a_pendulum(tmp_path: Path) -> None:
+def test_mass_properties_of_a_pendulum_equal_the_closed_form(tmp_path: Path) -> None:
     pendulum = robot(tmp_path, PENDULUM)
     spec = arm_spec(
         target={},
@@ -57,7 +57,7 @@ def test_the_closed_form_of_a_pendulum(tmp_path: Path) -> None:
     moment = 2 * 0.5 + 0.5 * 0.8
     for source in (observation.values, observation.reference):
         assert source["mass"] == pytest.approx(2.5)
-        # A turn about +y takes the hanging rod towards -x.
+        # A positive rotation about y moves the hanging rod towards -x.
         np.testing.assert_allclose(
             source["center_of_mass"]["out"],
             [-sine * moment / 2.5, 0, 1 - cosine * moment / 2.5],
@@ -73,7 +73,9 @@ def test_the_closed_form_of_a_pendulum(tmp_path: Path) -> None:
     }
 
 
-def test_an_arm_agrees_with_record_and_pinocchio(tmp_path: Path) -> None:
+def test_mass_properties_of_an_unchanged_arm_pass_against_record_and_pinocchio(
+    tmp_path: Path,
+) -> None:
     arm = robot(tmp_path)
     measures = measure(CHECK, record(CHECK, arm_spec(), arm), arm)
     assert failed(measures) == []
@@ -110,7 +112,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_fail(tmp_path: Path, fault: str) -> None:
+def test_a_changed_mass_or_axis_fails_the_affected_measures(tmp_path: Path, fault: str) -> None:
     old, new, names = FAULTS[fault]
     spec = record(CHECK, arm_spec(), robot(tmp_path))
     assert ARM.count(old) == 1
@@ -119,7 +121,7 @@ def test_faults_fail(tmp_path: Path, fault: str) -> None:
     assert {m.against for m in faults} == {"golden"}
 
 
-def test_a_link_of_the_same_total_shows_in_its_own_mass(tmp_path: Path) -> None:
+def test_mass_moved_between_links_fails_the_mass_of_the_link(tmp_path: Path) -> None:
     spec = record(CHECK, arm_spec(), robot(tmp_path))
     moved = ARM.replace('0.08" mass="0.5"', '0.08" mass="0.4"').replace(
         '0.01" mass="0.1"', '0.01" mass="0.2"'
@@ -128,9 +130,9 @@ def test_a_link_of_the_same_total_shows_in_its_own_mass(tmp_path: Path) -> None:
     assert {m.subject for m in faults if m.name == "mass"} == {"forearm"}
 
 
-def test_an_engine_that_disagrees_with_pinocchio_fails(tmp_path: Path) -> None:
+def test_a_simulator_that_disagrees_with_pinocchio_fails(tmp_path: Path) -> None:
     arm = robot(tmp_path)
-    assert arm.reference.mass() > 0  # built from the sound model
+    assert arm.reference.mass() > 0  # the reference is built before the model is changed
     arm.model.body_ipos[arm.model.body("forearm").id, 0] += 0.001
     faults = failed(measure(CHECK, arm_spec(), arm))
     assert {m.against for m in faults} == {"pinocchio"}
@@ -139,14 +141,14 @@ def test_an_engine_that_disagrees_with_pinocchio_fails(tmp_path: Path) -> None:
 
 @QUICK
 @given(text=random_robots())
-def test_random_robots_agree_with_pinocchio(tmp_path: Path, text: str) -> None:
+def test_mass_properties_of_random_robots_agree_with_pinocchio(tmp_path: Path, text: str) -> None:
     realization = robot(tmp_path, text)
     measures = measure(CHECK, from_first(CHECK, realization), realization)
     assert failed(measures) == []
     assert {m.against for m in measures} == {"pinocchio"}
 
 
-def test_what_is_not_finite_fails(tmp_path: Path) -> None:
+def test_a_non_finite_gravity_torque_fails(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     spec = record(CHECK, arm_spec(), arm)
     observation = CHECK.observe(spec, arm, lambda fraction: None)
@@ -154,19 +156,19 @@ def test_what_is_not_finite_fails(tmp_path: Path) -> None:
     assert {m.subject for m in failed(CHECK.compare(spec, observation, None))} == {"lift at home"}
 
 
-def test_a_tolerance_that_a_joint_needs_is_missed(tmp_path: Path) -> None:
+def test_a_missing_gravity_tolerance_is_refused(tmp_path: Path) -> None:
     spec = arm_spec(tolerance={"mass": "1 g", "center_of_mass": "1 mm"}, lines={"tolerance": 9})
     with pytest.raises(SpecError, match=r"spec.yaml:9: tolerance.gravity_torque: missing: the gr"):
         measure(CHECK, spec, robot(tmp_path))
 
 
-def test_unknown_names_point_at_the_line(tmp_path: Path) -> None:
+def test_an_unknown_joint_is_refused_with_its_line(tmp_path: Path) -> None:
     spec = arm_spec(target={"joints": ["elbo"]}, lines={"target.joints.0": 3})
     with pytest.raises(SpecError, match=r"spec.yaml:3: target.joints.0: .*did you mean 'elbow'"):
         measure(CHECK, spec, robot(tmp_path))
 
 
-def test_what_it_rests_on(tmp_path: Path) -> None:
+def test_mass_properties_depend_on_inertias_gravity_and_poses_only(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     parts = set(CHECK.depends(arm_spec(), arm.structure))
     assert parts <= set(arm.parts)
@@ -174,7 +176,7 @@ def test_what_it_rests_on(tmp_path: Path) -> None:
     assert not any("actuator" in part or "collision" in part for part in parts)
 
 
-def test_a_first_spec_passes(tmp_path: Path) -> None:
+def test_the_proposed_mass_properties_golden_passes(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     spec = record(CHECK, from_first(CHECK, arm), arm)
     assert failed(measure(CHECK, spec, arm)) == []

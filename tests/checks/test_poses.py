@@ -36,7 +36,7 @@ def poses(realization: Realization, *entries: Any, **more: Any) -> list[Pose]:
     return resolve_poses(spec, realization)
 
 
-def test_reference_keyframe_and_joints_with_units(tmp_path: Path) -> None:
+def test_poses_are_given_as_reference_keyframe_or_joint_values_with_units(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     reference, home, first, named = poses(
         arm,
@@ -56,7 +56,7 @@ def test_reference_keyframe_and_joints_with_units(tmp_path: Path) -> None:
     np.testing.assert_array_equal(arm.qpos(named.joints), named.qpos)
 
 
-def test_a_mimic_joint_follows_its_master(tmp_path: Path) -> None:
+def test_a_mimic_joint_follows_its_leading_joint(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     for pose in poses(
         arm,
@@ -68,7 +68,7 @@ def test_a_mimic_joint_follows_its_master(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("coefficients", ["0.01 0.5 0 0 0", "0 -1 0.3 0 0", "0.1 0 0 0 0"])
-def test_couplings_of_every_degree_leave_no_residual(tmp_path: Path, coefficients: str) -> None:
+def test_poses_satisfy_polynomial_joint_couplings(tmp_path: Path, coefficients: str) -> None:
     text = f"""<mujoco><compiler autolimits="true"/><worldbody>
       <body><joint name="a" type="slide" range="-1 1" ref="0.3"/><geom size="0.1"/>
       <body><joint name="b" type="slide" range="-1 1" ref="-0.1"/><geom size="0.1"/>
@@ -88,7 +88,7 @@ def test_couplings_of_every_degree_leave_no_residual(tmp_path: Path, coefficient
         assert set(pose.drawn or {}) <= {"a"}
 
 
-def test_random_poses_keep_limits_of_masters_and_followers(tmp_path: Path) -> None:
+def test_random_poses_respect_limits_of_coupled_joints(tmp_path: Path) -> None:
     narrow = ARM.replace(
         'axis="-1 0 0"\n                range="0 0.03"',
         'axis="-1 0 0" range="0 0.012"',
@@ -105,14 +105,14 @@ def test_random_poses_keep_limits_of_masters_and_followers(tmp_path: Path) -> No
     assert 0.01 < spread <= 0.0121
 
 
-def test_a_continuous_joint_is_drawn_within_one_turn(tmp_path: Path) -> None:
+def test_random_values_of_a_continuous_joint_lie_within_one_turn(tmp_path: Path) -> None:
     arm = robot(tmp_path, ARM.replace('axis="0 0 1" range="-2 2"', 'axis="0 0 1"'))
     values = [pose.joints["pan"] for pose in poses(arm, {"seed": 0, "count": 200})]
     assert max(np.abs(values)) <= np.pi
     assert np.ptp(values) > 6.0
 
 
-def test_other_joints_and_their_order_change_no_draw(tmp_path: Path) -> None:
+def test_random_values_of_a_joint_do_not_depend_on_other_joints(tmp_path: Path) -> None:
     before = poses(robot(tmp_path), {"seed": 7, "count": 3})
     more = ARM.replace(
         "<worldbody>",
@@ -123,14 +123,14 @@ def test_other_joints_and_their_order_change_no_draw(tmp_path: Path) -> None:
         assert {k: v for k, v in new.joints.items() if k != "lid"} == old.joints
 
 
-def test_recorded_draws_outlast_a_changed_range(tmp_path: Path) -> None:
+def test_recorded_random_poses_are_kept_if_a_joint_range_changes(tmp_path: Path) -> None:
     drawn = poses(robot(tmp_path), {"seed": 7, "count": 3})
     recorded = recorded_poses(drawn)
     wider = robot(tmp_path, ARM.replace('range="-2 2"', 'range="-3 3"'))
     assert poses(wider, {"seed": 7, "count": 3})[0].joints != drawn[0].joints
     again = poses(wider, {"seed": 7, "count": 3}, expected={"poses": recorded})
     assert [p.joints for p in again] == [p.joints for p in drawn]
-    # Another seed is another draw, whatever is recorded.
+    # Another seed gives other poses even if poses are recorded.
     other = poses(wider, {"seed": 8, "count": 1}, expected={"poses": recorded})
     assert other[0].joints != drawn[0].joints
 
@@ -139,7 +139,7 @@ def test_recorded_draws_outlast_a_changed_range(tmp_path: Path) -> None:
     max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(seed=st.integers(0, 1000))
-def test_closed_loops_are_closed(tmp_path: Path, seed: int) -> None:
+def test_random_poses_satisfy_closed_kinematic_loops(tmp_path: Path, seed: int) -> None:
     loop = robot(tmp_path, FOUR_BAR)
     data = mujoco.MjData(loop.model)
     [pose] = poses(loop, {"seed": seed, "count": 1})
@@ -150,7 +150,7 @@ def test_closed_loops_are_closed(tmp_path: Path, seed: int) -> None:
     assert np.linalg.norm(gap - tip) < 1e-9
 
 
-def test_a_named_pose_of_a_loop_keeps_the_given_joints(tmp_path: Path) -> None:
+def test_a_pose_of_a_closed_loop_keeps_the_given_joints(tmp_path: Path) -> None:
     loop = robot(tmp_path, FOUR_BAR)
     [pose] = poses(loop, {"joints": {"crank": 0.4}})
     assert pose.joints["crank"] == 0.4
@@ -158,7 +158,7 @@ def test_a_named_pose_of_a_loop_keeps_the_given_joints(tmp_path: Path) -> None:
     assert pose.joints["coupler"] == pytest.approx(-0.4)
 
 
-def test_recorded_poses_of_a_loop_follow_a_changed_link(tmp_path: Path) -> None:
+def test_recorded_poses_of_a_closed_loop_adapt_to_a_changed_link(tmp_path: Path) -> None:
     [drawn] = poses(robot(tmp_path, FOUR_BAR), {"seed": 1, "count": 1})
     expected = {"poses": recorded_poses([drawn])}
     longer = robot(tmp_path, FOUR_BAR.replace('anchor="0.5 0 0"', 'anchor="0.5 0 0.01"'))
@@ -169,7 +169,7 @@ def test_recorded_poses_of_a_loop_follow_a_changed_link(tmp_path: Path) -> None:
         assert again.joints[joint] == pytest.approx(value, abs=0.1)
 
 
-def test_a_rounded_keyframe_of_a_loop_stands(tmp_path: Path) -> None:
+def test_a_rounded_keyframe_of_a_closed_loop_is_used_unchanged(tmp_path: Path) -> None:
     text = FOUR_BAR.replace(
         "</mujoco>", '<keyframe><key name="k" qpos="0.3 -0.3001 0.3"/></keyframe></mujoco>'
     )
@@ -177,7 +177,7 @@ def test_a_rounded_keyframe_of_a_loop_stands(tmp_path: Path) -> None:
     assert pose.joints == {"crank": 0.3, "coupler": -0.3001, "rocker": 0.3}
 
 
-def test_what_cannot_close_is_an_error(tmp_path: Path) -> None:
+def test_a_pose_that_cannot_close_the_loop_is_refused(tmp_path: Path) -> None:
     loop = robot(tmp_path, FOUR_BAR)
     with pytest.raises(SpecError, match="closed loop of the model does not close there"):
         poses(loop, {"joints": {"crank": 0.4, "rocker": -0.4, "coupler": 0.0}})
@@ -194,12 +194,14 @@ def test_what_cannot_close_is_an_error(tmp_path: Path) -> None:
         ({"joints": {"left": "five"}}, r"no quantity with a unit"),
     ],
 )
-def test_errors_say_what_was_meant(tmp_path: Path, entry: Any, words: str) -> None:
+def test_invalid_poses_are_refused_with_the_expected_form(
+    tmp_path: Path, entry: Any, words: str
+) -> None:
     with pytest.raises(SpecError, match=words):
         poses(robot(tmp_path), entry, lines={"stimulus.poses.0": 5})
 
 
-def test_two_poses_of_one_name_are_refused(tmp_path: Path) -> None:
+def test_two_poses_with_the_same_name_are_refused(tmp_path: Path) -> None:
     words = r"two poses have the same name \(got 'home'; expected a name of its own for each pose"
     with pytest.raises(SpecError, match=words):
         poses(robot(tmp_path), "home", {"name": "home", "joints": {"pan": 1}})

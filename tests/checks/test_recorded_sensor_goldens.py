@@ -1,4 +1,4 @@
-"""Goldens against recorded sensors: lags and tosses fail when they are wrong."""
+"""Goldens compared with recorded sensors: time lags of streams and tosses of objects."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def golden_in(folder: Path, spec: dict[str, Any], model: str) -> tuple[Golden, R
 # -- sensor_timing
 
 
-def shaken(folder: Path, lag: float, seed: int = 0) -> Path:
-    """A body that turns irregularly, seen by a tracker and by an IMU stamped later."""
+def record_rotation(folder: Path, lag: float, seed: int = 0) -> Path:
+    """Record an irregular rotation by a tracker and an IMU; the IMU stamps are ``lag`` s late."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, 8.0, 0.005)
     knots = rng.normal(size=30)
@@ -78,23 +78,23 @@ def timing(lag: float | None, bound: str = "1 ms", second: str = "/imu") -> dict
 
 
 @pytest.mark.parametrize("lag", [0.0173, -0.031])
-def test_a_recorded_lag_is_found_with_its_sign(lag: float, tmp_path: Path) -> None:
-    shaken(tmp_path, lag)
+def test_the_lag_between_two_streams_is_found_with_its_sign(lag: float, tmp_path: Path) -> None:
+    record_rotation(tmp_path, lag)
     (found,) = measure(SensorTiming(), *golden_in(tmp_path, timing(lag), CUBE.format(friction="1")))
     assert found.measured == pytest.approx(lag, abs=3e-4)
     assert not failed([found])
 
 
-def test_a_lag_that_has_changed_fails(tmp_path: Path) -> None:
-    shaken(tmp_path, 0.02)
+def test_a_changed_lag_fails(tmp_path: Path) -> None:
+    record_rotation(tmp_path, 0.02)
     (found,) = failed(
         measure(SensorTiming(), *golden_in(tmp_path, timing(0.012), CUBE.format(friction="1")))
     )
     assert found.error == pytest.approx(0.008, abs=3e-4)
 
 
-def test_streams_of_two_motions_tell_no_lag(tmp_path: Path) -> None:
-    shaken(tmp_path, 0.0, seed=1)
+def test_streams_of_unrelated_motions_have_no_lag_and_are_refused(tmp_path: Path) -> None:
+    record_rotation(tmp_path, 0.0, seed=1)
     rng = np.random.default_rng(5)
     stamps = START + 5_000_000 * np.arange(1600)
     imu = np.zeros((1600, 6))
@@ -111,8 +111,8 @@ def test_streams_of_two_motions_tell_no_lag(tmp_path: Path) -> None:
         measure(SensorTiming(), *golden_in(tmp_path, timing(0.0), CUBE.format(friction="1")))
 
 
-def test_a_stream_that_is_not_there_is_named(tmp_path: Path) -> None:
-    shaken(tmp_path, 0.0)
+def test_a_missing_stream_is_refused(tmp_path: Path) -> None:
+    record_rotation(tmp_path, 0.0)
     with pytest.raises(RecordingError, match="no such stream"):
         measure(
             SensorTiming(),
@@ -120,8 +120,8 @@ def test_a_stream_that_is_not_there_is_named(tmp_path: Path) -> None:
         )
 
 
-def test_a_lag_depends_on_the_recording_alone(tmp_path: Path) -> None:
-    shaken(tmp_path, 0.0)
+def test_a_lag_golden_depends_on_the_recording_only(tmp_path: Path) -> None:
+    record_rotation(tmp_path, 0.0)
     golden, robot = golden_in(tmp_path, timing(0.0), CUBE.format(friction="1"))
     assert set(SensorTiming().depends(golden, robot.structure)) == {"recording:shake.mcap"}
 
@@ -129,7 +129,7 @@ def test_a_lag_depends_on_the_recording_alone(tmp_path: Path) -> None:
 # -- contact: toss
 
 
-def tossed(folder: Path) -> None:
+def record_tosses(folder: Path) -> None:
     model = mujoco.MjModel.from_xml_string(CUBE.format(friction="0.3"))
     tables = {}
     for seed in range(3):
@@ -156,32 +156,32 @@ def toss(**target: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_the_right_contact_follows_its_recorded_tosses(tmp_path: Path) -> None:
-    tossed(tmp_path)
+def test_a_model_with_the_right_friction_passes_its_recorded_tosses(tmp_path: Path) -> None:
+    record_tosses(tmp_path)
     model = CUBE.format(friction="0.3").replace("<mujoco>", "<mujoco><option/>")
-    # The table's default friction of 1 would decide the pair: it is the same in both.
+    # The table's default friction of 1 determines the pair; recording and model have the same.
     measures = measure(Contact(), *golden_in(tmp_path, toss(), model))
     assert {m.name for m in measures} == {"toss_position", "toss_rotation_mean"}
     assert all(m.against == "recording" for m in measures)
     assert not failed(measures)
 
 
-def test_a_slippery_model_fails_and_the_worst_toss_is_named(tmp_path: Path) -> None:
-    tossed(tmp_path)
+def test_a_model_with_too_little_friction_fails_and_names_the_worst_toss(tmp_path: Path) -> None:
+    record_tosses(tmp_path)
     model = CUBE.format(friction="0.05").replace('name="faces"', 'name="faces" priority="1"')
     faults = failed(measure(Contact(), *golden_in(tmp_path, toss(), model)))
     assert {m.name for m in faults} == {"toss_position", "toss_rotation_mean"}
     assert any("toss t" in m.subject for m in faults)
 
 
-def test_a_toss_that_is_not_recorded_is_named(tmp_path: Path) -> None:
-    tossed(tmp_path)
+def test_an_unknown_toss_is_refused(tmp_path: Path) -> None:
+    record_tosses(tmp_path)
     with pytest.raises(SpecError, match=r"no toss of this name.*one of t0, t1, t2"):
         measure(Contact(), *golden_in(tmp_path, toss(tosses=["t7"]), CUBE.format(friction="0.3")))
 
 
-def test_a_toss_is_stale_when_recording_or_contact_changes(tmp_path: Path) -> None:
-    tossed(tmp_path)
+def test_a_toss_golden_depends_on_its_recording_and_all_contact_parameters(tmp_path: Path) -> None:
+    record_tosses(tmp_path)
     golden, robot = golden_in(tmp_path, toss(), CUBE.format(friction="0.3"))
     parts = set(Contact().depends(golden, robot.structure))
     assert "recording:tosses.npz" in parts

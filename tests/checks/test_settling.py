@@ -1,4 +1,4 @@
-"""Settling against closed forms, and seen to fail on injected changes."""
+"""Settling compared with closed forms, and its failure on changed models."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pytest_twin.errors import SimulationError, SpecError
 
 CHECK = Settling()
 STIFFNESS, DAMPING = 200.0, 12.0
-LET_GO = {
+RELEASE = {
     "stimulus": {"duration": "4 s", "displacement": {"x": "50 mm"}},
     "tolerance": {
         "position": "10 um",
@@ -35,7 +35,7 @@ LET_GO = {
 
 
 def pendulum(damping: float = 0.3, timestep: float = 0.001, gravity: float = 9.81) -> str:
-    """A rod of 1 kg at 0.4 m on a hinge across gravity, off its rest by 0.5 rad."""
+    """MJCF text of a pendulum of 1 kg at 0.4 m."""
     return f"""
     <mujoco>
       <compiler angle="radian"/>
@@ -62,9 +62,9 @@ FLOOR = """
     </mujoco>"""
 
 
-def test_a_servo_without_gravity_settles_as_the_closed_form(tmp_path: Path) -> None:
+def test_settling_of_a_servo_equals_the_closed_form(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING)))
-    found = observe(CHECK, golden_of(CHECK, LET_GO), robot).values
+    found = observe(CHECK, golden_of(CHECK, RELEASE), robot).values
     decay = DAMPING / (2.0 * MASS)
     omega = np.sqrt(STIFFNESS / MASS - decay**2)
     time = np.linspace(0.0, 4.0, 800_001)
@@ -75,39 +75,39 @@ def test_a_servo_without_gravity_settles_as_the_closed_form(tmp_path: Path) -> N
     assert found["position"]["x"] == pytest.approx(motion[-1], abs=2e-5)
     assert found["settling_time"] == pytest.approx(last, abs=2e-3)
     assert found["penetration"] == 0.0
-    # What the balance of a passive system misses is the timestep's, and goes with it.
+    # The energy error of a passive system is caused by the timestep and proportional to it.
     finer = load_text(
         tmp_path, slider(actuator=servo(STIFFNESS, DAMPING), timestep=0.00025), "finer.xml"
     )
-    half = observe(CHECK, golden_of(CHECK, LET_GO), finer).values
+    half = observe(CHECK, golden_of(CHECK, RELEASE), finer).values
     assert found["energy_growth"] < 2e-3 * 0.5 * STIFFNESS * 0.05**2
     assert half["energy_growth"] == pytest.approx(0.5 * found["energy_growth"], rel=0.1)
 
 
-def test_energy_of_a_spring_is_counted(tmp_path: Path) -> None:
+def test_energy_includes_the_potential_energy_of_a_spring(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(stiffness=STIFFNESS, damping=DAMPING))
-    observation = observe(CHECK, golden_of(CHECK, LET_GO), robot)
+    observation = observe(CHECK, golden_of(CHECK, RELEASE), robot)
     assert observation.values["energy_start"] == pytest.approx(0.5 * STIFFNESS * 0.05**2)
     assert observation.values["energy_end"] < 1e-6
     assert observation.trace is not None
     assert observation.trace.x.size == SAMPLES
 
 
-def test_work_of_a_servo_is_not_growth_but_a_motor_out_of_nowhere_is(tmp_path: Path) -> None:
+def test_servo_work_is_not_energy_growth_but_negative_damping_is(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING)))
-    observation = observe(CHECK, golden_of(CHECK, LET_GO), robot)
+    observation = observe(CHECK, golden_of(CHECK, RELEASE), robot)
     assert observation.trace is not None
     energy, work = (observation.trace.columns[name][1] for name in ("energy", "actuator_work"))
     assert energy.max() > 0.1  # the servo accelerates the cart
     assert work.max() > 0.1
-    # Negative damping feeds a system: MuJoCo takes it as it comes.
+    # Negative damping adds energy; MuJoCo accepts it.
     fed = load_text(tmp_path, slider(stiffness=STIFFNESS, damping=0.0))
     fed.model.dof_damping[0] = -2.0
-    golden, trace = recorded(CHECK, LET_GO, fed)
+    golden, trace = recorded(CHECK, RELEASE, fed)
     assert "energy_growth" in failed(measures_on(CHECK, golden, trace, fed))
 
 
-def test_gravity_moves_the_rest_and_can_be_switched_off(tmp_path: Path) -> None:
+def test_gravity_determines_the_rest_position_and_can_be_disabled(tmp_path: Path) -> None:
     robot = load_text(tmp_path, pendulum(damping=2.0))
     spec = {
         "stimulus": {"duration": "4 s", "displacement": {"hinge": 0.5}},
@@ -126,19 +126,19 @@ def test_gravity_moves_the_rest_and_can_be_switched_off(tmp_path: Path) -> None:
     assert lost == pytest.approx(9.81 * 0.4 * (1.0 - np.cos(0.5)), rel=1e-3)
 
 
-def test_what_never_settles_has_no_settling_time(tmp_path: Path) -> None:
+def test_an_undamped_joint_has_no_settling_time(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(stiffness=STIFFNESS))
-    found = observe(CHECK, golden_of(CHECK, LET_GO), robot).values
+    found = observe(CHECK, golden_of(CHECK, RELEASE), robot).values
     assert found["settling_time"] is None
     golden, trace = recorded(
-        CHECK, LET_GO, load_text(tmp_path, slider(stiffness=STIFFNESS, damping=DAMPING))
+        CHECK, RELEASE, load_text(tmp_path, slider(stiffness=STIFFNESS, damping=DAMPING))
     )
     measure = measures_on(CHECK, golden, trace, robot)["settling_time"]
     assert not measure.passed
     assert measure.subject == "robot: undefined now (it never comes to rest)"
 
 
-def test_zero_input_sends_a_servo_to_zero(tmp_path: Path) -> None:
+def test_zero_input_moves_a_servo_to_zero_and_hold_keeps_it(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(actuator=servo(STIFFNESS, 60.0)))
     pose = {"joints": {"x": 0.1}}
     held, zero = (
@@ -153,7 +153,7 @@ def test_zero_input_sends_a_servo_to_zero(tmp_path: Path) -> None:
     assert zero == pytest.approx(0.0, abs=1e-5)
 
 
-def test_a_free_body_rests_on_the_floor(tmp_path: Path) -> None:
+def test_a_free_body_settles_on_the_floor_with_small_penetration(tmp_path: Path) -> None:
     robot = load_text(tmp_path, FLOOR.format(solref=0.02, height=0.08))
     spec = {
         "stimulus": {"duration": "2 s"},
@@ -169,7 +169,7 @@ def test_a_free_body_rests_on_the_floor(tmp_path: Path) -> None:
     assert {"position", "penetration"} <= failed(measures_on(CHECK, golden, trace, sunk))
 
 
-def test_bodies_that_start_inside_each_other_feed_energy(tmp_path: Path) -> None:
+def test_overlapping_bodies_fail_by_energy_growth(tmp_path: Path) -> None:
     robot = load_text(tmp_path, FLOOR.format(solref=0.02, height=0.03))
     spec = {"stimulus": {"duration": "0.5 s"}, "tolerance": {"energy_growth": "1 mJ"}}
     golden, trace = recorded(CHECK, spec, robot)
@@ -188,33 +188,35 @@ def test_bodies_that_start_inside_each_other_feed_energy(tmp_path: Path) -> None
         ({"stiffness": 0.5 * STIFFNESS}, {"settling_time"}),
     ],
 )
-def test_changes_are_caught(tmp_path: Path, change: dict[str, float], caught: set[str]) -> None:
+def test_changed_dynamics_fail_the_expected_settling_measures(
+    tmp_path: Path, change: dict[str, float], caught: set[str]
+) -> None:
     plain = {"stiffness": STIFFNESS, "damping": DAMPING}
-    golden, trace = recorded(CHECK, LET_GO, load_text(tmp_path, slider(**plain)))
+    golden, trace = recorded(CHECK, RELEASE, load_text(tmp_path, slider(**plain)))
     found = failed(measures_on(CHECK, golden, trace, load_text(tmp_path, slider(**plain | change))))
     assert caught <= found
     assert bool(found) == bool(change)
 
 
-def test_a_joint_that_is_gone_is_no_number(tmp_path: Path) -> None:
+def test_a_renamed_joint_is_refused_or_fails(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(damping=1.0))
-    golden, trace = recorded(CHECK, LET_GO, robot)
+    golden, trace = recorded(CHECK, RELEASE, robot)
     renamed = load_text(tmp_path, slider(damping=1.0).replace('name="x"', 'name="y"'))
     with pytest.raises(SpecError, match=r"no hinge or slide joint of this name .*got 'x'"):
         observe(CHECK, golden, renamed)
-    undisturbed = {**LET_GO, "stimulus": {"duration": "1 s"}}
+    undisturbed = {**RELEASE, "stimulus": {"duration": "1 s"}}
     golden, trace = recorded(CHECK, undisturbed, robot)
     assert "position" in failed(measures_on(CHECK, golden, trace, renamed))
 
 
-def test_a_diverging_model_names_time_and_joint(tmp_path: Path) -> None:
+def test_a_diverging_model_is_reported_with_time_and_joint(tmp_path: Path) -> None:
     text = slider(actuator=servo(1e9, 0.0), integrator="Euler", timestep=0.01)
     robot = load_text(tmp_path, text)
     with pytest.raises(SimulationError, match=r"joint 'x': the simulation diverged at [0-9.]+ s"):
-        observe(CHECK, golden_of(CHECK, LET_GO), robot)
+        observe(CHECK, golden_of(CHECK, RELEASE), robot)
 
 
-def test_mistakes_are_named_with_their_line(tmp_path: Path) -> None:
+def test_invalid_settling_specs_are_refused_with_their_line(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider())
     wrong = {"target": {"joints": ["xx"]}, "stimulus": {"duration": "1 s"}}
     golden = golden_of(CHECK, wrong)
@@ -231,9 +233,9 @@ def test_mistakes_are_named_with_their_line(tmp_path: Path) -> None:
             observe(CHECK, golden_of(CHECK, {"stimulus": stimulus}), robot)
 
 
-def test_the_same_twice(tmp_path: Path) -> None:
+def test_repeated_settling_runs_are_identical(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING)))
-    first, second = (observe(CHECK, golden_of(CHECK, LET_GO), robot) for _ in range(2))
+    first, second = (observe(CHECK, golden_of(CHECK, RELEASE), robot) for _ in range(2))
     assert first.values == second.values
     assert first.trace is not None
     assert second.trace is not None
@@ -241,7 +243,7 @@ def test_the_same_twice(tmp_path: Path) -> None:
         np.testing.assert_array_equal(series, second.trace.columns[name][1])
 
 
-def test_first_specs_pass_on_the_robot_they_were_made_for(tmp_path: Path) -> None:
+def test_proposed_settling_goldens_pass(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING)))
     specs = CHECK.first(robot)
     assert [spec["name"] for spec in specs] == ["gravity", "no_gravity"]
@@ -252,7 +254,7 @@ def test_first_specs_pass_on_the_robot_they_were_made_for(tmp_path: Path) -> Non
         assert {"position", "energy_growth"} <= set(measures)
 
 
-def test_depends_on_all_that_moves(tmp_path: Path) -> None:
+def test_settling_depends_on_joints_actuators_and_inertias(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(actuator=servo(1.0, 1.0)))
-    parts = set(CHECK.depends(golden_of(CHECK, LET_GO), robot.structure))
+    parts = set(CHECK.depends(golden_of(CHECK, RELEASE), robot.structure))
     assert {"mujoco/joint:x", "mujoco/actuator:servo", "mujoco/inertia:cart"} <= parts

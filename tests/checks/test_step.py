@@ -1,4 +1,4 @@
-"""Step responses against closed forms, and seen to fail on injected changes."""
+"""Step responses compared with closed forms, and their failure on changed models."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ VELOCITY_STEP = {
 
 
 def closed_form(time: np.ndarray) -> np.ndarray:
-    """Unit step of a mass on a damped spring."""
+    """Unit step response of a mass on a damped spring."""
     decay = DAMPING / (2.0 * MASS)
     omega = np.sqrt(STIFFNESS / MASS - decay**2)
     return 1.0 - np.exp(-decay * time) * (
@@ -53,7 +53,7 @@ def closed_form(time: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("integrator", "floor"), [("RK4", 1e-9), ("implicitfast", 2e-4)])
-def test_a_position_servo_is_a_second_order_lag(
+def test_the_step_response_of_a_position_servo_is_second_order(
     tmp_path: Path, integrator: str, floor: float
 ) -> None:
     robot = load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING), integrator=integrator))
@@ -73,12 +73,12 @@ def test_a_position_servo_is_a_second_order_lag(
     assert found.trace.x.size == SAMPLES
     unit, series = found.trace.columns["position:x"]
     assert unit == "m"
-    # Linear between steps of 0.5 ms adds (h^2 / 8) max |x''|.
+    # Linear interpolation between steps of 0.5 ms adds at most (h^2 / 8) max |x''|.
     between = 0.0005**2 / 8.0 * STIFFNESS / MASS * 0.02
     np.testing.assert_allclose(series, 0.02 * closed_form(found.trace.x), atol=floor + between)
 
 
-def test_a_velocity_servo_is_a_first_order_lag(tmp_path: Path) -> None:
+def test_the_step_response_of_a_velocity_servo_is_first_order(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(actuator='<velocity name="v" joint="x" kv="40"/>'))
     found = observe(CHECK, golden_of(CHECK, VELOCITY_STEP), robot).values
     tau = MASS / 40.0
@@ -97,7 +97,7 @@ def test_a_motor_on_a_damped_joint_has_no_steady_state_error(tmp_path: Path) -> 
     assert found["steady_state_error"] is None
 
 
-def test_an_effort_on_a_joint_without_actuator(tmp_path: Path) -> None:
+def test_an_effort_step_accelerates_a_joint_without_actuator(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider())
     spec = {**VELOCITY_STEP, "stimulus": {**VELOCITY_STEP["stimulus"], "amplitude": "3 N"}}
     found = observe(CHECK, golden_of(CHECK, spec), robot)
@@ -105,10 +105,10 @@ def test_an_effort_on_a_joint_without_actuator(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         found.trace.columns["velocity:x"][1], 3.0 / MASS * found.trace.x, atol=1e-9
     )
-    assert found.values["rise_time"] is None  # a ramp
+    assert found.values["rise_time"] is None  # the velocity is a ramp
 
 
-def test_locked_joints_stay_and_do_not_lend_their_inertia(tmp_path: Path) -> None:
+def test_locked_joints_do_not_change_the_inertia_of_the_moving_joint(tmp_path: Path) -> None:
     text = """
     <mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody>
       <body><joint name="base" type="slide" axis="1 0 0"/><geom size=".1" mass="1"/>
@@ -131,7 +131,7 @@ def test_locked_joints_stay_and_do_not_lend_their_inertia(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
-def test_a_locked_arm_does_not_sag_under_its_own_weight(tmp_path: Path, integrator: str) -> None:
+def test_a_locked_joint_does_not_move_under_gravity(tmp_path: Path, integrator: str) -> None:
     text = f"""
     <mujoco><option timestep="0.002" integrator="{integrator}"/><worldbody>
       <body><joint name="lift" axis="0 1 0"/><geom size=".05" pos=".5 0 0" mass="8"/>
@@ -161,7 +161,9 @@ def test_a_locked_arm_does_not_sag_under_its_own_weight(tmp_path: Path, integrat
         ({"joint": 'armature="0.2"'}, {"rise_time", "position"}),
     ],
 )
-def test_changes_are_caught(tmp_path: Path, change: dict, caught: set[str]) -> None:
+def test_changed_dynamics_fail_the_expected_step_measures(
+    tmp_path: Path, change: dict, caught: set[str]
+) -> None:
     plain = {"actuator": servo(STIFFNESS, DAMPING)}
     golden, trace = recorded(CHECK, STEP, load_text(tmp_path, slider(**plain)))
     changed = load_text(tmp_path, slider(**plain | change), "changed.xml")
@@ -170,7 +172,7 @@ def test_changes_are_caught(tmp_path: Path, change: dict, caught: set[str]) -> N
     assert bool(found) == bool(change)
 
 
-def test_the_worst_sample_says_when(tmp_path: Path) -> None:
+def test_a_failed_trace_states_the_time_of_the_worst_sample(tmp_path: Path) -> None:
     golden, trace = recorded(
         CHECK, STEP, load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING)))
     )
@@ -182,7 +184,7 @@ def test_the_worst_sample_says_when(tmp_path: Path) -> None:
     assert measure.error == pytest.approx(abs(measure.measured - measure.golden))
 
 
-def test_a_metric_that_only_one_carries_fails_in_words(tmp_path: Path) -> None:
+def test_a_metric_that_is_undefined_in_one_of_both_runs_fails(tmp_path: Path) -> None:
     still = load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING)))
     rings = load_text(tmp_path, slider(actuator=servo(STIFFNESS, 0.0)), "rings.xml")
     golden, trace = recorded(CHECK, STEP, still)
@@ -210,7 +212,7 @@ def test_a_metric_that_only_one_carries_fails_in_words(tmp_path: Path) -> None:
         ("tolerance", "angle", "1 mrad", "joint 'x' responds in m"),
     ],
 )
-def test_mistakes_are_named_with_their_line(
+def test_invalid_step_specs_are_refused_with_their_line(
     tmp_path: Path, part: str, field: str, value: object, words: str
 ) -> None:
     actuator = servo(STIFFNESS, DAMPING, 'ctrlrange="-1 1"')
@@ -222,13 +224,13 @@ def test_mistakes_are_named_with_their_line(
     assert caught.value.line == golden.lines[f"{part}.{field}"]
 
 
-def test_a_diverging_model_names_time_and_joint(tmp_path: Path) -> None:
+def test_a_diverging_model_is_reported_with_time_and_joint(tmp_path: Path) -> None:
     text = slider(actuator=servo(1e9, 0.0), integrator="Euler", timestep=0.01)
     with pytest.raises(SimulationError, match=r"joint 'x': the simulation diverged at [0-9.]+ s"):
         observe(CHECK, golden_of(CHECK, STEP), load_text(tmp_path, text))
 
 
-def test_the_same_twice(tmp_path: Path) -> None:
+def test_repeated_step_responses_are_identical(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING)))
     first, second = (observe(CHECK, golden_of(CHECK, STEP), robot) for _ in range(2))
     assert first.values == second.values
@@ -240,7 +242,7 @@ def test_the_same_twice(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("actuator", [servo(STIFFNESS, DAMPING), MOTOR, ""])
-def test_first_specs_pass_on_the_robot_they_were_made_for(tmp_path: Path, actuator: str) -> None:
+def test_proposed_step_goldens_pass(tmp_path: Path, actuator: str) -> None:
     robot = load_text(tmp_path, slider(actuator=actuator, joint='range="-0.4 0.4"'))
     specs = CHECK.first(robot)
     assert [spec["name"] for spec in specs] == ["x"]
@@ -253,7 +255,7 @@ def test_first_specs_pass_on_the_robot_they_were_made_for(tmp_path: Path, actuat
     assert np.ptp(moved) > 1e-3
 
 
-def test_the_step_starts_from_the_hold(tmp_path: Path) -> None:
+def test_a_step_starts_from_the_given_pose(tmp_path: Path) -> None:
     robot = load_text(tmp_path, slider(actuator=servo(STIFFNESS, DAMPING)))
     spec = {**STEP, "stimulus": {**STEP["stimulus"], "pose": {"joints": {"x": "0.3 m"}}}}
     found = observe(CHECK, golden_of(CHECK, spec), robot).values
