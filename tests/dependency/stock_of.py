@@ -1,4 +1,4 @@
-"""What the tests of staleness share: a twin's stock of today, taken in this process."""
+"""Helpers of the staleness tests: the current parts and dependencies of a twin."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pytest_twin.twin import Twin, load_twin
 
 
 def stock_of(root: Path, versions: Mapping[str, str] | None = None) -> Stock:
-    """Parts and dependencies of the twin in a folder, as the gate takes them."""
+    """Parts and dependencies of the twin in a folder, as the gate computes them."""
     twin = load_twin(root / "twin.yaml")
     goldens = [load_golden(path, twin) for path in spec_paths(twin)]
     models = {}
@@ -43,5 +43,5 @@ def surroundings(twin: Twin, versions: Mapping[str, str]) -> Surroundings:
 
 
 def proven(stock: Stock, number: int = 1) -> Baseline:
-    """A release in which everything of a stock has passed."""
+    """A release in which all goldens of a stock have passed."""
     return Baseline(number, stock.parts, dict.fromkeys(stock.rests_on, True), stock.rests_on)

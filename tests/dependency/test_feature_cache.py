@@ -1,4 +1,4 @@
-"""What was read of a model holds while every byte behind it is the same, and no longer."""
+"""The cache of model features is valid only while all source files and versions are unchanged."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DEPENDENCY = "pytest_twin.dependency"
 
 
 class Reader:
-    """Reads a twin's model, and counts how often it was asked."""
+    """Reads a twin's model and counts the calls."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -55,7 +55,7 @@ def reader(tmp_path: Path) -> Reader:
     return Reader(tmp_path)
 
 
-def test_the_second_time_nothing_is_read(reader: Reader) -> None:
+def test_unchanged_files_are_read_once(reader: Reader) -> None:
     first, second = reader.features(), reader.features()
     assert reader.count == 1
     assert first == second
@@ -63,7 +63,7 @@ def test_the_second_time_nothing_is_read(reader: Reader) -> None:
 
 
 @pytest.mark.parametrize("name", ["model.xml", "part.xml", "twin.yaml", "fit.yaml"])
-def test_any_byte_behind_it_counts(reader: Reader, name: str) -> None:
+def test_a_changed_source_file_is_read_again(reader: Reader, name: str) -> None:
     reader.features()
     path = reader.root / name
     path.write_text(path.read_text() + "\n")
@@ -71,14 +71,14 @@ def test_any_byte_behind_it_counts(reader: Reader, name: str) -> None:
     assert reader.count == 2
 
 
-def test_versions_count_and_a_release_reads_afresh(reader: Reader) -> None:
+def test_a_changed_version_or_a_release_reads_the_model_again(reader: Reader) -> None:
     reader.features()
     reader.features({"mujoco": "4.0.1"})
     reader.features({"mujoco": "4.0.1"}, fresh=True)
     assert reader.count == 3
 
 
-def test_all_code_that_reads_a_model_counts() -> None:
+def test_the_cache_depends_on_all_code_that_reads_a_model() -> None:
     from pytest_twin.realization.features import reading
 
     reads = {m for m in sys.modules if m.startswith(("pytest_twin.realization", DEPENDENCY))}
@@ -88,7 +88,7 @@ def test_all_code_that_reads_a_model_counts() -> None:
 
 
 def forged(text: str) -> str:
-    """An entry whose checksum holds and whose mass is another."""
+    """A cache entry that was edited without updating its checksum."""
     envelope = json.loads(text)
     return json.dumps({**envelope, "entry": envelope["entry"].replace("mass", "mess")})
 
@@ -97,14 +97,14 @@ DAMAGE: dict[str, Callable[[str], str]] = {
     "empty": lambda text: "",
     "cut short": lambda text: text[: len(text) // 2],
     "another byte": lambda text: text.replace("position", "pasition", 1),
-    "an entry of another checksum": forged,
+    "checksum of another entry": forged,
     "a list": lambda text: "[]",
-    "nested without end": lambda text: "[" * 100_000,
+    "deeply nested": lambda text: "[" * 100_000,
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE.keys())
-def test_a_damaged_entry_is_no_entry(reader: Reader, damage: Callable[[str], str]) -> None:
+def test_a_damaged_cache_entry_is_ignored(reader: Reader, damage: Callable[[str], str]) -> None:
     first = reader.features()
     path = reader.root / FOLDER / "mujoco.json"
     path.write_text(damage(path.read_text()))
@@ -112,7 +112,7 @@ def test_a_damaged_entry_is_no_entry(reader: Reader, damage: Callable[[str], str
     assert reader.count == 2
 
 
-def test_a_linked_folder_is_not_written_to(reader: Reader, tmp_path: Path) -> None:
+def test_the_cache_is_not_written_through_a_symbolic_link(reader: Reader, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (reader.root / ".twin").symlink_to(elsewhere)
@@ -120,7 +120,7 @@ def test_a_linked_folder_is_not_written_to(reader: Reader, tmp_path: Path) -> No
     assert not list(elsewhere.rglob("*.json"))
 
 
-def test_what_cannot_be_read_is_not_kept(reader: Reader) -> None:
+def test_a_model_that_cannot_be_read_is_not_cached(reader: Reader) -> None:
     (reader.root / "part.xml").write_text(PART.replace("0 0 1", "0 0 nan"))
     with pytest.raises(ModelError):
         reader.features()

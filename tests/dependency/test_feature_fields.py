@@ -1,4 +1,4 @@
-"""Every field of MuJoCo's model is claimed, derived, only seen, or in `other`, truly so."""
+"""Every field of MuJoCo's model belongs to a part, is derived, is visual, or is in ``other``."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ RICH = """
 </mujoco>
 """
 
-# Fields that no element of the model above has.
+# Fields that are empty in the model above.
 ABSENT = {
     "oct_depth",
     "oct_child",
@@ -137,14 +137,16 @@ def digests(model: mujoco.MjModel) -> dict[str, str]:
     return {ident: part.digest for ident, part in model_parts(model, "m").items()}
 
 
-def test_every_field_is_accounted_for(model: mujoco.MjModel) -> None:
+def test_every_field_of_the_mujoco_model_is_classified(model: mujoco.MjModel) -> None:
     fields = model_fields(model)
     assert len(fields) > 500
     claimed = {name for names in CLAIMED.values() for name in names}
-    assert len(claimed) == sum(len(names) for names in CLAIMED.values()), "claimed twice"
+    assert len(claimed) == sum(len(names) for names in CLAIMED.values()), (
+        "a field belongs to two parts"
+    )
     assert not claimed & (DERIVED | VISUAL)
     assert not DERIVED & VISUAL
-    # Plugins may do anything with anything.
+    # Plugins may have any effect.
     assert {name for name in fields if layer_of(name, model) == "other"} == {
         "plugin",
         "plugin_attr",
@@ -158,12 +160,12 @@ def test_every_field_is_accounted_for(model: mujoco.MjModel) -> None:
     }
 
 
-def test_a_field_that_is_new_goes_to_other(model: mujoco.MjModel) -> None:
+def test_an_unknown_field_is_classified_as_other(model: mujoco.MjModel) -> None:
     assert layer_of("jnt_backlash", type("Newer", (), {"jnt_backlash": np.ones(3)})()) == "other"
     assert layer_of("flg_wetness", type("Newer", (), {"flg_wetness": True})()) == "other"
 
 
-def test_claimed_fields_exist_and_are_exercised(model: mujoco.MjModel) -> None:
+def test_all_classified_fields_have_values_in_the_test_model(model: mujoco.MjModel) -> None:
     empty = {
         name
         for names in CLAIMED.values()
@@ -181,7 +183,7 @@ ARRAYS = sorted(
 
 
 @pytest.mark.parametrize(("layer", "name"), ARRAYS, ids=[name for _, name in ARRAYS])
-def test_a_claimed_field_moves_its_layer(
+def test_changing_a_field_changes_the_digest_of_its_part(
     model: mujoco.MjModel, before: dict[str, str], layer: str, name: str
 ) -> None:
     size = getattr(model, name).size
@@ -196,7 +198,7 @@ def test_a_claimed_field_moves_its_layer(
         elif flat.dtype.kind == "b":
             flat[place] = not flat[place]
         else:
-            # Another value of the same field is sure to mean something.
+            # Another value of the same field is valid.
             values = [v for v in np.unique(flat) if v != flat[place]]
             flat[place] = values[0] if values else flat[place] ^ 1
         try:
@@ -206,7 +208,7 @@ def test_a_claimed_field_moves_its_layer(
         moved |= {i for i in before.keys() | after.keys() if before.get(i) != after.get(i)}
         if any(ident.startswith(wanted) for ident in moved):
             return
-    pytest.fail(f"moved only {sorted(moved)}")
+    pytest.fail(f"changed only the digests of {sorted(moved)}")
 
 
 SEEN = [
@@ -216,7 +218,7 @@ SEEN = [
 
 
 @pytest.mark.parametrize("name", SEEN)
-def test_what_is_only_seen_moves_nothing(
+def test_changing_a_visual_field_changes_no_digest(
     model: mujoco.MjModel, before: dict[str, str], name: str
 ) -> None:
     other = copy.copy(model)
@@ -235,7 +237,9 @@ def test_what_is_only_seen_moves_nothing(
         if not n.startswith("_") and not callable(getattr(mujoco.MjOption, n))
     ],
 )
-def test_every_option_is_felt(model: mujoco.MjModel, before: dict[str, str], name: str) -> None:
+def test_changing_any_option_changes_its_digest(
+    model: mujoco.MjModel, before: dict[str, str], name: str
+) -> None:
     other = copy.copy(model)
     value = getattr(other.opt, name)
     if isinstance(value, np.ndarray):
@@ -246,7 +250,7 @@ def test_every_option_is_felt(model: mujoco.MjModel, before: dict[str, str], nam
     assert "m/option:gravity" in moved if name == "gravity" else "m/option:integration" in moved
 
 
-def test_a_stated_mean_inertia_and_a_small_arena_are_felt(
+def test_mean_inertia_and_arena_size_belong_to_the_integration_options(
     model: mujoco.MjModel, before: dict[str, str]
 ) -> None:
     other = copy.copy(model)
@@ -256,7 +260,7 @@ def test_a_stated_mean_inertia_and_a_small_arena_are_felt(
     assert "arena [bytes]" in model_parts(small, "m")["m/option:integration"].content
 
 
-def test_couplings_name_what_they_tie(model: mujoco.MjModel) -> None:
+def test_couplings_list_the_bodies_that_they_connect(model: mujoco.MjModel) -> None:
     structure = model_structure(model, "m", model_parts(model, "m"))
     assert structure.couplings["m/coupling:mimic"] == ("arm", "slider")
     assert structure.couplings["m/coupling:pin"] == ("ball", "free")

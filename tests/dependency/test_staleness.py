@@ -1,4 +1,4 @@
-"""Stock and staleness by themselves: no model, no files."""
+"""Staleness of goldens computed from parts, without model and files."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def why(today: Stock, before: Baseline | None) -> list[str]:
     return [str(reason) for reason in staleness(today, before)[KEY]]
 
 
-def test_what_has_not_changed_is_fresh() -> None:
+def test_a_golden_with_unchanged_parts_is_fresh() -> None:
     assert why(stock(a=1, b=2), baseline(stock(a=1, b=2))) == []
     assert why(stock(a=0.1 + 0.2), baseline(stock(a=0.3))) == []
 
 
-def test_each_reason_has_its_words() -> None:
+def test_each_reason_for_staleness_has_its_own_message() -> None:
     before = baseline(stock(a=1, b=2))
     assert why(stock(a=1, b=2), None) == ["no release yet"]
     assert why(stock(a=1, b=3), before) == ["b: value 2 -> 3"]
@@ -45,12 +45,12 @@ def test_each_reason_has_its_words() -> None:
     assert why(stock(a=1), other) == ["not in release 3"]
 
 
-def test_a_part_that_is_not_there_is_stale_for_ever() -> None:
+def test_a_golden_that_depends_on_a_missing_part_is_always_stale() -> None:
     today = Stock({}, {KEY: frozenset({"mujoco/frame:gone"})})
     assert why(today, baseline(today)) == ["mujoco/frame:gone: is missing"]
 
 
-def test_a_part_that_the_release_lost_is_stale() -> None:
+def test_a_golden_is_stale_if_the_release_lacks_one_of_its_parts() -> None:
     before = baseline(stock(a=1, b=2))
     torn = Baseline(3, {"a": before.parts["a"]}, before.passed, before.rested_on)
     assert staleness(stock(a=1, b=2), torn)[KEY] != ()
@@ -74,12 +74,16 @@ DIFFERENCES = [
 
 
 @pytest.mark.parametrize(("old", "new", "words"), DIFFERENCES)
-def test_differences_in_words(old: dict, new: dict, words: list[str]) -> None:  # type: ignore[type-arg]
+def test_differences_are_described_with_old_and_new_value_and_unit(
+    old: dict,  # type: ignore[type-arg]
+    new: dict,  # type: ignore[type-arg]
+    words: list[str],
+) -> None:
     found = [str(reason) for reason in changes(Part("p", old), Part("p", new))]
     assert [text.removeprefix("p: ") for text in found][: len(words)] == words
 
 
-def test_many_differences_are_counted() -> None:
+def test_further_differences_are_only_counted() -> None:
     old = Part("p", {str(i): 0 for i in range(10)})
     new = Part("p", {str(i): 1 for i in range(10)})
     assert len(changes(old, new)) == 5
@@ -95,23 +99,23 @@ contents = st.dictionaries(st.text(max_size=3), values, max_size=4)
 
 
 @given(contents, contents)
-def test_stale_exactly_where_the_content_differs(old: dict, new: dict) -> None:  # type: ignore[type-arg]
+def test_a_golden_is_stale_exactly_if_the_content_of_a_part_differs(old: dict, new: dict) -> None:  # type: ignore[type-arg]
     today = Stock({"p": Part("p", new)}, {KEY: frozenset({"p"})})
     before = Baseline(1, {"p": Part("p", old)}, {KEY: True}, today.rests_on)
     assert bool(staleness(today, before)[KEY]) == (canonical(old) != canonical(new))
 
 
-def test_the_order_of_keys_means_nothing() -> None:
+def test_the_order_of_keys_does_not_change_the_digest() -> None:
     assert Part("p", {"a": 1, "b": 2}).digest == Part("p", {"b": 2, "a": 1}).digest
 
 
-def test_a_number_that_is_not_finite_has_no_digest() -> None:
+def test_a_non_finite_number_has_no_digest() -> None:
     with pytest.raises(ValueError, match="JSON"):
         _ = Part("p", {"a": float("nan")}).digest
 
 
-def test_ten_thousand_goldens_cost_ten_times_a_thousand() -> None:
-    """Counted in calls, which a busy machine does not change."""
+def test_the_cost_of_staleness_is_linear_in_the_number_of_goldens() -> None:
+    """Measured in function calls, which do not depend on the load of the machine."""
 
     def calls(count: int) -> int:
         parts = {f"p{i}": Part(f"p{i}", {"v": i}) for i in range(200 + count)}
@@ -124,5 +128,5 @@ def test_ten_thousand_goldens_cost_ten_times_a_thousand() -> None:
         assert all(found.values())
         return int(pstats.Stats(profile).total_calls)
 
-    # Quadratic would be 100.
+    # Quadratic cost would give a factor of 100.
     assert calls(10_000) < 11 * calls(1_000)

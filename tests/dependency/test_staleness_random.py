@@ -1,4 +1,4 @@
-"""A short run of the benchmark: no golden moves past its tolerance and is called fresh."""
+"""A short run of the staleness benchmark: no golden that exceeds its tolerance counts as fresh."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def benchmark() -> ModuleType:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_no_random_edit_is_missed(benchmark: ModuleType) -> None:
+def test_no_golden_affected_by_a_random_edit_is_called_fresh(benchmark: ModuleType) -> None:
     tally = benchmark.run(24, seed=7, precision=False)
     assert tally.edits == 24
     assert tally.goldens > 200
@@ -36,16 +36,16 @@ def test_no_random_edit_is_missed(benchmark: ModuleType) -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_map_that_forgets_inertia_is_found_out(
+def test_the_benchmark_detects_a_dependency_map_without_inertia(
     benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The proof itself can fail."""
+    """The benchmark must be able to fail."""
     whole = Structure._layer
 
-    def forgetful(self: Structure, layer: str, names: object) -> set[str]:
+    def layer_without_inertia(self: Structure, layer: str, names: object) -> set[str]:
         return set() if layer in ("inertia", "joint") else whole(self, layer, names)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Structure, "_layer", forgetful)
+    monkeypatch.setattr(Structure, "_layer", layer_without_inertia)
     monkeypatch.setattr(benchmark, "EDITS", [(1.0, heavier)])
     assert benchmark.run(6, seed=3, precision=False).misses
 

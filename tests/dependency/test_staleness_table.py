@@ -1,4 +1,4 @@
-"""One change of each kind that the dependency map knows, and exactly what it makes stale."""
+"""One change of each kind, and exactly the goldens that it makes stale."""
 
 from __future__ import annotations
 
@@ -199,7 +199,7 @@ target:
 }
 
 ALL = frozenset(GOLDENS)
-# What moves the arm; the turntable can touch nothing and is tied to nothing.
+# Goldens on the dynamics of the arm; the turntable has no contact and no coupling with it.
 ARM = frozenset(
     {"limits", "settling", "step_elbow", "response", "touch", "replay_soft", "replay_load", "pick"}
 )
@@ -220,7 +220,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "twin.yaml").write_text(TWIN)
     (root / "tasks.py").write_text("def pick(realization):\n    return {'height': 0.1}\n")
     for name in ("soft", "load"):
-        # Only its bytes count here.
+        # Only the digest of the file matters here.
         (root / f"recordings/{name}.mcap").write_bytes(name.encode())
     for name, text in GOLDENS.items():
         (root / f"golden/{name}.yaml").write_text(f"schema: 1{text}")
@@ -263,7 +263,7 @@ def reformatted(root: Path) -> None:
 
 
 def without_defaults(root: Path) -> None:
-    """The same numbers written at each joint, angles in degrees, an include for the actuators."""
+    """The same model without default classes and with an included file for the actuators."""
     text = (root / "arm.xml").read_text()
     text = text.replace('<joint damping="0.5" armature="0.02"/>', "")
     text = re.sub(
@@ -291,7 +291,7 @@ def appended(file: str, data: bytes) -> Edit:
 
 
 FILES: list[tuple[str, Edit, frozenset[str] | set[str]]] = [
-    # nothing that is felt
+    # changes without effect on any golden
     ("comment", model("<worldbody>", "<!-- ours --><worldbody>"), set()),
     ("colour", model('rgba="0.2 0.2 0.2 1"', 'rgba="0.9 0.1 0.1 1"'), set()),
     ("reformatted", reformatted, set()),
@@ -302,7 +302,11 @@ FILES: list[tuple[str, Edit, frozenset[str] | set[str]]] = [
         model('class="visual" type="mesh"', 'name="c" class="visual" type="mesh"'),
         set(),
     ),
-    ("visual more", model("<site", '<geom class="visual" size="0.01" mass="0"/><site'), set()),
+    (
+        "additional visual geom",
+        model("<site", '<geom class="visual" size="0.01" mass="0"/><site'),
+        set(),
+    ),
     ("camera", model('<site name="tcp"', '<camera name="eye"/><site name="tcp"'), set()),
     ("size of the drawn plane", model('size="1 1 0.1"', 'size="3 3 0.1"'), set()),
     ("twin comment", twin("tcp: tcp", "tcp: tcp  # tool"), set()),
@@ -313,7 +317,7 @@ FILES: list[tuple[str, Edit, frozenset[str] | set[str]]] = [
     ("fit id", twin("id: fit-1", "id: fit-2"), set()),
     # rigid bodies
     ("link mass", model('mass="0.5"', 'mass="0.6"'), ARM | {"mass"}),
-    # The arm can touch the table, and a contact makes much of the last digits.
+    # A contact amplifies rounding errors, and the arm can touch the table.
     ("mass of the turntable", model('mass="1"', 'mass="1.1"'), DYNAMICS | {"mass"}),
     ("mass of the fixed base", model('mass="2"', 'mass="3"'), ARM | {"mass"}),
     ("inertia", model('"0.002 0.002', '"0.003 0.003'), ARM | {"mass"}),
@@ -348,7 +352,7 @@ FILES: list[tuple[str, Edit, frozenset[str] | set[str]]] = [
         DYNAMICS | {"distance", "distance_upper"},
     ),
     (
-        "least mass that the compiler accepts",
+        "minimum mass of the compiler",
         model('autolimits="true"', 'autolimits="true" boundmass="1e-4"'),
         REPLAYS | {"touch", "pick"},
     ),
@@ -371,7 +375,7 @@ FILES: list[tuple[str, Edit, frozenset[str] | set[str]]] = [
         ),
         ARM | {"distance", "distance_upper"},
     ),
-    # what the twin declares
+    # declarations in the twin file
     ("controller", twin("kp: 50", "kp: 60"), {"replay_soft", "pick"}),
     ("payload", twin("mass: 0.5", "mass: 0.55"), {"replay_load", "pick"}),
     ("calibration", twin("offset: 0.01", "offset: 0.015"), REPLAYS | {"pick"}),
@@ -385,7 +389,7 @@ FILES: list[tuple[str, Edit, frozenset[str] | set[str]]] = [
         twin("parts:", "parts:\n  cell: {id: 1, affects: {kinds: [fk]}}"),
         {"fk", "fk_shoulder"},
     ),
-    ("no payload is declared any more", without_payloads, REPLAYS | {"pick"}),
+    ("payload declarations removed", without_payloads, REPLAYS | {"pick"}),
     ("topics", twin("tcp: tcp", "tcp: tcp\ntopics: {state: /other}"), REPLAYS),
     # the goldens themselves
     ("tolerance", replaced("golden/mass.yaml", "1 g", "2 g"), {"mass"}),
@@ -401,7 +405,7 @@ def before(template: Path) -> object:
 
 
 @pytest.mark.parametrize(("edit", "expected"), [c[1:] for c in FILES], ids=[c[0] for c in FILES])
-def test_a_change_makes_exactly_this_stale(
+def test_a_change_makes_exactly_the_expected_goldens_stale(
     template: Path, tmp_path: Path, before: object, edit: Edit, expected: set[str]
 ) -> None:
     root = tmp_path / "arm"
@@ -411,7 +415,7 @@ def test_a_change_makes_exactly_this_stale(
     stale = {key.split("/")[1].split("@")[0]: why for key, why in reasons.items() if why}
     assert set(stale) == expected, {
         "missed": expected - stale.keys(),
-        "too many": {name: [str(r) for r in stale[name]] for name in stale.keys() - expected},
+        "falsely stale": {name: [str(r) for r in stale[name]] for name in stale.keys() - expected},
     }
 
 
@@ -424,7 +428,7 @@ VERSIONS = [
 
 
 @pytest.mark.parametrize(("name", "expected"), VERSIONS)
-def test_a_version_makes_exactly_this_stale(
+def test_a_changed_library_version_makes_exactly_the_expected_goldens_stale(
     template: Path, before: object, name: str, expected: set[str]
 ) -> None:
     reasons = staleness(stock_of(template, {name: "99"}), before)  # type: ignore[arg-type]
@@ -432,11 +436,11 @@ def test_a_version_makes_exactly_this_stale(
     assert all(r.new == "99" for why in reasons.values() for r in why)
 
 
-def test_nothing_changed_is_nothing_stale(template: Path, before: object) -> None:
+def test_an_unchanged_twin_has_no_stale_golden(template: Path, before: object) -> None:
     assert not any(staleness(stock_of(template), before).values())  # type: ignore[arg-type]
 
 
-def test_without_a_release_everything_is_stale(template: Path) -> None:
+def test_without_a_release_all_goldens_are_stale(template: Path) -> None:
     reasons = staleness(stock_of(template), None)
     assert {str(r) for why in reasons.values() for r in why} == {"no release yet"}
 
@@ -485,7 +489,7 @@ WORDS = [
 
 
 @pytest.mark.parametrize(("edit", "words"), WORDS, ids=[words for _, words in WORDS])
-def test_the_reason_says_what_changed(
+def test_the_reason_for_staleness_names_part_field_and_values(
     template: Path, tmp_path: Path, before: object, edit: Edit, words: str
 ) -> None:
     root = tmp_path / "arm"

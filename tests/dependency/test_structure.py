@@ -1,4 +1,4 @@
-"""Which parts a chain, a load, a motion and a contact can feel."""
+"""Parts on which a kinematic chain, a load, the dynamics and a contact depend."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def short(ids: frozenset[str], layer: str) -> set[str]:
     return {ident.removeprefix(prefix) for ident in ids if ident.startswith(prefix)}
 
 
-def test_arms_that_cannot_touch_are_apart() -> None:
+def test_the_dynamics_of_an_arm_do_not_depend_on_an_uncoupled_arm() -> None:
     felt = structure().dynamics(["right_b"])
     assert short(felt, "inertia") == {"right_base", "right_upper", "right_lower"}
     assert short(felt, "joint") == {"right_a", "right_b"}
@@ -76,15 +76,15 @@ LINKS = {
 
 
 @pytest.mark.parametrize("change", LINKS.values(), ids=LINKS.keys())
-def test_whatever_ties_two_trees_makes_each_feel_the_other(change: dict[str, str]) -> None:
+def test_the_dynamics_of_coupled_trees_depend_on_each_other(change: dict[str, str]) -> None:
     found = structure(**change)
     felt = found.dynamics(["right_a"])
     arms = {"left_upper", "left_lower", "right_upper", "right_lower"}
     assert arms <= short(felt, "inertia")
 
 
-def test_where_a_contact_is_possible_it_is_the_whole_model() -> None:
-    # The left arm may touch the floor; nobody may touch the right one.
+def test_the_dynamics_depend_on_the_whole_model_if_contact_is_possible() -> None:
+    # The left arm may touch the floor; the right arm has no collisions.
     both = structure()
     assert both.dynamics(["left_a"]) == both.dynamics()
     assert "world" in short(both.dynamics(["left_a"]), "collision")
@@ -95,7 +95,7 @@ def test_where_a_contact_is_possible_it_is_the_whole_model() -> None:
     assert "left_upper" in short(itself.dynamics(["right_a"]), "inertia")
 
 
-def test_chain_is_the_way_to_the_world() -> None:
+def test_the_chain_of_a_frame_contains_all_bodies_up_to_the_world() -> None:
     chain = structure().chain(["left_tip"])
     assert chain == {
         "m/frame:left_tip",
@@ -104,7 +104,7 @@ def test_chain_is_the_way_to_the_world() -> None:
     assert structure().chain(["world"]) == frozenset()
 
 
-def test_a_mimic_brings_its_master_and_a_loop_is_in_every_chain() -> None:
+def test_a_chain_includes_mimic_couplings_and_closed_loops() -> None:
     mimic = structure(**LINKS["joint equality"]).chain(["left_tip"])
     assert "right_lower" in short(mimic, "kinematics")
     assert short(mimic, "coupling") == {"equality#0"}
@@ -114,7 +114,7 @@ def test_a_mimic_brings_its_master_and_a_loop_is_in_every_chain() -> None:
     assert short(loop, "coupling") == {"equality#0"}
 
 
-def test_a_load_is_what_hangs_on_a_joint() -> None:
+def test_the_load_of_a_joint_consists_of_the_bodies_it_carries() -> None:
     load = structure().carried(["left_a"])
     assert short(load, "inertia") == {"left_upper", "left_lower"}
     assert short(load, "kinematics") == {"left_base", "left_upper", "left_lower"}
@@ -123,7 +123,7 @@ def test_a_load_is_what_hangs_on_a_joint() -> None:
     }
 
 
-def test_names_that_are_not_there_become_ids_that_no_part_bears() -> None:
+def test_unknown_names_become_dependencies_on_missing_parts() -> None:
     found = structure()
     for ids in (
         found.chain(["nowhere"]),
@@ -136,7 +136,7 @@ def test_names_that_are_not_there_become_ids_that_no_part_bears() -> None:
         assert ids - found.part_ids
 
 
-def test_json_and_back() -> None:
+def test_a_structure_survives_conversion_to_json_and_back() -> None:
     found = structure(**LINKS["weld"])
     assert Structure.from_json(json.loads(json.dumps(found.to_json()))) == found
 
@@ -155,7 +155,7 @@ DAMAGE: list[tuple[str, Any]] = [
 
 
 @pytest.mark.parametrize(("key", "value"), DAMAGE)
-def test_damaged_json_is_refused(key: str, value: object) -> None:
+def test_invalid_json_of_a_structure_is_refused(key: str, value: object) -> None:
     data = {**json.loads(json.dumps(structure().to_json())), key: value}
     with pytest.raises(ValueError, match="not "):
         Structure.from_json(data)
