@@ -1,4 +1,4 @@
-"""A robot without fault, the faults that are put into it, and how the tests ask for its audit."""
+"""A robot without faults, helpers that insert faults, and helpers that audit it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
 from pytest_twin.audit.run import audit
 
-# A solid bar of 0.3 x 0.06 x 0.06 m and 2 kg: I = m/12 (b^2 + c^2).
+# The upper link is a solid bar of 0.3 x 0.06 x 0.06 m and 2 kg: I = m/12 (b^2 + c^2).
 CLEAN = """<?xml version="1.0"?>
 <robot name="clean">
   <link name="world"/>
@@ -114,7 +114,7 @@ CLEAN = """<?xml version="1.0"?>
 
 
 def box_stl(size: tuple[float, float, float], *, leave_out: int = 0) -> bytes:
-    """A binary STL of a box, without its last faces."""
+    """A binary STL of a box of ``size`` (m) without its last ``leave_out`` triangles."""
     corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corner = corner * np.array(size) / 2
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -127,7 +127,7 @@ def box_stl(size: tuple[float, float, float], *, leave_out: int = 0) -> bytes:
 
 
 def write_clean(folder: Path, text: str = CLEAN, name: str = "robot.urdf") -> Path:
-    """The robot and its mesh in a folder."""
+    """Write a robot description and the mesh of the clean robot into a folder."""
     (folder / "bar.stl").write_bytes(box_stl((0.2, 0.05, 0.05)))
     path = folder / name
     path.write_text(text)
@@ -135,7 +135,7 @@ def write_clean(folder: Path, text: str = CLEAN, name: str = "robot.urdf") -> Pa
 
 
 def changed(*pairs: tuple[str, str]) -> str:
-    """The clean robot with each text replaced; each must stand there exactly once."""
+    """The clean robot with each text replaced; each must occur exactly once."""
     text = CLEAN
     for old, new in pairs:
         assert text.count(old) == 1, (old, text.count(old))
@@ -144,23 +144,23 @@ def changed(*pairs: tuple[str, str]) -> str:
 
 
 def line_of(text: str, part: str) -> int:
-    """1-based line of the first occurrence."""
+    """1-based line number of the first occurrence of ``part``."""
     return text[: text.index(part)].count("\n") + 1
 
 
 def findings_of(path: Path, known: Evidence | None = None) -> list[dict[str, Any]]:
-    """Findings of every layer that needs no simulator."""
+    """Findings of all audit layers that need no simulator."""
     asset = read(path)
     return finding.to_json(audit(asset, known or Evidence(), Geometry(asset)))
 
 
 def only(rows: list[dict[str, Any]], code: str) -> list[Mapping[str, Any]]:
-    """Findings of one code."""
+    """The findings with this code."""
     return [row for row in rows if row["code"] == code]
 
 
 def robots() -> Path:
-    """The folder of example-robot-data's robots."""
+    """The folder with the robots of example-robot-data; skips if it is missing."""
     try:
         found = distribution("example-robot-data")
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Distances of collision shapes by two engines, and the pictures of them."""
+"""Distances of collision shapes by MuJoCo and coal, and pictures of the robot."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from pytest_twin.audit.read import read
 BACK = {"back": {"elbow": 3.1}}
 
 
-def test_an_overlap_at_a_declared_pose_is_found(tmp_path: Path) -> None:
-    # Folded back onto itself the lower bar lies in the upper one.
+def test_an_overlap_in_a_declared_pose_is_a_warning(tmp_path: Path) -> None:
+    # With the elbow at 3.1 rad the lower arm overlaps the upper arm.
     asset = read(write_clean(tmp_path))
     results, findings = self_collision.measure(asset, Geometry(asset), BACK)
     assert [result.name for result in results] == [self_collision.BASE_POSE, "back"]
@@ -28,17 +28,17 @@ def test_an_overlap_at_a_declared_pose_is_found(tmp_path: Path) -> None:
     assert all(finding.severity == "warning" for finding in found)
 
 
-def test_the_distance_is_the_one_of_the_drawing(tmp_path: Path) -> None:
+def test_the_distance_of_two_boxes_equals_the_closed_form(tmp_path: Path) -> None:
     asset = read(write_clean(tmp_path))
     results, _ = self_collision.measure(asset, Geometry(asset), {})
     near = {(n.first, n.second): n for n in results[0].near}
-    # Two boxes of 15 and 16 mm, 30 mm apart between their centres.
+    # Boxes of 15 and 16 mm width with 30 mm between their centres.
     gap = near["finger", "thumb"]
     assert gap.distance == pytest.approx(0.0145, abs=1e-6)
     assert gap.by_coal == pytest.approx(0.0145, abs=1e-6)
 
 
-def test_hulls_by_coal_agree_with_the_compiled_model() -> None:
+def test_distances_of_hulls_by_coal_agree_with_mujoco() -> None:
     asset = read(next(robots().glob("*/*/panda.urdf")))
     geometry = Geometry(asset)
     results, _ = self_collision.measure(asset, geometry, {})
@@ -49,7 +49,7 @@ def test_hulls_by_coal_agree_with_the_compiled_model() -> None:
         assert near[other.first, other.second] == pytest.approx(other.distance, abs=1e-4)
 
 
-def test_zero_moves_into_the_ranges_and_followers_follow(tmp_path: Path) -> None:
+def test_the_base_pose_respects_joint_ranges_and_mimic_joints(tmp_path: Path) -> None:
     text = changed(
         ('<limit lower="-2" upper="2"', '<limit lower="0.5" upper="2"'),
         (
@@ -63,8 +63,8 @@ def test_zero_moves_into_the_ranges_and_followers_follow(tmp_path: Path) -> None
     assert base["thumb_slide"] == 0.01
 
 
-def test_a_model_that_does_not_load_is_measured_by_its_hulls(tmp_path: Path) -> None:
-    # A joint that follows itself: no simulator takes it.
+def test_distances_of_a_model_that_mujoco_refuses_are_computed_by_coal(tmp_path: Path) -> None:
+    # A joint that mimics itself is refused by every simulator.
     asset = read(
         write_clean(tmp_path, changed(('<mimic joint="grip"', '<mimic joint="thumb_slide"')))
     )
@@ -82,7 +82,7 @@ def test_a_robot_without_collision_shapes_leaves_distances_unknown(tmp_path: Pat
     assert [(f.code, f.severity) for f in findings] == [("meshes.distances_unknown", "unknown")]
 
 
-def test_a_picture_shows_what_overlaps_in_red(tmp_path: Path) -> None:
+def test_a_picture_shows_overlapping_links_in_red(tmp_path: Path) -> None:
     import matplotlib.image
 
     asset = read(write_clean(tmp_path))
@@ -100,7 +100,7 @@ def test_a_picture_shows_what_overlaps_in_red(tmp_path: Path) -> None:
     assert red[1] > 2000
 
 
-def test_splitting_keeps_area_and_colour() -> None:
+def test_splitting_triangles_keeps_area_and_colour() -> None:
     corners = np.array([[[0.0, 0, 0], [10, 0, 0], [0, 0.1, 0]]])
     pieces, colours = render.split(corners, np.array([[1.0, 0, 0]]), 0.5)
     area = np.linalg.norm(
@@ -110,7 +110,7 @@ def test_splitting_keeps_area_and_colour() -> None:
     assert len(colours) == len(pieces) > 20
 
 
-def test_coarse_meshes_keep_their_extent() -> None:
+def test_simplified_meshes_keep_their_extent() -> None:
     from pytest_twin.realization.mesh import Triangles
 
     generator = np.random.default_rng(3)
@@ -124,5 +124,5 @@ def test_coarse_meshes_keep_their_extent() -> None:
     assert np.abs(np.linalg.norm(merged, axis=1) - 1).max() < 0.1
 
 
-def test_no_evidence_declares_no_pose() -> None:
+def test_empty_evidence_declares_no_pose() -> None:
     assert Evidence().poses == {}

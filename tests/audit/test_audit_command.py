@@ -1,4 +1,4 @@
-"""``pytest-twin audit`` as users call it: exit status, files, words, and hostile input."""
+"""``pytest-twin audit``: exit status, written files, messages and malicious input."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BROKEN = changed(
 )
 
 
-def test_a_clean_robot_exits_0_and_leaves_json_and_page(
+def test_a_clean_robot_exits_with_0_and_writes_json_and_html(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_clean(tmp_path)
@@ -60,18 +60,18 @@ def test_a_clean_robot_exits_0_and_leaves_json_and_page(
     assert found["poses"][0]["pose"] == "zeros, within the ranges"
     assert found["meshes"][0]["watertight"] is True
     upper = next(row for row in found["bodies"] if row["body"] == "upper")
-    # 2 kg of 0.3 x 0.06 x 0.06 m, and the moments of that very bar.
+    # A bar of 2 kg and 0.3 x 0.06 x 0.06 m with its exact moments of inertia.
     assert upper["hull_density"] == {"value": pytest.approx(2 / 0.00108), "unit": "kg/m^3"}
     assert upper["uniform_moments"]["value"] == pytest.approx([0.0012, 0.0156, 0.0156])
     assert upper["principal_moments"]["value"] == pytest.approx([0.0012, 0.0156, 0.0156])
     page = (tmp_path / "out/robot.urdf.audit.html").read_text()
     assert "data:image/png;base64," in page
-    # Self-contained: nothing is fetched, nothing runs.
+    # The page is self-contained: it loads no resources and runs no script.
     assert "<script" not in page
     assert not re.search(r"(src|href)=\"(?!data:|#)", page)
 
 
-def test_a_critical_finding_exits_1_and_is_told_in_full(
+def test_a_critical_finding_exits_with_1_and_is_printed_in_full(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_clean(tmp_path, BROKEN)
@@ -84,7 +84,7 @@ def test_a_critical_finding_exits_1_and_is_told_in_full(
     assert "next: " in said
 
 
-def test_a_link_to_the_file_is_followed(tmp_path: Path) -> None:
+def test_a_symbolic_link_to_the_robot_file_is_followed(tmp_path: Path) -> None:
     write_clean(tmp_path)
     link = tmp_path / "link.urdf"
     link.symlink_to(tmp_path / "robot.urdf")
@@ -92,7 +92,7 @@ def test_a_link_to_the_file_is_followed(tmp_path: Path) -> None:
     assert (tmp_path / "out/link.urdf.audit.json").exists()
 
 
-def test_evidence_turns_an_unknown_into_a_verdict(
+def test_evidence_that_contradicts_the_file_is_a_critical_finding(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_clean(tmp_path)
@@ -107,7 +107,7 @@ def test_evidence_turns_an_unknown_into_a_verdict(
     assert "as declared by manual rev 3" in said
 
 
-def test_evidence_of_another_shape_is_one_line(
+def test_an_invalid_evidence_file_is_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_clean(tmp_path)
@@ -171,7 +171,7 @@ UNUSABLE = [
 @pytest.mark.parametrize(
     ("name", "text", "words"), UNUSABLE, ids=[case[0].replace(".", "_") for case in UNUSABLE]
 )
-def test_what_cannot_be_used_is_a_plain_error(
+def test_an_unusable_robot_file_is_a_one_line_error(
     tmp_path: Path, name: str, text: str, words: str
 ) -> None:
     if name.endswith((".usda", ".usdc")):
@@ -184,7 +184,7 @@ def test_what_cannot_be_used_is_a_plain_error(
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_unusable_input_is_one_line_and_2(
+def test_unusable_input_exits_with_2_and_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "bomb.urdf"
@@ -198,14 +198,14 @@ def test_unusable_input_is_one_line_and_2(
 
 
 @pytest.mark.parametrize("name", ["missing.urdf", "."])
-def test_what_is_no_file_is_one_line_and_2(
+def test_a_missing_file_or_a_folder_exits_with_2_and_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     assert main(["audit", str(tmp_path / name)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-def test_names_from_the_file_cannot_write_to_terminal_or_page(
+def test_names_in_the_file_cannot_inject_escape_sequences_or_html(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     evil = "&#x9;&lt;script&gt;alert(1)&lt;/script&gt;\u202e\u009b31m"
@@ -221,8 +221,8 @@ def test_names_from_the_file_cannot_write_to_terminal_or_page(
     assert "&lt;script&gt;" in page
 
 
-def test_a_robot_of_huge_counts_ends_in_time(tmp_path: Path) -> None:
-    # A chain of joints that follow each other, and of links, as long as the bound lets it be.
+def test_a_robot_with_5000_mimic_joints_is_audited_with_a_short_report(tmp_path: Path) -> None:
+    # A long chain of links whose joints mimic each other in a loop.
     count = 5_000
     lines = ["<robot name='long'>", "<link name='l0'/>"]
     for at in range(1, count):
@@ -239,7 +239,7 @@ def test_a_robot_of_huge_counts_ends_in_time(tmp_path: Path) -> None:
     assert len(said.splitlines()) < 80
 
 
-def test_a_package_may_be_named(tmp_path: Path) -> None:
+def test_a_package_folder_can_be_given(tmp_path: Path) -> None:
     text = changed(('filename="bar.stl"', 'filename="package://arm_meshes/bar.stl"'))
     folder = tmp_path / "elsewhere"
     folder.mkdir()
@@ -255,7 +255,7 @@ def test_a_package_may_be_named(tmp_path: Path) -> None:
     assert found["meshes"][0]["file"] == str(folder / "bar.stl")
 
 
-def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
+def test_a_closed_output_pipe_causes_no_traceback(tmp_path: Path) -> None:
     path = write_clean(tmp_path)
     command = f"{sys.executable} -m pytest_twin.cli audit {path} --out {tmp_path} --all | true"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
@@ -263,7 +263,7 @@ def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
     assert (tmp_path / "robot.urdf.audit.json").exists()
 
 
-def test_a_file_where_the_folder_should_be(
+def test_a_file_instead_of_the_output_folder_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_clean(tmp_path)

@@ -1,4 +1,4 @@
-"""Declared evidence settles signs, zeros, ranges and meanings, or contradicts the file."""
+"""Evidence about signs, zeros, ranges and commands confirms or contradicts the robot file."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def _rows(folder: Path, text: str) -> list[dict[str, Any]]:
     return findings_of(write_clean(folder), evidence.load(path))
 
 
-def test_evidence_that_agrees_settles_the_unknown(tmp_path: Path) -> None:
-    # Bent by 90 degrees the finger slides along -x and not along y: that settles nothing.
+def test_evidence_that_agrees_removes_the_unknown_findings(tmp_path: Path) -> None:
+    # In the bent pose the finger moves along -x, not along y: its sign stays unclear.
     rows = _rows(tmp_path, FULL)
     assert [row["element"] for row in only(rows, "joints.sign_unclear")] == ["joint 'grip'"]
     assert [row for row in rows if row["severity"] in ("critical", "warning")] == []
@@ -74,7 +74,7 @@ def test_evidence_that_agrees_settles_the_unknown(tmp_path: Path) -> None:
         ("  elbow: {means", "  elbw: {means", "commands.evidence_unused", "warning"),
     ],
 )
-def test_evidence_that_contradicts_is_told(
+def test_each_contradicted_property_is_a_finding(
     tmp_path: Path, old: str, new: str, code: str, severity: str
 ) -> None:
     assert FULL.count(old) == 1
@@ -82,7 +82,7 @@ def test_evidence_that_contradicts_is_told(
     assert [row["severity"] for row in found] == [severity]
 
 
-def test_a_pose_that_is_not_declared_is_an_error_with_its_line(tmp_path: Path) -> None:
+def test_an_undeclared_pose_is_refused_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "evidence.yaml"
     path.write_text(FULL.replace("pose: bent, position", "pose: bend, position"))
     with pytest.raises(SpecError, match=r"evidence\.yaml:22: .*no such pose .*one of: bent"):

@@ -1,4 +1,4 @@
-"""One fault a robot: each is found, at its line, and a clean robot has none."""
+"""Each inserted fault is found at its line, and the robot without faults has none."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import pytest
 from audited import CLEAN, box_stl, changed, findings_of, line_of, only, write_clean
 
 
-def test_a_clean_robot_has_only_unknowns(tmp_path: Path) -> None:
+def test_a_robot_without_faults_has_only_unknown_properties(tmp_path: Path) -> None:
     rows = findings_of(write_clean(tmp_path))
     bad = [row for row in rows if row["severity"] in ("critical", "warning")]
     assert bad == []
-    # Nobody has said what a command means, and no mimic is a force model.
+    # A URDF does not state the meaning of commands or the force model of a mimic.
     unknown = {row["code"] for row in rows if row["severity"] == "unknown"}
     assert unknown >= {
         "commands.unknown",
@@ -25,7 +25,7 @@ def test_a_clean_robot_has_only_unknowns(tmp_path: Path) -> None:
     assert all(row["settle"] for row in rows if row["severity"] == "unknown")
 
 
-def test_frames_without_mass_are_no_fault(tmp_path: Path) -> None:
+def test_massless_frames_are_not_a_fault(tmp_path: Path) -> None:
     rows = findings_of(write_clean(tmp_path))
     assert not [row for row in rows if "tcp" in row["element"] or "world" in row["element"]]
 
@@ -43,7 +43,7 @@ THUMB_MIMIC = '<mimic joint="grip" multiplier="1"/>'
 # name, replacements, code, severity, element, text on the line that the finding names
 FAULTS = [
     (
-        "two links of one name",
+        "two links with one name",
         [('<link name="finger">', '<link name="lower">')],
         "tree.duplicate_name",
         "critical",
@@ -51,7 +51,7 @@ FAULTS = [
         None,
     ),
     (
-        "two joints of one name",
+        "two joints with one name",
         [('<joint name="elbow"', '<joint name="shoulder"')],
         "tree.duplicate_name",
         "critical",
@@ -67,7 +67,7 @@ FAULTS = [
         '<link name="TCP"/>',
     ),
     (
-        "a link that nothing carries",
+        "an unconnected link",
         [('<link name="tcp"/>', '<link name="tcp"/>\n  <link name="stray"/>')],
         "tree.disconnected",
         "critical",
@@ -75,7 +75,7 @@ FAULTS = [
         '<link name="stray"/>',
     ),
     (
-        "a joint to a link that is not there",
+        "a joint to a missing link",
         [('<child link="finger"/>', '<child link="fingre"/>')],
         "tree.missing_link",
         "critical",
@@ -97,7 +97,7 @@ FAULTS = [
         '<joint name="closure"',
     ),
     (
-        "a circle of links",
+        "a cycle of links",
         [
             (
                 '<parent link="base"/>\n    <child link="upper"/>',
@@ -118,7 +118,7 @@ FAULTS = [
         '<joint name="elbow"',
     ),
     (
-        "an axis without direction",
+        "a zero axis",
         [('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>')],
         "joints.unreadable",
         "critical",
@@ -150,7 +150,7 @@ FAULTS = [
         '<joint name="elbow"',
     ),
     (
-        "a right angle of two digits",
+        "a right angle rounded to two digits",
         [('<origin xyz="0.32 0 0" rpy="0 0 0"/>', '<origin xyz="0.32 0 0" rpy="1.57 0 0"/>')],
         "joints.origin_rounded",
         "info",
@@ -166,7 +166,7 @@ FAULTS = [
         '<joint name="elbow"',
     ),
     (
-        "limits the wrong way round",
+        "lower limit above upper limit",
         [(ELBOW_LIMIT, '<limit lower="2" upper="-2" velocity="2" effort="20"/>')],
         "joints.unreadable",
         "critical",
@@ -198,7 +198,7 @@ FAULTS = [
         '<joint name="elbow"',
     ),
     (
-        "no number",
+        "a limit that is not a number",
         [('<limit lower="-1.5"', '<limit lower="nan"')],
         "joints.unreadable",
         "critical",
@@ -222,7 +222,7 @@ FAULTS = [
         '<joint name="elbow"',
     ),
     (
-        "a mimic of a joint that is not there",
+        "a mimic of a missing joint",
         [(THUMB_MIMIC, '<mimic joint="gripp" multiplier="1"/>')],
         "coupling.mimic_master",
         "critical",
@@ -246,7 +246,7 @@ FAULTS = [
         '<mimic joint="thumb_slide"',
     ),
     (
-        "joints that follow each other",
+        "joints that mimic each other",
         [
             (
                 'effort="10"/>\n    <dynamics damping="1" friction="0.5"/>\n  </joint>',
@@ -259,7 +259,7 @@ FAULTS = [
         '<mimic joint="thumb_slide"',
     ),
     (
-        "a mimic that leaves its range",
+        "a mimic that exceeds its range",
         [(THUMB_MIMIC, '<mimic joint="grip" multiplier="3"/>')],
         "coupling.mimic_range",
         "warning",
@@ -267,7 +267,7 @@ FAULTS = [
         '<mimic joint="grip" multiplier="3"/>',
     ),
     (
-        "a mimic that stands still",
+        "a mimic with multiplier zero",
         [(THUMB_MIMIC, '<mimic joint="grip" multiplier="0"/>')],
         "coupling.mimic_zero",
         "warning",
@@ -275,7 +275,7 @@ FAULTS = [
         '<mimic joint="grip" multiplier="0"/>',
     ),
     (
-        "an inertia that no body can have",
+        "an impossible inertia",
         [(UPPER_INERTIA, '<inertia ixx="1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>')],
         "inertia.triangle",
         "critical",
@@ -329,7 +329,7 @@ FAULTS = [
     ),
     (
         "an inertia about the link's origin",
-        # + m c^2 = 2 kg * (0.15 m)^2 across.
+        # The parallel axis term m c^2 = 2 kg * (0.15 m)^2 is added.
         [
             (
                 UPPER_INERTIA,
@@ -350,7 +350,7 @@ FAULTS = [
         "<inertial>",
     ),
     (
-        "an inertia of a far smaller body",
+        "an inertia of a much smaller body",
         [
             (
                 UPPER_INERTIA,
@@ -397,7 +397,7 @@ FAULTS = [
         None,
     ),
     (
-        "a mesh that is not there",
+        "a missing collision mesh",
         [('filename="bar.stl"', 'filename="bra.stl"')],
         "meshes.missing",
         "critical",
@@ -405,7 +405,7 @@ FAULTS = [
         'filename="bra.stl"',
     ),
     (
-        "a visual mesh that is not there",
+        "a missing visual mesh",
         [
             (
                 '<visual><origin xyz="0.15 0 0"/><geometry><box size="0.3 0.06 0.06"/>',
@@ -458,7 +458,7 @@ FAULTS = [
         None,
     ),
     (
-        "a transmission of a joint that is not there",
+        "a transmission of a missing joint",
         [
             (
                 "</robot>",
@@ -473,7 +473,7 @@ FAULTS = [
         '<transmission name="t">',
     ),
     (
-        "a reduction of 0",
+        "a gear ratio of zero",
         [
             (
                 "</robot>",
@@ -488,7 +488,7 @@ FAULTS = [
         '<transmission name="t">',
     ),
     (
-        "a differential",
+        "a differential transmission",
         [
             (
                 "</robot>",
@@ -504,7 +504,7 @@ FAULTS = [
         '<transmission name="d">',
     ),
     (
-        "a controlled joint that is not there",
+        "a controller of a missing joint",
         [
             (
                 "</robot>",
@@ -518,7 +518,7 @@ FAULTS = [
         '<joint name="elbw">',
     ),
     (
-        "soft limits outside the hard ones",
+        "soft limits outside the hard limits",
         [
             (
                 ELBOW_LIMIT,
@@ -532,7 +532,7 @@ FAULTS = [
         "<safety_controller",
     ),
     (
-        "a sensor on nothing",
+        "a sensor on a missing link",
         [
             (
                 "</robot>",
@@ -560,7 +560,7 @@ FAULTS = [
     [fault[1:] for fault in FAULTS],
     ids=[fault[0].replace(" ", "_") for fault in FAULTS],
 )
-def test_each_fault_is_found_at_its_place(
+def test_each_fault_is_found_with_severity_element_and_line(
     tmp_path: Path,
     pairs: list[tuple[str, str]],
     code: str,
@@ -581,11 +581,11 @@ def test_each_fault_is_found_at_its_place(
         assert row["line"] == line_of(text, line)
     assert row["why"]
     assert row["settle"]
-    # The clean robot does not have it.
+    # The robot without faults does not have this finding.
     assert not only(findings_of(write_clean(tmp_path)), code) or code == "coupling.mimic_force"
 
 
-def test_a_mesh_of_a_millimetre_drawing(tmp_path: Path) -> None:
+def test_a_mesh_in_millimetres_is_a_critical_finding(tmp_path: Path) -> None:
     path = write_clean(tmp_path)
     (tmp_path / "bar.stl").write_bytes(box_stl((200.0, 50.0, 50.0)))
     found = only(findings_of(path), "meshes.units")
@@ -594,13 +594,13 @@ def test_a_mesh_of_a_millimetre_drawing(tmp_path: Path) -> None:
     assert "millimetres taken for metres" in found[0]["title"]
 
 
-def test_an_open_mesh_is_named(tmp_path: Path) -> None:
+def test_an_open_mesh_is_a_finding_with_its_name(tmp_path: Path) -> None:
     path = write_clean(tmp_path)
     (tmp_path / "bar.stl").write_bytes(box_stl((0.2, 0.05, 0.05), leave_out=2))
     assert [row["element"] for row in only(findings_of(path), "meshes.open")] == ["mesh 'bar.stl'"]
 
 
-def test_every_finding_has_its_own_id(tmp_path: Path) -> None:
+def test_the_ids_of_findings_are_unique(tmp_path: Path) -> None:
     rows = findings_of(write_clean(tmp_path, CLEAN.replace("friction=", "frictoin=")))
     ids = [row["id"] for row in rows]
     assert len(set(ids)) == len(ids)

@@ -1,4 +1,4 @@
-"""One robot as URDF, MJCF and USD: the audit sees the same robot, and the same faults."""
+"""The audit of MJCF and USD files reads the same quantities as that of URDF files."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def Xform "robot" (
 """
 
 
-def test_a_compiled_model_is_read_as_it_is(tmp_path: Path) -> None:
+def test_an_mjcf_is_read_as_mujoco_compiles_it(tmp_path: Path) -> None:
     path = tmp_path / "m.xml"
     path.write_text(MJCF)
     asset = read(path)
@@ -110,11 +110,11 @@ def test_a_compiled_model_is_read_as_it_is(tmp_path: Path) -> None:
     rows = findings_of(path)
     assert [row["element"] for row in only(rows, "commands.unknown")] == ["actuator 'odd'"]
     assert "position setpoint" in only(rows, "commands.declared")[0]["title"]
-    # MuJoCo normalizes axes by definition.
+    # MuJoCo normalizes axes, so this is not a fault in MJCF.
     assert only(rows, "joints.axis_not_unit") == []
 
 
-def test_a_joint_beside_its_body_turns_about_its_own_place(tmp_path: Path) -> None:
+def test_a_joint_with_an_offset_rotates_about_its_own_anchor(tmp_path: Path) -> None:
     import mujoco
 
     text = MJCF.replace('<joint name="hinge"', '<joint name="hinge" pos="0.1 -0.2 0.3" ref="0.4"')
@@ -143,14 +143,14 @@ def test_an_mjcf_that_does_not_compile_is_a_finding(tmp_path: Path) -> None:
     assert (triangle["element"], triangle["line"]) == ("link 'a'", 6)
 
 
-def test_a_name_twice_in_an_mjcf_is_a_finding(tmp_path: Path) -> None:
+def test_a_duplicate_name_in_an_mjcf_is_a_finding(tmp_path: Path) -> None:
     path = tmp_path / "m.xml"
     path.write_text(MJCF.replace('<body name="b"', '<body name="a"'))
     found = only(findings_of(path), "tree.duplicate_name")
     assert [(row["element"], row["line"]) for row in found] == [("body 'a'", 8)]
 
 
-def test_radians_read_as_degrees(tmp_path: Path) -> None:
+def test_a_range_in_radians_in_an_mjcf_in_degrees_is_a_finding(tmp_path: Path) -> None:
     path = tmp_path / "m.xml"
     text = MJCF.replace('<compiler angle="radian"/>', "")
     path.write_text(text.replace('type="slide" axis="1 0 0"', 'range="-2 2" axis="1 0 0"'))
@@ -159,14 +159,14 @@ def test_radians_read_as_degrees(tmp_path: Path) -> None:
     assert found[0]["value"] == pytest.approx(np.radians(2))
 
 
-def test_an_mjcf_that_leaves_its_folder_is_refused(tmp_path: Path) -> None:
+def test_an_mjcf_that_includes_a_file_outside_its_folder_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "m.xml"
     path.write_text('<mujoco><include file="../../etc/hosts"/></mujoco>')
     with pytest.raises(PathError, match=r"m\.xml:1.*leaves the declared roots"):
         read(path)
 
 
-def test_a_stage_in_other_units_is_read_in_metres(tmp_path: Path) -> None:
+def test_a_usd_stage_in_other_units_is_converted_to_si(tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     path = tmp_path / "robot.usda"
     path.write_text(USDA)
@@ -183,14 +183,14 @@ def test_a_stage_in_other_units_is_read_in_metres(tmp_path: Path) -> None:
     box, capsule = asset.shapes
     assert (box.kind, box.size) == ("box", pytest.approx((0.2, 0.2, 0.2)))
     assert (capsule.kind, capsule.size) == ("capsule", pytest.approx((0.03, 0.2)))
-    # Its length lies along x.
+    # The capsule axis is x.
     assert abs(capsule.rotation @ [0, 0, 1]) == pytest.approx([1, 0, 0])
     triangle = only(findings_of(path), "inertia.triangle")
     assert [row["element"] for row in triangle] == ["link 'arm'"]
     assert triangle[0]["line"] == line_of(USDA, 'def Xform "arm"')
 
 
-def test_a_joint_whose_child_stands_first_turns_the_other_way(tmp_path: Path) -> None:
+def test_a_usd_joint_with_swapped_bodies_has_the_opposite_sign(tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     straight, turned = tmp_path / "straight.usda", tmp_path / "turned.usda"
     straight.write_text(USDA)
@@ -203,13 +203,13 @@ def test_a_joint_whose_child_stands_first_turns_the_other_way(tmp_path: Path) ->
     assert read(turned).above["arm"].parent == "base"
     one = read(straight).at({"turn": 0.3})["arm"]
     other = read(turned).at({"turn": -0.3})["arm"]
-    # The arm against the base is the inverse of the base against the arm.
+    # Swapping the bodies inverts the joint's rotation.
     assert one[0] == pytest.approx(other[0])
     assert one[1] == pytest.approx(other[1])
     assert one[1][0, 2] == pytest.approx(np.sin(0.3))
 
 
-def test_a_loop_in_a_stage_is_a_coupling(tmp_path: Path) -> None:
+def test_a_closed_loop_in_a_usd_stage_is_a_coupling(tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     path = tmp_path / "robot.usda"
     closing = (
@@ -222,7 +222,7 @@ def test_a_loop_in_a_stage_is_a_coupling(tmp_path: Path) -> None:
     assert not [row for row in rows if row["layer"] == "tree"]
 
 
-def test_a_stage_without_openusd_says_what_to_install(
+def test_without_openusd_the_error_names_the_package_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import sys
@@ -234,14 +234,14 @@ def test_a_stage_without_openusd_says_what_to_install(
         read(path)
 
 
-def test_polygons_become_triangles() -> None:
+def test_polygons_are_split_into_triangles() -> None:
     faces = fan(np.array([4, 3, 2]), np.array([0, 1, 2, 3, 4, 5, 6, 7, 8]))
     assert faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
     assert len(fan(np.array([4]), np.array([0, 1, 2]))) == 0
 
 
 @pytest.mark.parametrize("name", ["panda.urdf", "so101.urdf"])
-def test_places_agree_with_pinocchio(name: str) -> None:
+def test_body_poses_agree_with_pinocchio(name: str) -> None:
     path = next(robots().glob(f"*/*/{name}"))
     asset = read(path)
     reference = load(path, accept_invalid_inertia=True).reference
@@ -261,7 +261,7 @@ def test_places_agree_with_pinocchio(name: str) -> None:
             assert turned < 1e-7
 
 
-def test_a_wrong_root_is_named(tmp_path: Path) -> None:
+def test_a_file_with_an_unknown_root_element_is_refused(tmp_path: Path) -> None:
     path = write_clean(tmp_path, "<sdf/>", "robot.sdf")
     with pytest.raises(ModelError, match=r"robot\.sdf:1: not a robot model"):
         read(path)

@@ -1,4 +1,4 @@
-"""Hostile values anywhere in a robot: findings or a plain error, and never anything else."""
+"""Malicious values anywhere in a robot file give findings or a typed error."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ MJCF = """<mujoco model="m">
 MJCF_VALUES = [match.span(1) for match in re.finditer(r'="([^"]*)"', MJCF)]
 
 
-def _look(path: Path) -> None:
+def _audit(path: Path) -> None:
     try:
         asset = read(path)
     except TwinError:
@@ -59,7 +59,7 @@ def _look(path: Path) -> None:
     assert all(row["severity"] in finding.SEVERITIES for row in rows)
 
 
-def _put(text: str, places: list[tuple[int, int]], changes: dict[int, str]) -> str:
+def _replace_values(text: str, places: list[tuple[int, int]], changes: dict[int, str]) -> str:
     for at in sorted(changes, reverse=True):
         start, end = places[at]
         text = text[:start] + changes[at] + text[end:]
@@ -74,8 +74,10 @@ def _put(text: str, places: list[tuple[int, int]], changes: dict[int, str]) -> s
         st.integers(0, len(VALUES) - 1), st.sampled_from(HOSTILE), min_size=1, max_size=4
     )
 )
-def test_any_value_of_a_urdf(tmp_path: Path, changes: dict[int, str]) -> None:
-    _look(write_clean(tmp_path, _put(WITH_MORE, VALUES, changes)))
+def test_malicious_values_in_a_urdf_give_findings_or_a_typed_error(
+    tmp_path: Path, changes: dict[int, str]
+) -> None:
+    _audit(write_clean(tmp_path, _replace_values(WITH_MORE, VALUES, changes)))
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -87,15 +89,17 @@ def test_any_value_of_a_urdf(tmp_path: Path, changes: dict[int, str]) -> None:
         st.integers(0, len(MJCF_VALUES) - 1), st.sampled_from(HOSTILE), min_size=1, max_size=3
     )
 )
-def test_any_value_of_an_mjcf(tmp_path: Path, changes: dict[int, str]) -> None:
+def test_malicious_values_in_an_mjcf_give_findings_or_a_typed_error(
+    tmp_path: Path, changes: dict[int, str]
+) -> None:
     path = tmp_path / "m.xml"
-    path.write_text(_put(MJCF, MJCF_VALUES, changes))
-    _look(path)
+    path.write_text(_replace_values(MJCF, MJCF_VALUES, changes))
+    _audit(path)
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_shape_of_a_size_beyond_numbers_is_said(tmp_path: Path) -> None:
-    """Its mass, which the compiler takes from its volume, is infinite."""
+def test_a_shape_with_infinite_mass_is_a_critical_finding(tmp_path: Path) -> None:
+    """The compiler computes the mass from the volume, which overflows."""
     path = tmp_path / "m.xml"
     path.write_text(MJCF.replace('type="sphere" size="0.1"', 'type="sphere" size="1e308"'))
     asset = read(path)
@@ -114,7 +118,7 @@ def test_a_shape_of_a_size_beyond_numbers_is_said(tmp_path: Path) -> None:
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(st.binary(max_size=400))
-def test_any_bytes_of_a_mesh(tmp_path: Path, data: bytes) -> None:
+def test_arbitrary_mesh_bytes_give_findings_or_a_typed_error(tmp_path: Path, data: bytes) -> None:
     path = write_clean(tmp_path)
     (tmp_path / "bar.stl").write_bytes(b"\0" * 80 + data)
-    _look(path)
+    _audit(path)

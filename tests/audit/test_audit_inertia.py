@@ -1,4 +1,4 @@
-"""Inertia against what point masses can have: whatever real bodies are made of."""
+"""Inertias compared with the inertias that sets of point masses can have."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ def _of_points(
 
 @settings(max_examples=40, deadline=None)
 @given(POINTS)
-def test_no_real_mass_distribution_is_refused(
+def test_the_inertia_of_any_set_of_point_masses_is_accepted(
     points: list[tuple[float, float, float, float]],
 ) -> None:
     mass, com, tensor = _of_points(points)
     moments = np.linalg.eigvalsh(tensor)
-    # Points on one line are the limit case: they have no inertia about it.
+    # Points on one line have no inertia about it: this limit case is skipped.
     if moments[0] <= max(1e-6 * moments[2], 1e-9):
         return
     assert _critical(_moving(mass, com, tensor)) == []
@@ -62,7 +62,7 @@ def test_no_real_mass_distribution_is_refused(
 
 @settings(max_examples=40, deadline=None)
 @given(POINTS, st.floats(1.001, 5))
-def test_a_moment_above_the_sum_of_the_others_is_refused(
+def test_a_moment_above_the_sum_of_the_others_is_critical(
     points: list[tuple[float, float, float, float]], factor: float
 ) -> None:
     mass, com, tensor = _of_points(points)
@@ -77,15 +77,17 @@ def test_a_moment_above_the_sum_of_the_others_is_refused(
 @pytest.mark.parametrize(
     "moments", [(1, 0.1, 0.1), (0.1, 1, 0.1), (0.1, 0.1, 1)], ids=["x", "y", "z"]
 )
-def test_an_inertia_that_common_checkers_pass(moments: tuple[float, float, float]) -> None:
+def test_an_inertia_with_positive_moments_may_violate_the_triangle_inequality(
+    moments: tuple[float, float, float],
+) -> None:
     found = _critical(_moving(1.0, np.zeros(3), np.diag(moments)))
     assert [finding.code for finding in found] == ["inertia.triangle"]
-    # The least eigenvalue of the pseudo-inertia: tr(I)/2 - 1.
+    # The smallest eigenvalue of the pseudo-inertia matrix is tr(I)/2 - 1.
     assert "eigenvalue -0.4 kg*m^2" in found[0].title
 
 
-def test_digits_that_were_cut_are_no_fault() -> None:
-    # A disc: the largest moment is the sum of the others, here rounded up.
+def test_rounded_moments_of_a_disc_are_only_an_info() -> None:
+    # The largest moment of a disc is the sum of the others; here it is rounded up.
     found = list(
         inertia.check(
             asset := _moving(1.0, np.zeros(3), np.diag([0.25, 0.25, 0.500001])), Geometry(asset)
@@ -96,7 +98,7 @@ def test_digits_that_were_cut_are_no_fault() -> None:
     ]
 
 
-def test_a_fixed_frame_may_be_massless_and_a_moving_leaf_may_not(tmp_path: Path) -> None:
+def test_a_massless_link_is_critical_only_if_it_moves(tmp_path: Path) -> None:
     frame = (
         '  <link name="probe"/>\n  <joint name="probe_mount" type="{}">\n'
         '    <parent link="tcp"/><child link="probe"/><axis xyz="0 0 1"/>\n  </joint>\n</robot>'
@@ -107,7 +109,7 @@ def test_a_fixed_frame_may_be_massless_and_a_moving_leaf_may_not(tmp_path: Path)
     assert [row["severity"] for row in only(turning, "inertia.moving_without")] == ["critical"]
 
 
-def test_what_is_fixed_to_a_massless_link_lends_it_its_inertia(tmp_path: Path) -> None:
+def test_a_massless_link_may_get_its_inertia_from_a_fixed_child(tmp_path: Path) -> None:
     text = changed(
         ('<link name="upper">\n', '<link name="upper"/>\n  <link name="upper_body">\n'),
         ('<parent link="upper"/>', '<parent link="upper_body"/>'),
@@ -120,7 +122,7 @@ def test_what_is_fixed_to_a_massless_link_lends_it_its_inertia(tmp_path: Path) -
     assert only(findings_of(write_clean(tmp_path, text)), "inertia.moving_without") == []
 
 
-def test_solids_have_the_mass_properties_of_the_textbook() -> None:
+def test_mass_properties_of_solids_equal_the_closed_forms() -> None:
     asset = Asset("urdf", HERE.path, "robot")
     asset.bodies = [Body("b", HERE)]
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
@@ -133,7 +135,7 @@ def test_solids_have_the_mass_properties_of_the_textbook() -> None:
     assert box is not None
     assert box.volume == pytest.approx(0.006)
     assert box.centroid == pytest.approx([1, 0, 0])
-    # Turned by 90 degrees: x and y change places.
+    # The box is rotated by 90 degrees: x and y are swapped.
     expected = np.array([0.3**2 + 0.1**2, 0.2**2 + 0.1**2, 0.2**2 + 0.3**2]) / 12
     assert np.diag(box.inertia) == pytest.approx(expected)
     cylinder = geometry.body("b", "visual")
@@ -142,14 +144,14 @@ def test_solids_have_the_mass_properties_of_the_textbook() -> None:
     assert cylinder.inertia[2, 2] == pytest.approx(0.1**2 / 2, rel=0.01)
 
 
-def test_a_mass_near_the_smallest_number_is_judged_all_the_same(tmp_path: Path) -> None:
+def test_an_extremely_small_mass_is_a_finding_of_density(tmp_path: Path) -> None:
     rows = findings_of(
         write_clean(tmp_path, changed(('<mass value="2"/>', '<mass value="1e-308"/>')))
     )
     assert [row["element"] for row in only(rows, "inertia.density")] == ["link 'upper'"]
 
 
-def test_two_halves_of_a_bar_are_the_bar() -> None:
+def test_two_adjacent_boxes_have_the_inertia_of_one_bar() -> None:
     asset = Asset("urdf", HERE.path, "robot")
     asset.bodies = [Body("b", HERE)]
     asset.shapes = [
@@ -162,7 +164,7 @@ def test_two_halves_of_a_bar_are_the_bar() -> None:
     assert np.diag(bar.inertia) == pytest.approx(np.array([0.02, 0.17, 0.17]) / 12)
 
 
-def test_a_hull_is_no_smaller_than_its_mesh(tmp_path: Path) -> None:
+def test_a_convex_mesh_is_not_reported_as_non_convex(tmp_path: Path) -> None:
     path = write_clean(tmp_path)
     (tmp_path / "bar.stl").write_bytes(box_stl((0.2, 0.05, 0.05)))
     rows = findings_of(path)

@@ -1,4 +1,4 @@
-"""Large scenes, deep chains, and MJCF elements that stand in few models."""
+"""Audits of large scenes, deep chains and rarely used MJCF elements."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def chain(count: int, kind: str = "fixed") -> str:
     return f'<robot name="chain"><link name="l0"/>{joints}</robot>'
 
 
-def test_a_keyframe_beside_a_joint_without_a_name(tmp_path: Path) -> None:
+def test_a_keyframe_of_an_unnamed_joint_is_read(tmp_path: Path) -> None:
     path = write(
         tmp_path,
         '<mujoco><worldbody><body name="b"><joint/><geom size=".1"/></body></worldbody>'
@@ -52,7 +52,7 @@ def test_a_keyframe_beside_a_joint_without_a_name(tmp_path: Path) -> None:
     assert findings_of(path)
 
 
-def test_a_flexcomp_of_a_file_is_audited_as_mujoco_compiles_it(tmp_path: Path) -> None:
+def test_a_flexcomp_from_a_file_is_read_as_mujoco_compiles_it(tmp_path: Path) -> None:
     (tmp_path / "line.obj").write_text(LINE_OBJ)
     path = write(
         tmp_path,
@@ -60,12 +60,12 @@ def test_a_flexcomp_of_a_file_is_audited_as_mujoco_compiles_it(tmp_path: Path) -
         'radius="0.1"/></worldbody></mujoco>',
     )
     asset = read(path)
-    assert len(asset.bodies) == 5, "the world and one body for each vertex"
+    assert len(asset.bodies) == 5, "expected the world and one body for each vertex"
     assert path.parent / "line.obj" in asset.files
 
 
 @pytest.mark.parametrize("with_file", [True, False])
-def test_two_meshes_of_one_file_name_are_named_with_their_line(
+def test_two_meshes_with_the_same_file_name_are_a_finding_with_line(
     tmp_path: Path, with_file: bool
 ) -> None:
     if with_file:
@@ -80,7 +80,7 @@ def test_two_meshes_of_one_file_name_are_named_with_their_line(
     assert "line 3" in found["expected"]
 
 
-def test_a_missing_mesh_alone_is_still_unusable_input(tmp_path: Path) -> None:
+def test_an_mjcf_with_a_missing_mesh_is_refused(tmp_path: Path) -> None:
     path = write(
         tmp_path,
         '<mujoco><asset><mesh file="cube.obj"/></asset>'
@@ -90,7 +90,7 @@ def test_a_missing_mesh_alone_is_still_unusable_input(tmp_path: Path) -> None:
         read(path)
 
 
-def test_a_body_twice_is_named_though_a_file_is_missing(tmp_path: Path) -> None:
+def test_a_duplicate_body_is_reported_even_if_a_mesh_is_missing(tmp_path: Path) -> None:
     path = write(
         tmp_path,
         '<mujoco><asset><mesh file="cube.obj"/></asset><worldbody><body name="a"/>\n'
@@ -104,13 +104,13 @@ def test_a_body_twice_is_named_though_a_file_is_missing(tmp_path: Path) -> None:
 def test_three_thousand_spheres_are_audited_in_bounded_time(tmp_path: Path) -> None:
     start = time.process_time()
     found = audit_file(str(write(tmp_path, spheres(3000))))
-    # s of a core: 11; with every pair measured and every triangle drawn it was over 75.
+    # CPU time, s: 11 as measured; over 75 without limits on pairs and triangles.
     assert time.process_time() - start < 30
     assert found["facts"]["bodies"] == 3001
     assert found["renders"]
 
 
-def test_a_heap_of_shapes_is_told_to_be_measured_in_part(tmp_path: Path) -> None:
+def test_a_dense_heap_of_shapes_is_measured_partly_and_reported_so(tmp_path: Path) -> None:
     asset = read(write(tmp_path, spheres(60, "0.01 0 0")))
     (result,), findings = self_collision.measure(asset, Geometry(asset), {})
     assert result.looked_at < (result.pairs or 0)
@@ -119,7 +119,7 @@ def test_a_heap_of_shapes_is_told_to_be_measured_in_part(tmp_path: Path) -> None
     assert f"{result.pairs} pairs of shapes may be near each other" in unknown.title
 
 
-def test_more_pairs_than_the_broad_phase_lists_are_told(
+def test_too_many_near_pairs_are_reported_as_unknown_distances(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asset = read(write(tmp_path, spheres(60, "0.01 0 0")))
@@ -130,7 +130,7 @@ def test_more_pairs_than_the_broad_phase_lists_are_told(
     assert "more than 1000000 pairs" in findings[0].title
 
 
-def test_the_broad_phase_finds_the_pairs_that_a_look_at_all_of_them_finds() -> None:
+def test_the_broad_phase_finds_the_same_pairs_as_a_full_search() -> None:
     generator = np.random.default_rng(5)
     centres = generator.uniform(0, 4, (120, 3))
     radii = 10 ** generator.uniform(-3, 0, 120)
@@ -143,7 +143,7 @@ def test_the_broad_phase_finds_the_pairs_that_a_look_at_all_of_them_finds() -> N
     assert len(found) == len(expected)
 
 
-def test_no_shape_and_one_shape_make_no_pair() -> None:
+def test_the_broad_phase_of_zero_or_one_shape_has_no_pair() -> None:
     for count in (0, 1):
         found = near_pairs(np.zeros((count, 3)), np.ones(count), 0.05)
         assert found is not None
@@ -151,19 +151,19 @@ def test_no_shape_and_one_shape_make_no_pair() -> None:
 
 
 @pytest.mark.parametrize("count", [100, 3000, 5000])
-def test_a_picture_of_many_shapes_has_a_bounded_count_of_triangles(
+def test_a_picture_of_many_shapes_has_a_bounded_number_of_triangles(
     tmp_path: Path, count: int
 ) -> None:
     asset = read(write(tmp_path, spheres(count)))
     corners, _ = render._surface(asset, asset.shapes, {}, ())
     assert corners is not None
     assert 10_000 < len(corners) <= 40_000
-    # The set is as wide as before: spheres stand from -0.1 m to count - 0.9 m.
+    # The extent is unchanged: the spheres reach from -0.1 m to count - 0.9 m.
     if count <= 3000:
         assert np.ptp(corners[..., 0]) == pytest.approx(count - 0.8, abs=0.1)
 
 
-def test_a_scene_may_place_a_body_far_away_and_a_robot_no_link(tmp_path: Path) -> None:
+def test_a_distant_body_is_a_warning_in_a_scene_and_critical_in_a_robot(tmp_path: Path) -> None:
     scene = write(tmp_path, spheres(102))
     assert {row["severity"] for row in only(findings_of(scene), "joints.origin_far")} == {"warning"}
     robot = chain(3).replace('<child link="l2"/>', '<child link="l2"/><origin xyz="101 0 0"/>')
@@ -171,17 +171,17 @@ def test_a_scene_may_place_a_body_far_away_and_a_robot_no_link(tmp_path: Path) -
     assert {row["severity"] for row in only(findings_of(path), "joints.origin_far")} == {"critical"}
 
 
-def test_a_chain_too_deep_to_convert_ends_with_the_file_and_the_bound(tmp_path: Path) -> None:
+def test_a_chain_too_deep_to_convert_is_refused_with_file_and_limit(tmp_path: Path) -> None:
     path = write(tmp_path, chain(251), "chain.urdf")
     out = tmp_path / "out"
     out.mkdir()
     words = r"chain\.urdf:1: .*too many links one below the other .*251 links.*at most 250"
     with pytest.raises(LimitError, match=words):
         realize(str(path), str(out))
-    assert findings_of(path), "an audit compiles nothing, and looks at it"
+    assert findings_of(path), "the audit needs no compilation and should report findings"
 
 
-def test_a_chain_too_deep_to_audit_ends_early(tmp_path: Path) -> None:
+def test_a_chain_too_deep_to_audit_is_refused_early(tmp_path: Path) -> None:
     path = write(tmp_path, chain(20_000), "chain.urdf")
     start = time.process_time()
     with pytest.raises(LimitError, match=r"chain\.urdf:1: .*20000 links.*at most 10000"):
@@ -189,7 +189,7 @@ def test_a_chain_too_deep_to_audit_ends_early(tmp_path: Path) -> None:
     assert time.process_time() - start < 20
 
 
-def test_an_mjcf_too_deep_names_its_file(tmp_path: Path) -> None:
+def test_a_too_deep_mjcf_is_refused_with_its_file(tmp_path: Path) -> None:
     deep = "<body>" * 400 + "</body>" * 400
     path = write(tmp_path, f"<mujoco><worldbody>{deep}</worldbody></mujoco>")
     with pytest.raises((LimitError, ModelError), match=r"model\.xml"):

@@ -1,4 +1,4 @@
-"""Faults that simulators pass over in silence: limits, soft limits, up axes, visual meshes."""
+"""Faults that simulators ignore: limits, soft limits, up axes, visual meshes."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ def codes(folder: Path, *pairs: tuple[str, str]) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_joint_without_limit_is_named_with_what_to_add(tmp_path: Path, kind: str) -> None:
+def test_a_joint_without_limit_is_a_finding_with_the_element_to_add(
+    tmp_path: Path, kind: str
+) -> None:
     text = changed((LIMIT, ""), (SHOULDER, SHOULDER.replace("revolute", kind)))
     (found,) = only(findings_of(write_clean(tmp_path, text)), "joints.no_limit")
     assert (found["severity"], found["element"]) == ("warning", "joint 'shoulder'")
@@ -52,12 +54,12 @@ def test_a_joint_without_limit_is_named_with_what_to_add(tmp_path: Path, kind: s
 
 
 @pytest.mark.parametrize("kind", ["continuous", "fixed"])
-def test_a_joint_that_needs_no_limit_may_have_none(tmp_path: Path, kind: str) -> None:
+def test_continuous_and_fixed_joints_need_no_limit(tmp_path: Path, kind: str) -> None:
     found = codes(tmp_path, (LIMIT, ""), (SHOULDER, SHOULDER.replace("revolute", kind)))
     assert "joints.no_limit" not in found
 
 
-def test_a_range_of_a_continuous_joint_is_a_finding_and_a_row(tmp_path: Path) -> None:
+def test_a_range_of_a_continuous_joint_is_a_finding_and_a_loss(tmp_path: Path) -> None:
     text = changed((SHOULDER, SHOULDER.replace("revolute", "continuous")))
     path = write_clean(tmp_path, text)
     (found,) = only(findings_of(path), "joints.continuous_range")
@@ -72,7 +74,7 @@ def test_a_range_of_a_continuous_joint_is_a_finding_and_a_row(tmp_path: Path) ->
     assert row["items"][0]["before"] == "lower=-1.5 rad upper=1.5 rad"
 
 
-def test_a_continuous_joint_with_speed_and_effort_alone_has_no_such_finding(
+def test_a_continuous_joint_with_velocity_and_effort_limits_is_accepted(
     tmp_path: Path,
 ) -> None:
     found = codes(
@@ -87,19 +89,19 @@ def test_a_continuous_joint_with_speed_and_effort_alone_has_no_such_finding(
     "text",
     ['k_velocity="5"', 'k_velocity="5" soft_lower_limit="0.2" soft_upper_limit="0.2"'],
 )
-def test_soft_limits_without_room_are_a_warning(tmp_path: Path, text: str) -> None:
+def test_empty_soft_limit_ranges_are_a_warning(tmp_path: Path, text: str) -> None:
     found = codes(tmp_path, *safety(text))
     assert found["controllers.soft_limits_empty"] == "warning"
     assert "controllers.soft_gain" not in found
 
 
-def test_a_gain_of_zero_is_a_warning_of_its_own(tmp_path: Path) -> None:
+def test_a_soft_limit_gain_of_zero_is_a_separate_warning(tmp_path: Path) -> None:
     found = codes(tmp_path, *safety('k_velocity="0" soft_lower_limit="-1" soft_upper_limit="1"'))
     assert found["controllers.soft_gain"] == "warning"
     assert "controllers.soft_limits_empty" not in found
 
 
-def test_a_wheel_may_have_a_safety_controller_without_soft_limits(tmp_path: Path) -> None:
+def test_a_continuous_joint_needs_no_soft_limits(tmp_path: Path) -> None:
     found = codes(
         tmp_path,
         (SHOULDER, SHOULDER.replace("revolute", "continuous")),
@@ -117,7 +119,7 @@ def test_a_wheel_may_have_a_safety_controller_without_soft_limits(tmp_path: Path
         ("<up_axis>Z_UP</up_axis>", None),
     ],
 )
-def test_a_collada_file_whose_axes_two_tools_read_differently(
+def test_a_collada_mesh_that_is_not_z_up_is_a_warning(
     tmp_path: Path, up: str, said: str | None
 ) -> None:
     (tmp_path / "bar.dae").write_text(DAE.format(up=up))
@@ -129,7 +131,7 @@ def test_a_collada_file_whose_axes_two_tools_read_differently(
 
 
 @pytest.mark.parametrize("uri", ["model://arm/m/w.stl", "https://arm/w.stl", "../../outside.stl"])
-def test_a_visual_mesh_never_fails_the_audit(tmp_path: Path, uri: str) -> None:
+def test_an_unusable_visual_mesh_is_only_a_warning(tmp_path: Path, uri: str) -> None:
     box = '<visual><origin xyz="0.15 0 0"/><geometry><box size="0.3 0.06 0.06"/>'
     mesh = f'<visual><origin xyz="0.15 0 0"/><geometry><mesh filename="{uri}"/>'
     rows = findings_of(write_clean(tmp_path, changed((box, mesh))))
@@ -139,7 +141,7 @@ def test_a_visual_mesh_never_fails_the_audit(tmp_path: Path, uri: str) -> None:
     ]
 
 
-def test_a_mimic_of_a_fixed_joint_stands_at_its_offset_and_is_a_warning(tmp_path: Path) -> None:
+def test_a_mimic_of_a_fixed_joint_is_a_warning_with_its_offset(tmp_path: Path) -> None:
     mimic = '<mimic joint="grip" multiplier="1"/>'
     text = changed((mimic, '<mimic joint="tcp_mount" multiplier="1" offset="0.01"/>'))
     path = write_clean(tmp_path, text)

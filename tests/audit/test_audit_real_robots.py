@@ -1,4 +1,4 @@
-"""What is known of real robots comes out, and nothing crashes."""
+"""Known faults of real robot descriptions are found."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ def _find(name: str) -> Path:
     return next(robots().glob(f"*/*/{name}"))
 
 
-def test_ur3_is_no_robot() -> None:
+def test_the_ur3_file_without_links_is_refused() -> None:
     with pytest.raises(ModelError, match=r"ur3\.urdf:6: robot: a robot without links"):
         read(_find("ur3.urdf"))
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_four_links_of_each_allegro_hand_break_the_triangle(side: str) -> None:
+def test_four_links_of_each_allegro_hand_violate_the_triangle_inequality(side: str) -> None:
     rows = only(findings_of(_find(f"allegro_{side}_hand.urdf")), "inertia.triangle")
     assert sorted(row["element"] for row in rows) == [
         "link 'link_11.0'",
@@ -32,7 +32,7 @@ def test_four_links_of_each_allegro_hand_break_the_triangle(side: str) -> None:
     assert {row["severity"] for row in rows} == {"critical"}
 
 
-def test_anymal_c_cameras_break_the_triangle() -> None:
+def test_the_anymal_c_cameras_violate_the_triangle_inequality() -> None:
     path = robots() / "anymal_c_simple_description/urdf/anymal.urdf"
     rows = findings_of(path)
     broken = only(rows, "inertia.triangle")
@@ -40,11 +40,11 @@ def test_anymal_c_cameras_break_the_triangle() -> None:
         f"link 'depth_camera_{side}_camera'" for side in ("front", "rear", "left", "right")
     ]
     assert broken[0]["line"] == 200
-    # The hatch has all six numbers equal, which is a line, not a body.
+    # All six inertia entries of the hatch are equal, which is the inertia of a line.
     assert [row["element"] for row in only(rows, "inertia.zero_moment")] == ["link 'hatch'"]
 
 
-def test_two_links_of_pr2_break_the_triangle() -> None:
+def test_two_links_of_pr2_violate_the_triangle_inequality() -> None:
     rows = findings_of(_find("pr2.urdf"))
     assert [row["element"] for row in only(rows, "inertia.triangle")] == [
         "link 'sensor_mount_link'",
@@ -52,27 +52,27 @@ def test_two_links_of_pr2_break_the_triangle() -> None:
     ]
 
 
-def test_romeo_has_a_negative_moment() -> None:
+def test_romeo_has_a_negative_moment_of_inertia() -> None:
     rows = only(findings_of(_find("romeo_laas_small.urdf")), "inertia.negative_moment")
     body = next(row for row in rows if row["element"] == "link 'body'")
     assert body["value"] == pytest.approx(-0.021, abs=5e-4)
     assert body["unit"] == "kg*m^2"
 
 
-def test_the_finger_has_a_zero_moment() -> None:
+def test_the_finger_robot_has_a_zero_moment_of_inertia() -> None:
     rows = only(findings_of(_find("finger_edu.urdf")), "inertia.zero_moment")
     assert [(row["element"], row["severity"]) for row in rows] == [
         ("link 'finger_lower_link'", "critical")
     ]
 
 
-def test_a_missing_master_is_found_in_a_hand() -> None:
+def test_missing_mimicked_joints_are_found_in_the_psyonic_hand() -> None:
     rows = only(findings_of(_find("alex_psyonic_hands.urdf")), "coupling.mimic_master")
     assert len(rows) == 8
     assert rows[0]["value"] == "index_q1"
 
 
-def test_joints_of_several_axes_are_told_from_bodies_without_mass() -> None:
+def test_massless_links_of_multi_axis_joints_are_only_a_warning() -> None:
     human = only(findings_of(_find("human.urdf")), "inertia.moving_without")
     assert {row["severity"] for row in human} == {"warning"}
     assert all("virtual" in row["element"] for row in human)
@@ -81,8 +81,8 @@ def test_joints_of_several_axes_are_told_from_bodies_without_mass() -> None:
 
 
 @pytest.mark.parametrize("name", ["panda.urdf", "go2.urdf", "solo12.urdf", "ur5_robot.urdf"])
-def test_robots_in_daily_use_have_nothing_critical(name: str) -> None:
+def test_widely_used_robots_have_no_critical_finding(name: str) -> None:
     rows = findings_of(_find(name))
     assert [row for row in rows if row["severity"] == "critical"] == []
-    # Massless frames are no fault.
+    # Massless frames are not a fault.
     assert only(rows, "inertia.moving_without") == []

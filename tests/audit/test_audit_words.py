@@ -1,4 +1,4 @@
-"""Every finding says what is wrong, what goes wrong with it, and what to do next."""
+"""Every finding states the fault, its consequence and the next step."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ def rows(request: pytest.FixtureRequest) -> list[dict[str, object]]:
     return findings_of(next(robots().glob(request.param)))
 
 
-def test_a_finding_has_an_effect_and_a_next_step(rows: list[dict[str, object]]) -> None:
+def test_every_finding_has_a_title_a_consequence_and_a_next_step(
+    rows: list[dict[str, object]],
+) -> None:
     lacking = {row["code"] for row in rows if not (row["title"] and row["why"] and row["settle"])}
     assert lacking == set()
 
 
-def test_a_finding_is_in_plain_words(rows: list[dict[str, object]]) -> None:
+def test_findings_contain_no_vague_words(rows: list[dict[str, object]]) -> None:
     for row in rows:
         for field in ("title", "why", "settle", "expected"):
             words = str(row[field] or "")
@@ -36,23 +38,25 @@ def test_a_finding_is_in_plain_words(rows: list[dict[str, object]]) -> None:
             assert len(words) < 240, words
 
 
-def test_a_number_has_its_unit(rows: list[dict[str, object]]) -> None:
+def test_every_number_in_a_finding_has_a_unit(rows: list[dict[str, object]]) -> None:
     lacking = {row["code"] for row in rows if isinstance(row["value"], float) and not row["unit"]}
     assert lacking == set()
 
 
-def test_every_unknown_property_has_a_source(rows: list[dict[str, object]]) -> None:
+def test_every_unknown_property_names_a_source_of_information(
+    rows: list[dict[str, object]],
+) -> None:
     unknown = {str(row["code"]) for row in rows if row["severity"] == "unknown"}
     assert unknown
     assert {code for code in unknown if source_of(code) is None} == set()
 
 
-def test_a_code_has_one_source() -> None:
+def test_every_finding_code_has_one_source() -> None:
     codes = [code for source in SOURCES for code in source.codes]
     assert len(codes) == len(set(codes))
 
 
-def test_the_terminal_prints_faults_first_and_unknowns_by_their_source(tmp_path: Path) -> None:
+def test_the_report_lists_faults_first_and_unknown_properties_by_source(tmp_path: Path) -> None:
     text = changed(
         (
             '<inertia ixx="0.0012" iyy="0.0156" izz="0.0156" ixy="0" ixz="0" iyz="0"/>',

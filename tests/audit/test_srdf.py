@@ -1,4 +1,4 @@
-"""An SRDF against its URDF: every name, value and pair that a planner would take from it."""
+"""Audit of an SRDF against its URDF: names, values and collision pairs used by a planner."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from audited import CLEAN, changed, line_of, robots, write_clean
+from audit_with import CLEAN, changed, line_of, robots, write_clean
 
 from pytest_twin.asset.urdf_elements import ENTRIES
 from pytest_twin.audit.read import read
@@ -52,8 +52,8 @@ SRDF = """<?xml version="1.0"?>
 """
 
 
-def audited(folder: Path, *pairs: tuple[str, str], urdf: str = CLEAN) -> list[Mapping[str, Any]]:
-    """Findings of the SRDF with each text replaced, beside the clean robot."""
+def audit_with(folder: Path, *pairs: tuple[str, str], urdf: str = CLEAN) -> list[Mapping[str, Any]]:
+    """Findings of the SRDF with each text replaced, together with the clean robot."""
     text = SRDF
     for old, new in pairs:
         assert text.count(old) == 1, (old, text.count(old))
@@ -69,14 +69,14 @@ def audited(folder: Path, *pairs: tuple[str, str], urdf: str = CLEAN) -> list[Ma
     return list(found["findings"])
 
 
-def one(rows: list[Mapping[str, Any]], code: str) -> Mapping[str, Any]:
-    """The only finding, which is of this code."""
+def only_finding(rows: list[Mapping[str, Any]], code: str) -> Mapping[str, Any]:
+    """The only finding, which must have this code."""
     assert [row["code"] for row in rows] == [code], rows
     return rows[0]
 
 
 def test_a_consistent_srdf_has_no_finding(tmp_path: Path) -> None:
-    assert audited(tmp_path) == []
+    assert audit_with(tmp_path) == []
 
 
 @pytest.mark.parametrize(
@@ -106,11 +106,13 @@ def test_a_consistent_srdf_has_no_finding(tmp_path: Path) -> None:
         ('link2="thumb"', 'link2="thmb"', "planning.unknown_link", "thmb", "'thumb'"),
     ],
 )
-def test_a_name_that_does_not_exist_is_critical_and_the_nearest_is_offered(
+def test_an_unknown_name_is_critical_and_a_similar_name_is_suggested(
     tmp_path: Path, old: str, new: str, code: str, value: str, near: str
 ) -> None:
-    rows = [row for row in audited(tmp_path, (old, new)) if row["code"].startswith("planning.unk")]
-    row = one(rows, code)
+    rows = [
+        row for row in audit_with(tmp_path, (old, new)) if row["code"].startswith("planning.unk")
+    ]
+    row = only_finding(rows, code)
     assert row["severity"] == "critical"
     assert row["value"] == value
     assert near in row["expected"]
@@ -128,8 +130,8 @@ def test_a_name_that_does_not_exist_is_critical_and_the_nearest_is_offered(
         "</link_sphere_approximation>",
     ],
 )
-def test_every_element_that_names_something_is_checked(tmp_path: Path, element: str) -> None:
-    rows = audited(tmp_path, ("</robot>", element + "</robot>"))
+def test_names_in_every_kind_of_element_are_checked(tmp_path: Path, element: str) -> None:
+    rows = audit_with(tmp_path, ("</robot>", element + "</robot>"))
     assert [row["code"] for row in rows] == [
         "planning.unknown_joint" if "joint" in element else "planning.unknown_link"
     ]
@@ -144,14 +146,14 @@ def test_every_element_that_names_something_is_checked(tmp_path: Path, element: 
         ("2.0", None, ""),
     ],
 )
-def test_a_state_beyond_the_range_of_its_joint(
+def test_a_group_state_outside_the_joint_range_is_a_finding(
     tmp_path: Path, value: str, severity: str | None, words: str
 ) -> None:
-    rows = audited(tmp_path, ('value="1.2"', f'value="{value}"'))
+    rows = audit_with(tmp_path, ('value="1.2"', f'value="{value}"'))
     if severity is None:
         assert rows == []
         return
-    row = one(rows, "planning.state_range")
+    row = only_finding(rows, "planning.state_range")
     assert row["severity"] == severity
     assert row["value"] == float(value)
     assert row["unit"] == "rad"
@@ -160,14 +162,16 @@ def test_a_state_beyond_the_range_of_its_joint(
 
 
 @pytest.mark.parametrize("value", ["fast", "nan", "1 2", ""])
-def test_a_value_that_is_no_number_of_its_joint_is_critical(tmp_path: Path, value: str) -> None:
-    row = one(audited(tmp_path, ('value="1.2"', f'value="{value}"')), "planning.state_value")
+def test_a_group_state_value_that_is_not_one_number_is_critical(tmp_path: Path, value: str) -> None:
+    row = only_finding(
+        audit_with(tmp_path, ('value="1.2"', f'value="{value}"')), "planning.state_value"
+    )
     assert row["severity"] == "critical"
     assert row["expected"] == "a finite number in rad"
 
 
-def test_a_joint_outside_the_group_of_the_state_has_no_effect(tmp_path: Path) -> None:
-    rows = audited(tmp_path, ('name="elbow" value="1.2"', 'name="grip" value="0.01"'))
+def test_a_state_of_a_joint_outside_its_group_is_a_finding(tmp_path: Path) -> None:
+    rows = audit_with(tmp_path, ('name="elbow" value="1.2"', 'name="grip" value="0.01"'))
     assert sorted(row["code"] for row in rows) == [
         "planning.state_incomplete",
         "planning.state_joint",
@@ -175,9 +179,9 @@ def test_a_joint_outside_the_group_of_the_state_has_no_effect(tmp_path: Path) ->
     assert "'arm' does not contain it" in rows[0]["title"]
 
 
-def test_a_fixed_joint_in_a_state_has_no_effect(tmp_path: Path) -> None:
-    row = one(
-        audited(
+def test_a_state_of_a_fixed_joint_is_a_finding(tmp_path: Path) -> None:
+    row = only_finding(
+        audit_with(
             tmp_path,
             (
                 '<joint name="elbow" value="1.2"/>',
@@ -189,17 +193,17 @@ def test_a_fixed_joint_in_a_state_has_no_effect(tmp_path: Path) -> None:
     assert row["title"] == "the joint is fixed"
 
 
-def test_a_follower_that_contradicts_its_leader(tmp_path: Path) -> None:
+def test_a_state_that_contradicts_a_mimic_is_a_finding(tmp_path: Path) -> None:
     both = '<joint name="grip" value="0.02"/>\n    <joint name="thumb_slide" value="0"/>'
-    rows = audited(tmp_path, ('<joint name="grip" value="0.02"/>', both))
-    row = one(rows, "planning.state_mimic")
+    rows = audit_with(tmp_path, ('<joint name="grip" value="0.02"/>', both))
+    row = only_finding(rows, "planning.state_mimic")
     assert row["expected"] == "0.02 m"
     assert row["line"] == line_of(SRDF, 'value="0.02"') + 1
 
 
-def test_a_group_in_itself_and_a_group_without_members(tmp_path: Path) -> None:
+def test_circular_and_empty_groups_are_findings(tmp_path: Path) -> None:
     loop = '<group name="hand">\n    <group name="all"/>'
-    rows = audited(
+    rows = audit_with(
         tmp_path,
         ('<group name="hand">', loop),
         ("</robot>", '<group name="none"/></robot>'),
@@ -207,13 +211,19 @@ def test_a_group_in_itself_and_a_group_without_members(tmp_path: Path) -> None:
     assert {"planning.circular_group", "planning.empty_group"} <= {row["code"] for row in rows}
 
 
-def test_a_chain_that_runs_inwards_or_across(tmp_path: Path) -> None:
+def test_a_chain_whose_base_does_not_carry_its_tip_is_a_finding(tmp_path: Path) -> None:
     ends = 'base_link="base" tip_link="tcp"'
-    row = one(audited(tmp_path, (ends, 'base_link="tcp" tip_link="base"'))[:1], "planning.chain")
+    row = only_finding(
+        audit_with(tmp_path, (ends, 'base_link="tcp" tip_link="base"'))[:1], "planning.chain"
+    )
     assert row["settle"] == "exchange base_link and tip_link"
-    row = one(audited(tmp_path, (ends, 'base_link="finger" tip_link="tcp"'))[:1], "planning.chain")
+    row = only_finding(
+        audit_with(tmp_path, (ends, 'base_link="finger" tip_link="tcp"'))[:1], "planning.chain"
+    )
     assert "does not carry" in row["title"]
-    row = one(audited(tmp_path, (ends, 'base_link="tcp" tip_link="tcp"'))[:1], "planning.chain")
+    row = only_finding(
+        audit_with(tmp_path, (ends, 'base_link="tcp" tip_link="tcp"'))[:1], "planning.chain"
+    )
     assert row["severity"] == "critical"
 
 
@@ -229,14 +239,17 @@ def test_a_chain_that_runs_inwards_or_across(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_an_end_effector_on_the_wrong_parent(
+def test_an_end_effector_with_a_wrong_parent_is_a_finding(
     tmp_path: Path, old: str, new: str, words: str
 ) -> None:
-    assert words in one(audited(tmp_path, (old, new)), "planning.end_effector_parent")["title"]
+    assert (
+        words
+        in only_finding(audit_with(tmp_path, (old, new)), "planning.end_effector_parent")["title"]
+    )
 
 
-def test_a_virtual_joint_that_a_planner_ignores(tmp_path: Path) -> None:
-    rows = audited(
+def test_a_virtual_joint_with_wrong_type_or_frames_is_a_finding(tmp_path: Path) -> None:
+    rows = audit_with(
         tmp_path,
         (
             'type="fixed" parent_frame="map" child_link="world"',
@@ -250,21 +263,21 @@ def test_a_virtual_joint_that_a_planner_ignores(tmp_path: Path) -> None:
     }
 
 
-def test_a_passive_joint_that_is_driven_or_fixed(tmp_path: Path) -> None:
+def test_a_passive_joint_with_a_motor_or_fixed_is_a_finding(tmp_path: Path) -> None:
     drive = (
         '<ros2_control name="s" type="system"><joint name="elbow">'
         '<command_interface name="position"/></joint></ros2_control></robot>'
     )
     passive = '<passive_joint name="elbow"/><passive_joint name="mount"/></robot>'
-    rows = audited(tmp_path, ("</robot>", passive), urdf=CLEAN.replace("</robot>", drive))
+    rows = audit_with(tmp_path, ("</robot>", passive), urdf=CLEAN.replace("</robot>", drive))
     assert {row["value"]: row["expected"] for row in rows} == {
         "elbow": "a joint without a motor",
         "mount": "a joint that moves",
     }
 
 
-def test_pairs_without_effect_are_facts(tmp_path: Path) -> None:
-    rows = audited(
+def test_disabled_pairs_without_effect_are_only_info(tmp_path: Path) -> None:
+    rows = audit_with(
         tmp_path,
         (
             "</robot>",
@@ -281,61 +294,61 @@ def test_pairs_without_effect_are_facts(tmp_path: Path) -> None:
     assert {row["severity"] for row in rows} == {"info"}
 
 
-def overlapping(*_: object) -> str:
-    """The robot with a finger that reaches into the lower arm at every pose."""
+def urdf_with_overlap(*_: object) -> str:
+    """The robot with a finger that overlaps the lower arm in every pose."""
     return changed(('<origin xyz="0.23 0 0"/>', '<origin xyz="0.18 0 0"/>'))
 
 
-def test_a_pair_that_always_collides_and_is_not_disabled(tmp_path: Path) -> None:
+def test_a_pair_that_always_collides_must_be_disabled(tmp_path: Path) -> None:
     pair = '  <disable_collisions link1="lower" link2="finger" reason="Adjacent"/>\n'
-    rows = audited(tmp_path, (pair, ""), urdf=overlapping())
-    row = one(rows, "planning.always_collides")
+    rows = audit_with(tmp_path, (pair, ""), urdf=urdf_with_overlap())
+    row = only_finding(rows, "planning.always_collides")
     assert row["expected"] == pair.strip().replace("lower", "finger", 1).replace(
         'link2="finger"', 'link2="lower"'
     )
     assert row["value"] < -0.01
-    assert audited(tmp_path, urdf=overlapping()) == []
+    assert audit_with(tmp_path, urdf=urdf_with_overlap()) == []
 
 
-def test_a_disabled_pair_that_meets_after_all(tmp_path: Path) -> None:
-    rows = audited(
+def test_a_pair_disabled_as_never_colliding_that_collides_is_a_finding(tmp_path: Path) -> None:
+    rows = audit_with(
         tmp_path,
         (
             'link1="lower" link2="finger" reason="Adjacent"',
             'link1="lower" link2="finger" reason="Never"',
         ),
-        urdf=overlapping(),
+        urdf=urdf_with_overlap(),
     )
-    row = one(rows, "planning.never_is_wrong")
+    row = only_finding(rows, "planning.never_is_wrong")
     assert "'Never'" in row["title"]
     assert "overlap at grip 0 m" in row["title"]
     assert row["line"] == line_of(SRDF, 'link2="finger"')
 
 
-def test_a_state_in_collision(tmp_path: Path) -> None:
-    # The post stands where the upper arm is when the shoulder is at -1.2 rad.
+def test_a_group_state_in_collision_is_a_finding(tmp_path: Path) -> None:
+    # The upper arm collides with the post when the shoulder is at -1.2 rad.
     post = (
         '<link name="post"><collision><geometry><box size="0.05 0.05 0.05"/></geometry></collision>'
         '</link><joint name="post_mount" type="fixed"><origin xyz="0.1 0 0.4"/>'
         '<parent link="base"/><child link="post"/></joint></robot>'
     )
     urdf = CLEAN.replace("</robot>", post)
-    assert audited(tmp_path, urdf=urdf) == []
-    rows = audited(tmp_path, ('value="-0.5"', 'value="-1.2"'), urdf=urdf)
+    assert audit_with(tmp_path, urdf=urdf) == []
+    rows = audit_with(tmp_path, ('value="-0.5"', 'value="-1.2"'), urdf=urdf)
     assert {(row["code"], row["element"]) for row in rows} == {
         ("planning.state_collides", "group_state 'ready'")
     }
     assert any("'post' and 'upper'" in row["title"] for row in rows)
 
 
-def test_a_misspelt_element_is_told_with_the_right_one(tmp_path: Path) -> None:
+def test_a_misspelt_element_is_reported_with_the_right_spelling(tmp_path: Path) -> None:
     extra = (
         '<disable_collision link1="base" link2="lower"/><gripper name="g"/>'
         '<end_effector name="e" parent_link="tcp" group="hand" parentgroup="arm"/></robot>'
     )
     rows = [
         row
-        for row in audited(tmp_path, ("</robot>", extra))
+        for row in audit_with(tmp_path, ("</robot>", extra))
         if row["code"] == "planning.custom_tag"
     ]
     assert [(row["severity"], row["expected"]) for row in rows] == [
@@ -345,16 +358,16 @@ def test_a_misspelt_element_is_told_with_the_right_one(tmp_path: Path) -> None:
     ]
 
 
-def test_rotor_inertia_in_an_srdf_is_physics(tmp_path: Path) -> None:
+def test_rotor_inertia_in_an_srdf_is_a_warning(tmp_path: Path) -> None:
     rotors = '<rotor_params><joint name="elbow" mass="1e-5" gear_ratio="100"/></rotor_params>'
-    rows = audited(tmp_path, ("</robot>", rotors + "</robot>"))
-    row = one(rows, "planning.rotor_inertia")
+    rows = audit_with(tmp_path, ("</robot>", rotors + "</robot>"))
+    row = only_finding(rows, "planning.rotor_inertia")
     assert row["severity"] == "warning"
     assert "gear_ratio=100" in row["value"]
 
 
-def test_two_of_one_name_and_a_missing_name(tmp_path: Path) -> None:
-    rows = audited(
+def test_duplicate_and_missing_group_names_are_findings(tmp_path: Path) -> None:
+    rows = audit_with(
         tmp_path,
         (
             "</robot>",
@@ -364,25 +377,25 @@ def test_two_of_one_name_and_a_missing_name(tmp_path: Path) -> None:
     assert {row["code"] for row in rows} == {"planning.same_name", "planning.missing_attribute"}
 
 
-def test_every_element_of_srdf_in_the_table_is_known_to_the_audit() -> None:
+def test_the_audit_knows_every_srdf_element_of_the_table() -> None:
     first = ENTRIES.index(next(entry for entry in ENTRIES if entry.path == "group"))
     tops = {entry.path.partition("/")[0] for entry in ENTRIES[first:]}
     assert tops == set(ELEMENTS)
 
 
-def test_the_free_flyer_of_pinocchio_is_a_warning_until_it_is_declared(tmp_path: Path) -> None:
+def test_pinocchios_free_flyer_joint_is_a_warning_unless_declared(tmp_path: Path) -> None:
     named = ('<joint name="grip"/>', '<joint name="grip"/><joint name="root_joint"/>')
-    row = one(audited(tmp_path, named), "planning.unknown_joint")
+    row = only_finding(audit_with(tmp_path, named), "planning.unknown_joint")
     assert row["severity"] == "warning"
     assert '<virtual_joint name="root_joint" type="floating"' in row["settle"]
     declared = ('name="fix" type="fixed"', 'name="root_joint" type="floating"')
-    assert audited(tmp_path, named, declared) == []
+    assert audit_with(tmp_path, named, declared) == []
 
 
-# -- which URDF, which SRDF
+# -- search for the URDF of an SRDF
 
 
-def test_the_urdf_is_found_in_the_usual_places(
+def test_the_urdf_of_an_srdf_is_found_in_the_usual_folders(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for place in ("a_moveit_config/config", "a_description/srdf", "a_description/urdf"):
@@ -405,7 +418,7 @@ def test_the_urdf_is_found_in_the_usual_places(
     assert [path.name for path in srdfs_of(urdf, "clean")] == ["any.srdf", "clean.srdf"]
 
 
-def test_an_audit_of_the_urdf_names_the_srdf_beside_it(
+def test_the_audit_of_a_urdf_mentions_the_srdf_beside_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     urdf = write_clean(tmp_path)
@@ -415,7 +428,7 @@ def test_an_audit_of_the_urdf_names_the_srdf_beside_it(
     assert f"SRDF beside it, not audited here: pytest-twin audit {tmp_path}/robot.srdf" in said
 
 
-def test_without_a_urdf_the_message_says_where_it_looked(tmp_path: Path) -> None:
+def test_a_missing_urdf_is_reported_with_the_searched_folders(tmp_path: Path) -> None:
     path = tmp_path / "robot.srdf"
     path.write_text(SRDF)
     with pytest.raises(
@@ -424,7 +437,7 @@ def test_without_a_urdf_the_message_says_where_it_looked(tmp_path: Path) -> None
         audit_srdf(str(path))
 
 
-def test_of_several_urdfs_one_has_to_be_named(tmp_path: Path) -> None:
+def test_several_matching_urdfs_require_a_choice(tmp_path: Path) -> None:
     for name in ("a.urdf", "b.urdf"):
         write_clean(tmp_path, name=name)
     path = tmp_path / "robot.srdf"
@@ -433,27 +446,27 @@ def test_of_several_urdfs_one_has_to_be_named(tmp_path: Path) -> None:
         audit_srdf(str(path))
 
 
-def test_a_urdf_in_place_of_the_srdf_is_named_as_one(tmp_path: Path) -> None:
+def test_a_urdf_given_as_srdf_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "robot.srdf"
     path.write_text(CLEAN)
     with pytest.raises(TwinError, match=r"robot\.srdf:2: .*a URDF, not an SRDF"):
         audit_srdf(str(path), str(path))
 
 
-def test_another_robot_is_a_warning(tmp_path: Path) -> None:
-    row = one(
-        audited(tmp_path, ('<robot name="clean">', '<robot name="x">')), "planning.robot_name"
+def test_a_different_robot_name_is_a_warning(tmp_path: Path) -> None:
+    row = only_finding(
+        audit_with(tmp_path, ('<robot name="clean">', '<robot name="x">')), "planning.robot_name"
     )
     assert row["expected"] == "clean"
 
 
-def test_a_panda_as_shipped_is_clean() -> None:
+def test_the_srdf_of_panda_has_no_finding() -> None:
     found = audit_srdf(str(robots() / "panda_description/srdf/panda.srdf"))
     assert found["findings"] == []
     assert found["facts"]["disabled_pairs"] == 35
 
 
-def test_an_srdf_of_many_wrong_pairs_takes_seconds(tmp_path: Path) -> None:
+def test_an_srdf_with_20000_wrong_pairs_is_audited_within_5_seconds(tmp_path: Path) -> None:
     pairs = "".join(
         f'<disable_collisions link1="left_link_{k}" link2="right_link_{k}"/>\n'
         for k in range(20_000)
@@ -468,7 +481,7 @@ def test_an_srdf_of_many_wrong_pairs_takes_seconds(tmp_path: Path) -> None:
     assert time.process_time() - start < 5.0
 
 
-def test_groups_of_groups_are_bounded(tmp_path: Path) -> None:
+def test_the_number_of_groups_is_limited(tmp_path: Path) -> None:
     names = [f"g{k}" for k in range(3000)]
     chain = "".join(f'<group name="{a}"><group name="{b}"/></group>' for a, b in pairwise(names))
     path = tmp_path / "robot.srdf"

@@ -1,4 +1,4 @@
-"""A URDF made of the table of elements: each stands where the table says that it goes."""
+"""Every URDF element of the table is converted, reported or listed as a loss as stated there."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ PLAIN = {
 
 
 def base(entry: Entry) -> etree._Element:
-    """A robot in which the entry's element has another value, or none."""
+    """A robot in which the entry's element has another value or is absent."""
     shape = next((tag for tag in PLAIN if entry.path.endswith(f"geometry/{tag}")), "box")
     paint = '<material name="m"><color rgba="1 1 1 1"/></material>'
     shapes = "".join(
@@ -59,8 +59,8 @@ def base(entry: Entry) -> etree._Element:
     return root
 
 
-def put(root: etree._Element, entry: Entry) -> None:
-    """The entry's sample into a robot, below elements that are there or are made."""
+def insert_sample(root: etree._Element, entry: Entry) -> None:
+    """Insert the entry's sample value into a robot; missing parent elements are created."""
     owner = "f" if "mimic" in entry.path else "j"
     at = root
     for tag in filter(None, entry.path.removesuffix("/**").removesuffix("/*").split("/")):
@@ -101,13 +101,13 @@ def realized(path: Path, out: Path) -> Path:
 
 @pytest.mark.parametrize(
     "entry",
-    # Two joints have one other joint to follow.
+    # With two joints there is only one joint to mimic, so that value cannot be changed.
     named(e for e in ENTRIES if e.goes is CARRIED and e.label != "joint/mimic@joint"),
 )
-def test_a_carried_value_changes_the_mjcf(tmp_path: Path, entry: Entry) -> None:
+def test_a_converted_value_changes_the_mjcf(tmp_path: Path, entry: Entry) -> None:
     root = base(entry)
     before = realized(write(tmp_path / "a", root), tmp_path / "before")
-    put(root, entry)
+    insert_sample(root, entry)
     after = realized(write(tmp_path / "b", root), tmp_path / "after")
     texts = [(folder / "table.xml").read_text() for folder in (before, after)]
     meshes = [
@@ -117,16 +117,16 @@ def test_a_carried_value_changes_the_mjcf(tmp_path: Path, entry: Entry) -> None:
 
 
 @pytest.fixture(scope="module")
-def whole(
+def audited_robot(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> tuple[list[dict[str, object]], dict[str, object]]:
-    """Findings and matrix of a robot with every entry that no realization carries."""
+    """Findings and loss matrix of a robot with all entries that are not converted."""
     folder = tmp_path_factory.mktemp("table")
     root = base(by_path()["joint/mimic", "multiplier"])
     for entry in ENTRIES:
         if entry.goes is not CARRIED and entry.path not in ("", "link", "joint"):
-            put(root, entry)
-    # A generic element of Gazebo's own format, for the entry that stands for all of them.
+            insert_sample(root, entry)
+    # Any element of Gazebo's own format, for the entry that represents all of them.
     etree.SubElement(root.find("gazebo"), "enable_wind").text = "true"
     path = write(folder / "in", root)
     out = realized(path, folder / "out")
@@ -137,16 +137,16 @@ def whole(
     "entry",
     named(e for e in ENTRIES if e.goes.code and e.path not in ("", "link")),
 )
-def test_what_is_left_out_is_a_finding(
-    whole: tuple[list[dict[str, object]], dict[str, object]], entry: Entry
+def test_an_unconverted_value_is_a_finding(
+    audited_robot: tuple[list[dict[str, object]], dict[str, object]], entry: Entry
 ) -> None:
     element = entry.label.removesuffix("/**").replace("/*", "/enable_wind")
     found = [
         row
-        for row in whole[0]
+        for row in audited_robot[0]
         if row["code"] == entry.goes.code and str(row["element"]).startswith(element)
     ]
-    assert found, f"no {entry.goes.code} names {element}"
+    assert found, f"no finding {entry.goes.code} names {element}"
     if entry.attribute is not None:
         assert found[0]["severity"] == ("warning" if entry.is_physical else "info")
 
@@ -154,17 +154,17 @@ def test_what_is_left_out_is_a_finding(
 @pytest.mark.parametrize(
     "entry", named(e for e in ENTRIES if e.goes.row and e.path not in ("", "link"))
 )
-def test_what_is_left_out_has_a_row_in_the_loss_matrix(
-    whole: tuple[list[dict[str, object]], dict[str, object]], entry: Entry
+def test_an_unconverted_value_has_a_row_in_the_loss_matrix(
+    audited_robot: tuple[list[dict[str, object]], dict[str, object]], entry: Entry
 ) -> None:
-    for conversion in whole[1]["conversions"]:  # type: ignore[attr-defined]
+    for conversion in audited_robot[1]["conversions"]:  # type: ignore[attr-defined]
         rows = [row for row in conversion["rows"] if row["feature"] == entry.goes.row]
         if conversion["rows"]:
-            assert rows, f"{conversion['target']} has no row {entry.goes.row}"
+            assert rows, f"the matrix of {conversion['target']} has no row {entry.goes.row}"
             assert rows[0]["verdict"] in ("lost", "changed", "kept")
 
 
-def test_attributes_of_robot_and_link_are_findings(tmp_path: Path) -> None:
+def test_unknown_attributes_of_robot_and_link_are_findings(tmp_path: Path) -> None:
     root = base(by_path()["joint/axis", "xyz"])
     root.set("version", "1.1")
     root.find("link[@name='arm']").set("type", "laser")
@@ -172,10 +172,10 @@ def test_attributes_of_robot_and_link_are_findings(tmp_path: Path) -> None:
     assert {"@version", "link@type"} <= found
 
 
-def test_a_neutral_value_is_no_finding(tmp_path: Path) -> None:
+def test_an_unconverted_neutral_value_is_not_a_finding(tmp_path: Path) -> None:
     root = base(by_path()["joint/axis", "xyz"])
     offset = by_path()["transmission/joint/offset", TEXT]
-    put(root, offset)
+    insert_sample(root, offset)
     before = findings_of(write(tmp_path / "a", root))
     for element in root.iter("offset"):
         element.text = "0.0"
@@ -186,7 +186,7 @@ def test_a_neutral_value_is_no_finding(tmp_path: Path) -> None:
     assert codes == [["transmission/joint/offset"], []]
 
 
-def test_what_no_format_defines_is_a_finding_wherever_it_stands(tmp_path: Path) -> None:
+def test_undefined_elements_and_attributes_are_findings_anywhere(tmp_path: Path) -> None:
     root = base(by_path()["joint/axis", "xyz"])
     root.find("joint").set("color", "red")
     etree.SubElement(root.find("joint/limit"), "snap").text = "3"
@@ -199,7 +199,7 @@ def test_what_no_format_defines_is_a_finding_wherever_it_stands(tmp_path: Path) 
     assert found == {"joint@color", "joint/limit/snap", "loop_joint"}
 
 
-def test_no_entry_stands_twice_and_each_has_a_sample() -> None:
+def test_the_entries_of_the_table_are_unique_and_have_a_sample() -> None:
     labels = [(entry.path, entry.attribute) for entry in ENTRIES]
     assert len(labels) == len(set(labels))
     for entry in ENTRIES:
@@ -208,14 +208,14 @@ def test_no_entry_stands_twice_and_each_has_a_sample() -> None:
 
 
 @pytest.mark.parametrize("entry", named(e for e in ENTRIES if e.goes is NAMES or e.goes is APPLIED))
-def test_a_name_is_no_finding(tmp_path: Path, entry: Entry) -> None:
+def test_names_and_applied_values_are_not_findings(tmp_path: Path, entry: Entry) -> None:
     root = base(by_path()["joint/axis", "xyz"])
-    put(root, entry)
+    insert_sample(root, entry)
     rows = findings_of(write(tmp_path / "a", root))
     assert entry.label not in {row["element"] for row in rows}
 
 
-def test_an_srdf_alone_is_named_as_one(tmp_path: Path) -> None:
+def test_an_srdf_given_as_urdf_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "robot.srdf"
     path.write_text('<robot name="r">\n<group name="all"><link name="a"/></group></robot>')
     with pytest.raises(ModelError, match=r"robot\.srdf:2: .*an SRDF, not a URDF .*--urdf FILE"):

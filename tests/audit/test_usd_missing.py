@@ -1,4 +1,4 @@
-"""What is said where the libraries of USD are not there: it depends on the Python."""
+"""Error message without the USD libraries, for supported and unsupported Python versions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pytest_twin.realization import usd
 
 
 @pytest.mark.parametrize("version", [(3, 13), (3, 14)])
-def test_a_python_without_a_release_is_named_and_no_install_is_advised(
+def test_on_an_unsupported_python_the_message_names_supported_versions(
     monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]
 ) -> None:
     monkeypatch.setattr(sys, "version_info", (*version, 0, "final", 0))
@@ -23,7 +23,7 @@ def test_a_python_without_a_release_is_named_and_no_install_is_advised(
     )
 
 
-def test_an_older_python_is_told_to_install_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_supported_python_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "version_info", (3, 12, 0, "final", 0))
     assert str(usd.missing("USD is left out")) == (
         "USD is left out: the extra 'usd' is not installed "
