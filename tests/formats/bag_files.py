@@ -1,4 +1,4 @@
-"""rosbag2 folders, written by the library ``rosbags``."""
+"""Helpers that write rosbag2 folders with the library ``rosbags``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_bag(
     compression: CompressionMode | None = None,
     custom: dict[str, str] | None = None,
 ) -> Path:
-    """A bag of JointStates, and a topic of another type beside them."""
+    """Write a bag of JointState messages and one topic of another type."""
     writer = Writer(folder, version=9, storage_plugin=storage)
     if compression is not None:
         writer.set_compression(compression, CompressionFormat.ZSTD)

@@ -1,4 +1,4 @@
-"""LeRobot data sets in the layouts of versions 2.1 and 3.0, written with pyarrow."""
+"""Helpers that write LeRobot data sets of versions 2.1 and 3.0 with pyarrow."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ JOINTS = ("shoulder_pan", "elbow_flex")
 
 
 def episode(number: int, frames: int, fps: int = 50) -> dict[str, np.ndarray]:
-    """States and actions in rad, every number different."""
+    """Time (s), states and actions (rad) of an episode; all numbers differ."""
     time = np.arange(frames) / fps
     state = np.column_stack([np.sin(time + number), np.cos(2 * time) - number])
     return {"time": time, "state": state, "action": state + 0.01}
@@ -51,7 +51,7 @@ def write_dataset(
     fps: int = 50,
     **info: Any,
 ) -> Path:
-    """A data set of these episodes; ``info`` goes over what info.json says."""
+    """Write a data set of these episodes; ``info`` overrides fields of info.json."""
     (folder / "meta").mkdir(parents=True)
     width = episodes[0]["state"].shape[1]
     vector = {"dtype": dtype, "shape": [width], "names": names}

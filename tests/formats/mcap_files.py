@@ -1,4 +1,4 @@
-"""MCAP files of every kind, written by the mcap library and by encoders of the tests' own."""
+"""Helpers that write MCAP files with the mcap library or byte by byte."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ START = 1_700_000_000_000_000_000
 
 @dataclass
 class Message:
-    """One JointState."""
+    """One JointState message."""
 
     stamp: int
     names: tuple[str, ...] = ("shoulder", "elbow")
@@ -33,7 +33,7 @@ class Message:
 
 
 def cdr(message: Message, order: str = "<") -> bytes:
-    """CDR by the rules, one field after another; shares nothing with the package."""
+    """The message in CDR, encoded field by field without code of the package."""
     out = bytearray()
 
     def put(form: str, *values: Any) -> None:
@@ -61,7 +61,7 @@ def cdr(message: Message, order: str = "<") -> bytes:
 
 
 def as_json(message: Message) -> bytes:
-    """The same fields in JSON."""
+    """The message in JSON."""
     sec, nanosec = divmod(message.stamp, 1_000_000_000)
     return json.dumps(
         {
@@ -84,7 +84,7 @@ def mcap(
     metadata: Mapping[str, str] | None = None,
     **options: Any,
 ) -> bytes:
-    """An MCAP file; ``options`` go to the library's writer."""
+    """An MCAP file; ``options`` are passed to the writer of the mcap library."""
     stream = io.BytesIO()
     writer = Writer(stream, **{"compression": CompressionType.NONE, **options})
     writer.start(profile="ros2", library="test")
@@ -115,7 +115,7 @@ BARE = {
 
 
 def sines(count: int, topic: str = "/joint_states") -> list[Message]:
-    """States at 100 Hz, every number different."""
+    """States at 100 Hz; all numbers differ."""
     return [
         Message(
             stamp=START + index * 10_000_000,
@@ -134,14 +134,14 @@ def record(opcode: int, content: bytes) -> bytes:
 
 
 def text(value: str) -> bytes:
-    """A length and a text."""
+    """An MCAP string: its length and its UTF-8 bytes."""
     return struct.pack("<I", len(value.encode())) + value.encode()
 
 
 def chunk(
     content: bytes, *, compression: str = "", packed: bytes | None = None, **claims: int
 ) -> bytes:
-    """A chunk record; ``claims`` may lie about ``size``."""
+    """A chunk record; ``claims`` may state a wrong ``size`` or ``length``."""
     body = content if packed is None else packed
     size = claims.get("size", len(content))
     return record(

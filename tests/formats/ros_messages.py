@@ -1,4 +1,4 @@
-"""Messages of ros2_control, serialized by the library ``rosbags``."""
+"""Helpers that serialize ros2_control messages with the library ``rosbags``."""
 
 from __future__ import annotations
 

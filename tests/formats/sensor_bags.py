@@ -1,4 +1,4 @@
-"""Bags of poses, wrenches and inertial measurements, serialized by the library ``rosbags``."""
+"""Helpers that write poses, wrenches and IMU readings to MCAP with the library ``rosbags``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _made(name: str, *values: Any) -> Any:
 
 
 def message(kind: str, stamp: int, values: Sequence[float], frame: str = "sensor") -> Any:
-    """Pose x y z qx qy qz qw; wrench of 6; angular velocity and acceleration of an IMU."""
+    """A ROS message: pose (xyz, qx qy qz qw), wrench (6) or IMU (angular rate, acceleration)."""
     numbers = [float(value) for value in values]
     time = _made("builtin_interfaces/msg/Time", *divmod(stamp, 1_000_000_000))
     header = _made("std_msgs/msg/Header", time, frame)
@@ -56,7 +56,7 @@ def write(
     metadata: Mapping[str, str] | None = None,
     frame: str = "sensor",
 ) -> Path:
-    """An MCAP file. Topic -> message type, stamps in ns, (n, k) values."""
+    """Write an MCAP file; ``topics``: topic -> message type, stamps (ns) and (n, k) values."""
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()

@@ -1,4 +1,4 @@
-"""Files and folders appear whole or not at all."""
+"""Files and folders are written atomically."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pytest_twin.errors import FormatError, PathError
 from pytest_twin.formats import atomic
 
 
-def test_written_files_are_there_and_nothing_else_is(tmp_path: Path) -> None:
+def test_writing_a_file_leaves_no_temporary_files(tmp_path: Path) -> None:
     atomic.write_text(tmp_path / "a", "é\r\n")
     assert (tmp_path / "a").read_bytes() == "é\r\n".encode()
     atomic.write_bytes(tmp_path / "a", b"new")
@@ -22,7 +22,7 @@ def test_written_files_are_there_and_nothing_else_is(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["a"]  # noqa: PTH208
 
 
-def test_mode_is_kept_and_a_new_file_follows_the_umask(tmp_path: Path) -> None:
+def test_a_replaced_file_keeps_its_mode_and_a_new_file_follows_the_umask(tmp_path: Path) -> None:
     old = tmp_path / "old"
     old.write_text("x")
     old.chmod(0o640)
@@ -36,22 +36,22 @@ def test_mode_is_kept_and_a_new_file_follows_the_umask(tmp_path: Path) -> None:
     assert stat.S_IMODE((tmp_path / "new").stat().st_mode) == 0o640
 
 
-def test_an_error_while_writing_leaves_the_old_content(tmp_path: Path) -> None:
+def test_an_interrupted_write_keeps_the_old_content(tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_text("old")
 
-    def interrupted() -> None:
+    def write_interrupted() -> None:
         with atomic.open_replacement(path) as stream:
             stream.write(b"half")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        interrupted()
+        write_interrupted()
     assert path.read_text() == "old"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
 
 
-def test_a_killed_writer_leaves_the_old_content(tmp_path: Path) -> None:
+def test_a_killed_writer_keeps_the_old_content(tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_text("old")
     code = (
@@ -65,7 +65,7 @@ def test_a_killed_writer_leaves_the_old_content(tmp_path: Path) -> None:
     assert path.read_text() == "old"
 
 
-def test_links_and_folders_are_not_written_over(tmp_path: Path) -> None:
+def test_symbolic_links_and_folders_are_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "real").write_text("old")
     (tmp_path / "link").symlink_to("real")
     (tmp_path / "folder").mkdir()
@@ -75,7 +75,7 @@ def test_links_and_folders_are_not_written_over(tmp_path: Path) -> None:
     assert (tmp_path / "real").read_text() == "old"
 
 
-def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_an_impossible_write_is_reported(tmp_path: Path) -> None:
     with pytest.raises(PathError, match="cannot be written: No such file"):
         atomic.write_text(tmp_path / "none" / "a", "x")
     with pytest.raises(FormatError, match="text that UTF-8 cannot hold"):
@@ -89,7 +89,7 @@ def _folder(path: Path, content: str) -> Path:
     return path
 
 
-def test_folders_appear_and_are_replaced_whole(tmp_path: Path) -> None:
+def test_folders_are_created_and_replaced_as_a_whole(tmp_path: Path) -> None:
     final = tmp_path / "final"
     atomic.replace_directory(_folder(tmp_path / "one", "1"), final)
     assert (final / "a").read_text() == "1"
@@ -99,7 +99,7 @@ def test_folders_appear_and_are_replaced_whole(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["final"]
 
 
-def test_a_rename_that_fails_puts_the_old_folder_back(
+def test_a_failed_rename_restores_the_old_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     final = _folder(tmp_path / "final", "old")
@@ -129,7 +129,7 @@ def test_folders_do_not_replace_files_or_links(tmp_path: Path) -> None:
         atomic.replace_directory(tmp_path / "link", tmp_path / "final")
 
 
-def test_created_folders_never_replace(tmp_path: Path) -> None:
+def test_creating_a_folder_never_replaces_an_existing_one(tmp_path: Path) -> None:
     final = tmp_path / "final"
     assert atomic.create_directory(_folder(tmp_path / "one", "1"), final)
     assert not atomic.create_directory(_folder(tmp_path / "two", "2"), final)

@@ -1,4 +1,4 @@
-"""Recordings in CSV: strict, any order of columns, and every fault by line and column."""
+"""CSV recordings: any order of columns, strict numbers, errors with line and column."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ time,b.position,a.command,a.position,a.velocity
 """
 
 
-def test_columns_may_stand_in_any_order(tmp_path: Path) -> None:
+def test_columns_may_be_in_any_order(tmp_path: Path) -> None:
     recording = read(tmp_path, PLAIN)
     state, command = recording.series["state"], recording.series["command"]
     assert state.names == ("b", "a")
@@ -60,7 +60,7 @@ def test_columns_may_stand_in_any_order(tmp_path: Path) -> None:
         (["0.10000000000000001", "3"], [100_000_000, 3_000_000_000]),
     ],
 )
-def test_times_are_seconds_or_whole_nanoseconds_exactly(
+def test_times_in_seconds_or_whole_nanoseconds_are_converted_exactly(
     tmp_path: Path, cells: list[str], expected: list[int]
 ) -> None:
     rows = "".join(f"{cell},1\n" for cell in cells)
@@ -68,13 +68,13 @@ def test_times_are_seconds_or_whole_nanoseconds_exactly(
     assert found.tolist() == expected
 
 
-def test_whole_numbers_that_are_no_nanoseconds_are_refused(tmp_path: Path) -> None:
+def test_whole_number_times_that_cannot_be_nanoseconds_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         read(tmp_path, "time,a.position\n0,1\n10,2\n20,3\n")
     assert "times are whole numbers, which are ns (got 'a step of 10 ns'" in str(caught.value)
 
 
-def test_a_row_without_values_of_a_role_is_no_message_of_it(tmp_path: Path) -> None:
+def test_a_row_without_states_or_commands_is_no_message_of_that_kind(tmp_path: Path) -> None:
     text = "time,a.position,a.command\n0.0,1,\n0.1,,7\n0.2,2,\n0.3,,\n"
     series = read(tmp_path, text).series
     assert series["state"].stamp.tolist() == [0, 200_000_000]
@@ -88,9 +88,7 @@ def test_a_row_without_values_of_a_role_is_no_message_of_it(tmp_path: Path) -> N
         {"time": "t", "a.position": "q [rad]", "a.command": "u"},
     ],
 )
-def test_other_headers_are_mapped_in_either_direction(
-    tmp_path: Path, columns: dict[str, str]
-) -> None:
+def test_headers_are_mapped_in_either_direction(tmp_path: Path, columns: dict[str, str]) -> None:
     recording = read(tmp_path, "t,q [rad],u,note\n0.5,1,2,ok\n0.6,3,4,bad\n", columns)
     np.testing.assert_array_equal(recording.series["state"].position, [[1], [3]])
     np.testing.assert_array_equal(recording.series["command"].effort, [[2], [4]])
@@ -98,7 +96,9 @@ def test_other_headers_are_mapped_in_either_direction(
 
 
 @pytest.mark.parametrize("change", ["\r\n", "# ", "\ufeff", '"'])
-def test_what_writers_differ_in_does_not_matter(tmp_path: Path, change: str) -> None:
+def test_line_endings_comments_byte_order_marks_and_quotes_are_accepted(
+    tmp_path: Path, change: str
+) -> None:
     text = PLAIN
     if change == "\r\n":
         text = text.replace("\n", "\r\n")
@@ -135,7 +135,7 @@ def test_what_writers_differ_in_does_not_matter(tmp_path: Path, change: str) -> 
         (b"time,a.position\n0.0,\xff\n", "log.csv:2", "not UTF-8 text"),
     ],
 )
-def test_faults_are_named_by_line_and_column(
+def test_invalid_csv_is_refused_with_line_and_column(
     tmp_path: Path, text: str | bytes, place: str, words: str
 ) -> None:
     with pytest.raises(FormatError) as caught:
@@ -144,12 +144,12 @@ def test_faults_are_named_by_line_and_column(
     assert words in str(caught.value)
 
 
-def test_a_mapping_to_nothing_is_refused(tmp_path: Path) -> None:
+def test_a_column_mapping_to_an_unknown_meaning_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"columns.t: not a valid meaning of a column"):
         read(tmp_path, "t,a.position\n0.0,1\n", {"t": "clock"})
 
 
-def test_times_that_go_back_or_stand_twice_are_noted(tmp_path: Path) -> None:
+def test_decreasing_and_repeated_times_are_noted(tmp_path: Path) -> None:
     recording = read(tmp_path, "time,a.position\n0.0,1\n0.2,1\n0.1,1\n0.1,2\n")
     assert [str(note) for note in recording.damage] == [
         "/joint_states: 1 times go back, first row 2 with values",
@@ -157,7 +157,7 @@ def test_times_that_go_back_or_stand_twice_are_noted(tmp_path: Path) -> None:
     ]
 
 
-def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_size_of_csv_files_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "CSV", replace(limits.CSV, cells_count=6, columns_count=3))
     with pytest.raises(LimitError, match="too many cells"):
         read(tmp_path, "time,a.position\n" + "0.1,1\n" * 4)

@@ -1,4 +1,4 @@
-"""File names for the names that robots use: valid on Windows, macOS and Linux, none shared."""
+"""Portable, unique file names for joint and link names on Windows, macOS and Linux."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ POSIX_PORTABLE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 @settings(deadline=None)
 @given(st.lists(NAMES, unique=True, max_size=12))
-def test_no_two_names_share_a_file_on_any_system(names: list[str]) -> None:
+def test_different_names_get_different_files_on_every_system(names: list[str]) -> None:
     files = portable_names(names)
     assert list(files) == names
     assert len({file.lower() for file in files.values()}) == len(names)
@@ -42,7 +42,9 @@ def test_every_file_name_is_valid_on_every_system(names: list[str]) -> None:
 
 @settings(deadline=None)
 @given(st.lists(NAMES, unique=True, max_size=8), st.randoms())
-def test_the_order_of_the_names_changes_nothing(names: list[str], random: object) -> None:
+def test_the_file_names_do_not_depend_on_the_order_of_the_names(
+    names: list[str], random: object
+) -> None:
     shuffled = list(names)
     random.shuffle(shuffled)  # type: ignore[attr-defined]
     assert portable_names(shuffled) == portable_names(names)
@@ -50,7 +52,7 @@ def test_the_order_of_the_names_changes_nothing(names: list[str], random: object
 
 @settings(deadline=None)
 @given(st.lists(NAMES, unique=True, max_size=8), NAMES)
-def test_a_name_added_changes_only_names_that_differ_from_it_in_case(
+def test_an_added_name_changes_only_files_of_names_that_differ_in_case(
     names: list[str], added: str
 ) -> None:
     before, after = portable_names(names), portable_names([*names, added])
@@ -63,15 +65,15 @@ def test_a_plain_name_keeps_its_spelling() -> None:
     assert portable_names(plain) == {name: name for name in plain}
 
 
-def test_other_names_stay_readable() -> None:
+def test_escaped_names_stay_readable() -> None:
     assert re.fullmatch(r"robot0_FFJ3-[0-9a-f]{8}", portable_name("robot0:FFJ3"))
     assert re.fullmatch(r"Schiene_uber-[0-9a-f]{8}", portable_name("Schiene über"))
     assert re.fullmatch(r"con-[0-9a-f]{8}", portable_name("con"))
     assert re.fullmatch(r"[0-9a-f]{8}", portable_name("関節"))
 
 
-def test_the_mapping_is_the_same_in_every_version() -> None:
-    # Renaming the goldens of every twin that exists would make them all stale.
+def test_the_mapping_of_names_to_files_is_stable() -> None:
+    # A change would rename files of existing twins and make their goldens stale.
     assert portable_names(["robot0:FFJ3", "J1", "j1"]) == {
         "robot0:FFJ3": "robot0_FFJ3-cc9add09",
         "J1": "J1-493d650d",
@@ -95,14 +97,14 @@ def test_the_mapping_is_the_same_in_every_version() -> None:
         max_size=8,
     ).filter(lambda paths: not any(b.startswith(f"{a}/") for a in paths for b in paths))
 )
-def test_paths_of_a_release_are_valid_and_apart(paths: list[str]) -> None:
+def test_portable_paths_are_valid_and_unique(paths: list[str]) -> None:
     found = portable_paths(paths)
     assert list(found) == paths
     assert [problem_with(path) for path in found.values()] == [None] * len(paths)
     assert colliding(found.values()) == []
 
 
-def test_a_path_that_is_valid_everywhere_stays() -> None:
+def test_a_portable_path_is_unchanged() -> None:
     paths = ["golden/fk/frames.yaml", "asset/Gelenk ü/mesh 1.stl"]
     assert portable_paths(paths) == {path: path for path in paths}
 

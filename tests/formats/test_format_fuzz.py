@@ -1,4 +1,4 @@
-"""Whatever bytes come in, only errors for people go out."""
+"""Readers raise only typed errors with printable messages for arbitrary bytes."""
 
 from __future__ import annotations
 
@@ -130,8 +130,8 @@ READERS: dict[str, tuple[Callable[[Path], object], list[bytes]]] = {
 }
 
 
-# Bytes that mean something to one of the formats.
-TELLING = [
+# Bytes with a special meaning in one of the formats.
+SPECIAL_BYTES = [
     *(b"<!DOCTYPE", b"&a;", b"<<", b"*a", b"&a ", b"!!", b"[" * 40, b"- " * 40),
     *(b"\t", b"\r", b"nan", b"1e999", b",", b'"', b"'", b"{", b": ", b"---\n"),
     *(b"\xef\xbb\xbf", b"<?xml", b"]]>", b"<![CDATA[", b"\xc3", b"9" * 5000),
@@ -139,7 +139,7 @@ TELLING = [
 
 
 def error_of(reader: Callable[[Path], object], path: Path) -> TwinError | None:
-    """What a reader says of a file; anything but a TwinError goes on as it is."""
+    """The reader's TwinError or None; other exceptions are not caught."""
     try:
         reader(path)
     except TwinError as error:
@@ -149,7 +149,7 @@ def error_of(reader: Callable[[Path], object], path: Path) -> TwinError | None:
 
 @st.composite
 def mutated(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
-    """A valid file with a few bytes changed, cut, doubled or swapped for telling ones."""
+    """A valid file with some bytes changed, removed, repeated or replaced by special ones."""
     data = bytearray(draw(st.sampled_from(seeds)))
     for _ in range(draw(st.integers(1, 5))):
         at = draw(st.integers(0, max(0, len(data) - 1)))
@@ -167,14 +167,14 @@ def mutated(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
                 )
             )
         elif kind == 4:
-            data[at:at] = draw(st.sampled_from(TELLING))
+            data[at:at] = draw(st.sampled_from(SPECIAL_BYTES))
         else:
             data = data[:at]
     return bytes(data)
 
 
 @pytest.mark.parametrize("name", list(READERS))
-def test_the_seeds_themselves_are_sound(name: str, tmp_path: Path) -> None:
+def test_the_unmodified_seed_files_are_read(name: str, tmp_path: Path) -> None:
     reader, seeds = READERS[name]
     for seed in seeds:
         path = tmp_path / "seed"
@@ -190,7 +190,7 @@ def test_the_seeds_themselves_are_sound(name: str, tmp_path: Path) -> None:
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
-def test_mutations_raise_only_errors_for_people(
+def test_modified_files_raise_only_typed_printable_errors(
     name: str, data: st.DataObject, tmp_path: Path
 ) -> None:
     reader, seeds = READERS[name]
@@ -206,7 +206,7 @@ def test_mutations_raise_only_errors_for_people(
 )
 @given(content=st.binary(max_size=200))
 @example(content=b"")
-def test_random_bytes_raise_only_errors_for_people(
+def test_random_bytes_raise_only_typed_printable_errors(
     name: str, content: bytes, tmp_path: Path
 ) -> None:
     reader, _ = READERS[name]

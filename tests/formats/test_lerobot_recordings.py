@@ -1,4 +1,4 @@
-"""LeRobot data sets: both layouts, episodes as recordings, and units that are said."""
+"""LeRobot data sets: both layouts, episodes as recordings, units."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_each_episode_is_a_recording(tmp_path: Path, version: str, dtype: str) -
         assert recording.metadata == {"robot_type": "so101_follower"}
 
 
-def test_single_precision_timestamps_are_frames_of_the_rate(tmp_path: Path) -> None:
+def test_single_precision_timestamps_are_replaced_by_exact_frame_times(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path / "set", [episode(0, 9000, fps=30)], fps=30)
     stamp = read_one(folder).series["state"].stamp
     assert stamp[8999] == round(8999 / 30 * 1e9)
@@ -56,7 +56,7 @@ def test_single_precision_timestamps_are_frames_of_the_rate(tmp_path: Path) -> N
         (["dim"], ("0", "1")),
     ],
 )
-def test_joint_names_in_every_form_of_info_json(
+def test_joint_names_are_read_from_every_form_of_info_json(
     tmp_path: Path, names: Any, expected: tuple[str, ...]
 ) -> None:
     recording = read_one(write_dataset(tmp_path / "set", EPISODES[:1], names=names))
@@ -64,7 +64,7 @@ def test_joint_names_in_every_form_of_info_json(
     assert any("does not name each" in note for note in recording.notes) == (expected[0] == "0")
 
 
-def test_velocity_and_effort_go_by_the_ends_of_names(tmp_path: Path) -> None:
+def test_position_and_velocity_are_recognized_by_name_suffixes(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1], names=["a.pos", "a.vel"])
     state = read_one(folder).series["state"]
     assert state.names == ("a",)
@@ -86,7 +86,7 @@ DEGREES = 180.0 / math.pi
         (1.0, {"units": "degrees"}, "rad", None),
     ],
 )
-def test_units_are_declared_or_found_and_said(
+def test_the_angle_unit_is_declared_or_inferred_with_a_note(
     tmp_path: Path, scale: float, info: dict[str, str], units: str | None, said: str | None
 ) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES, scale=scale, **info)
@@ -99,7 +99,7 @@ def test_units_are_declared_or_found_and_said(
     assert (said in notes) if said else ("unit" not in notes)
 
 
-def test_per_cent_of_the_range_may_be_meant_and_is_said(tmp_path: Path) -> None:
+def test_values_that_may_be_percent_of_the_range_are_noted(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1], scale=50.0)
     assert any("per cent of each joint's calibrated range" in n for n in read_one(folder).notes)
 
@@ -110,18 +110,18 @@ def test_an_unknown_unit_is_refused(tmp_path: Path) -> None:
         read_one(folder)
 
 
-def test_splits_besides_train_are_held_out(tmp_path: Path) -> None:
+def test_episodes_of_splits_other_than_train_are_held_out(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES, splits={"train": "0:2", "test": "2:3"})
     roles = [recording.metadata["role"] for recording in read_recordings(folder)]
     assert roles == ["fit", "fit", "held_out"]
 
 
-def test_one_recording_is_asked_for_and_several_are_there(tmp_path: Path) -> None:
+def test_reading_one_recording_of_a_data_set_with_several_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"holds several recordings .got '3 episodes'"):
         read_one(write_dataset(tmp_path / "set", EPISODES))
 
 
-def test_without_pyarrow_the_message_says_what_to_install(
+def test_without_pyarrow_the_error_names_the_package_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES)
@@ -130,7 +130,7 @@ def test_without_pyarrow_the_message_says_what_to_install(
         read_recordings(folder)
 
 
-# -- data sets that are no friend's ------------------------------------------------------------
+# -- malicious data sets ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -151,14 +151,16 @@ def test_without_pyarrow_the_message_says_what_to_install(
         ({"data_path": "no/{file_index}.parquet"}, "data_path: no data file is there"),
     ],
 )
-def test_a_hostile_info_json_is_one_line(tmp_path: Path, info: dict[str, Any], words: str) -> None:
+def test_a_malicious_info_json_is_refused_in_one_line(
+    tmp_path: Path, info: dict[str, Any], words: str
+) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1], **info)
     with pytest.raises((FormatError, RecordingError)) as caught:
         read_recordings(folder)
     assert words in str(caught.value)
 
 
-def test_a_data_file_that_is_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
+def test_a_data_file_linked_from_outside_the_folder_is_refused(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1])
     file = folder / "data" / "chunk-000" / "file-000.parquet"
     file.rename(tmp_path / "elsewhere.parquet")
@@ -167,7 +169,7 @@ def test_a_data_file_that_is_a_link_out_of_the_folder_is_refused(tmp_path: Path)
         read_recordings(folder)
 
 
-def test_a_parquet_file_that_unpacks_to_too_much_is_refused(
+def test_a_parquet_file_with_too_much_unpacked_data_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1])
@@ -179,7 +181,7 @@ def test_a_parquet_file_that_unpacks_to_too_much_is_refused(
         read_recordings(folder)
 
 
-def test_columns_of_another_kind_are_refused(tmp_path: Path) -> None:
+def test_wrong_or_missing_columns_are_refused(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1])
     file = folder / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(file)
@@ -193,7 +195,7 @@ def test_columns_of_another_kind_are_refused(tmp_path: Path) -> None:
         read_recordings(folder)
 
 
-def test_a_changed_byte_of_a_parquet_file_is_one_line_or_harmless(tmp_path: Path) -> None:
+def test_a_changed_byte_of_a_parquet_file_raises_at_most_a_typed_error(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1])
     file = folder / "data" / "chunk-000" / "file-000.parquet"
     data = file.read_bytes()
@@ -210,7 +212,7 @@ def test_a_changed_byte_of_a_parquet_file_is_one_line_or_harmless(tmp_path: Path
     assert refused > 10
 
 
-def test_info_json_may_be_anything(tmp_path: Path) -> None:
+def test_an_invalid_info_json_is_refused(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path / "set", EPISODES[:1])
     info = folder / "meta" / "info.json"
     for text in ("", "[]", "{", "[" * 100_000, json.dumps({"codebase_version": "v3.0"})):

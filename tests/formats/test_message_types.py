@@ -1,4 +1,4 @@
-"""Commands and states in the messages of ros2_control, in each encoding."""
+"""Commands and states in ros2_control messages in CDR, ROS 1 and JSON encoding."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ JOINTS = ("a", "b")
 def bag(
     messages: Iterable[tuple[str, str, int, bytes]], encoding: str = "cdr", *, long: bool = True
 ) -> bytes:
-    """MCAP of (topic, type, log time, message)."""
+    """An MCAP file of (topic, type, log time in ns, message) tuples."""
     stream = io.BytesIO()
     writer = Writer(stream)
     writer.start(profile="ros2", library="test")
@@ -47,7 +47,9 @@ def read(folder: Path, data: bytes, **topics: str) -> Recording:
 
 @pytest.mark.parametrize("old", [True, False])
 @pytest.mark.parametrize("long", [True, False])
-def test_a_controller_state_is_command_and_state(tmp_path: Path, old: bool, long: bool) -> None:
+def test_a_controller_state_is_read_as_command_and_state(
+    tmp_path: Path, old: bool, long: bool
+) -> None:
     messages = [
         (
             "/jtc",
@@ -78,7 +80,7 @@ def test_a_controller_state_is_command_and_state(tmp_path: Path, old: bool, long
     assert (topic.type, topic.messages, topic.joints) == (ros.CONTROLLER_STATE, 5, JOINTS)
 
 
-def test_dynamic_joint_states_have_interfaces_of_their_own_each(tmp_path: Path) -> None:
+def test_dynamic_joint_states_may_have_different_interfaces_per_joint(tmp_path: Path) -> None:
     joints = {
         "a": {"velocity": 1.5, "position": 0.5, "temperature": 40.0},
         "b": {"position": -0.5},
@@ -102,7 +104,7 @@ def test_dynamic_joint_states_have_interfaces_of_their_own_each(tmp_path: Path) 
         ("/joint_group_effort_controller/commands", ("a", "b"), ("a", "b"), ("effort",)),
     ],
 )
-def test_arrays_are_named_by_labels_or_places_and_say_what_is_open(
+def test_array_commands_are_named_by_labels_or_index_with_notes(
     tmp_path: Path,
     topic: str,
     labels: tuple[str, ...],
@@ -131,7 +133,7 @@ def points(*rows: tuple[int, float]) -> list[object]:
     return [ros.point([value, -value], after=after * MS) for after, value in rows]
 
 
-def test_a_trajectory_runs_until_the_next_replaces_the_rest(tmp_path: Path) -> None:
+def test_a_new_trajectory_replaces_the_rest_of_the_previous_one(tmp_path: Path) -> None:
     messages = [
         (
             "/t",
@@ -154,7 +156,7 @@ def test_a_trajectory_runs_until_the_next_replaces_the_rest(tmp_path: Path) -> N
     assert recording.metadata == {"command_between": "interpolated"}
 
 
-def test_a_trajectory_that_has_ended_holds_its_last_point(tmp_path: Path) -> None:
+def test_a_finished_trajectory_holds_its_last_point(tmp_path: Path) -> None:
     messages = [
         ("/t", ros.TRAJECTORY, START, ros.trajectory(START, JOINTS, points((0, 1.0), (10, 2.0)))),
         (
@@ -170,7 +172,7 @@ def test_a_trajectory_that_has_ended_holds_its_last_point(tmp_path: Path) -> Non
     assert command.position[:, 0].tolist() == [1, 2, 2, 5, 6]
 
 
-def test_a_trajectory_without_stamp_begins_when_it_is_received(tmp_path: Path) -> None:
+def test_a_trajectory_without_stamp_starts_at_its_log_time(tmp_path: Path) -> None:
     data = bag([("/t", ros.TRAJECTORY, START, ros.trajectory(0, JOINTS, points((10, 1.0))))])
     recording = read(tmp_path, data, command="/t")
     assert recording.series["command"].stamp.tolist() == [START + 10 * MS]
@@ -185,7 +187,7 @@ def test_a_trajectory_without_stamp_begins_when_it_is_received(tmp_path: Path) -
         ([ros.point([1.0], after=1)], "1 values of position for 2 joints"),
     ],
 )
-def test_trajectories_that_mean_nothing_are_named(
+def test_an_invalid_trajectory_is_refused_with_the_reason(
     tmp_path: Path, given: list[object], words: str
 ) -> None:
     data = bag([("/t", ros.TRAJECTORY, START, ros.trajectory(START, JOINTS, given))])
@@ -194,7 +196,7 @@ def test_trajectories_that_mean_nothing_are_named(
     assert words in str(caught.value)
 
 
-def test_ros_1_messages_are_read(tmp_path: Path) -> None:
+def test_joint_states_in_ros_1_encoding_are_read(tmp_path: Path) -> None:
     messages = [
         ("/js", ros.JOINT_STATE, START + k, ros.ros1_joint_state(START + k, JOINTS, [k, 2 * k]))
         for k in range(4)
@@ -254,7 +256,7 @@ STAMP = {"stamp": {"sec": START // 10**9, "nanosec": 5}}
         ),
     ],
 )
-def test_each_type_is_read_from_json(
+def test_each_message_type_is_read_from_json(
     tmp_path: Path, kind: str, message: bytes, position: list[float]
 ) -> None:
     command = read(tmp_path, bag([("/c", kind, START, message)], "json"), command="/c")
@@ -263,7 +265,7 @@ def test_each_type_is_read_from_json(
     np.testing.assert_array_equal(series.position, [position])
 
 
-def test_topics_that_are_not_read_are_known_with_their_joints(tmp_path: Path) -> None:
+def test_topics_that_are_not_read_are_listed_with_roles_and_joints(tmp_path: Path) -> None:
     messages = [
         ("/js", ros.JOINT_STATE, START, cdr(Message(START, JOINTS, (1.0, 2.0), (3.0, 4.0)))),
         ("/arm/commands", ros.ARRAY, START, ros.array([1.0], ("a",))),
@@ -302,7 +304,7 @@ def error_of(path: Path) -> TwinError | None:
     max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
-def test_changed_messages_are_read_or_one_line(
+def test_modified_messages_are_read_or_raise_a_typed_error(
     kind: str, data: st.DataObject, tmp_path: Path
 ) -> None:
     message = bytearray(SEEDS[kind])

@@ -1,4 +1,4 @@
-"""References stay inside the declared roots."""
+"""References to files must stay inside the declared root folders."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def resolve(root: Path, reference: str, *extra: Path, folder: bool = False) -> P
     "reference",
     ["meshes/a.stl", "./meshes//a.stl", "meshes/deep/../a.stl", "../twin/meshes/a.stl"],
 )
-def test_files_inside_are_found(twin: Path, reference: str) -> None:
+def test_files_inside_the_root_are_found(twin: Path, reference: str) -> None:
     assert resolve(twin, reference) == twin / "meshes" / "a.stl"
     assert resolve(twin, str(twin / reference)) == twin / "meshes" / "a.stl"
 
 
-def test_declared_folders_beside_the_twin_are_roots_too(twin: Path) -> None:
+def test_declared_folders_outside_the_twin_are_roots_too(twin: Path) -> None:
     shared = twin.parent / "shared"
     assert resolve(twin, "../shared/b.stl", shared) == shared / "b.stl"
     assert resolve(twin, str(shared / "b.stl"), shared) == shared / "b.stl"
@@ -48,7 +48,7 @@ def test_declared_folders_beside_the_twin_are_roots_too(twin: Path) -> None:
         resolve(twin, "../secret", shared)
 
 
-def test_a_root_reached_through_a_link_is_the_same_root(twin: Path) -> None:
+def test_a_root_behind_a_symbolic_link_is_the_same_root(twin: Path) -> None:
     alias = twin.parent / "alias"
     alias.symlink_to(twin)
     assert resolve(alias, "meshes/a.stl") == twin / "meshes" / "a.stl"
@@ -77,7 +77,9 @@ def test_a_root_reached_through_a_link_is_the_same_root(twin: Path) -> None:
         ("meshes", "not a regular file but a folder"),
     ],
 )
-def test_refuses_with_the_place_of_the_reference(twin: Path, reference: str, words: str) -> None:
+def test_an_invalid_reference_is_refused_with_file_and_line(
+    twin: Path, reference: str, words: str
+) -> None:
     with pytest.raises(PathError) as caught:
         resolve(twin, reference)
     assert words in str(caught.value)
@@ -85,7 +87,7 @@ def test_refuses_with_the_place_of_the_reference(twin: Path, reference: str, wor
     assert caught.value.where == "model"
 
 
-def test_a_name_that_only_begins_like_a_root_is_outside(twin: Path) -> None:
+def test_a_folder_with_the_root_name_as_prefix_is_outside(twin: Path) -> None:
     (twin.parent / "twin-evil").mkdir()
     (twin.parent / "twin-evil" / "x").write_text("x")
     with pytest.raises(PathError, match="leaves the declared roots"):
@@ -93,13 +95,13 @@ def test_a_name_that_only_begins_like_a_root_is_outside(twin: Path) -> None:
 
 
 @pytest.mark.parametrize("target", ["../../secret", "../../../..", "/etc/passwd"])
-def test_links_out_are_refused(twin: Path, target: str) -> None:
+def test_symbolic_links_out_of_the_root_are_refused(twin: Path, target: str) -> None:
     (twin / "meshes" / "link").symlink_to(target)
     with pytest.raises(PathError):
         resolve(twin, "meshes/link")
 
 
-def test_a_link_out_and_back_in_is_refused(twin: Path) -> None:
+def test_a_path_that_leaves_the_root_and_returns_is_refused(twin: Path) -> None:
     outside = twin.parent / "outside"
     outside.mkdir()
     (outside / "back").symlink_to(twin)
@@ -110,21 +112,21 @@ def test_a_link_out_and_back_in_is_refused(twin: Path) -> None:
             resolve(twin, reference)
 
 
-def test_a_link_that_stays_inside_gives_the_file_itself(twin: Path) -> None:
+def test_a_symbolic_link_inside_the_root_resolves_to_its_target(twin: Path) -> None:
     (twin / "alias.stl").symlink_to("meshes/a.stl")
     assert resolve(twin, "alias.stl") == twin / "meshes" / "a.stl"
 
 
-def test_a_loop_of_links_is_refused(twin: Path) -> None:
+def test_a_cyclic_symbolic_link_is_refused(twin: Path) -> None:
     (twin / "loop").symlink_to("loop")
     with pytest.raises(PathError, match="cannot be reached"):
         resolve(twin, "loop")
 
 
-def test_only_regular_files_are_files(twin: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pipes_sockets_and_devices_are_refused(twin: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(twin / "pipe")
     with socket.socket(socket.AF_UNIX) as server:
-        # The address of a socket is bounded to about 100 bytes.
+        # A socket address may have at most about 100 bytes.
         monkeypatch.chdir(twin)
         server.bind("sock")
     for name, kind in (("pipe", "a pipe"), ("sock", "a socket")):
@@ -136,7 +138,7 @@ def test_only_regular_files_are_files(twin: Path, monkeypatch: pytest.MonkeyPatc
         open_regular(Path("/dev/null"))
 
 
-def test_folders_are_found_where_folders_are_asked_for(twin: Path) -> None:
+def test_a_reference_to_a_folder_is_resolved_on_request(twin: Path) -> None:
     assert resolve(twin, "meshes", folder=True) == twin / "meshes"
     with pytest.raises(PathError, match="not a folder"):
         resolve(twin, "twin.yaml", folder=True)
@@ -144,7 +146,7 @@ def test_folders_are_found_where_folders_are_asked_for(twin: Path) -> None:
         resolve(twin, "none", folder=True)
 
 
-def test_read_bytes_is_bounded(tmp_path: Path) -> None:
+def test_read_bytes_refuses_files_above_the_limit(tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"12345")
     assert read_bytes(path, 5) == b"12345"
@@ -158,13 +160,13 @@ def test_read_bytes_is_bounded(tmp_path: Path) -> None:
         read_bytes(Path("a\0b"), 4)
 
 
-def test_read_bytes_bounds_what_has_no_size() -> None:
-    # Files of /proc are regular, say that they are empty, and are not.
+def test_read_bytes_limits_files_that_report_size_zero() -> None:
+    # Files in /proc report size 0 but have content.
     with pytest.raises(LimitError):
         read_bytes(Path("/proc/self/status"), 10)
 
 
-def test_a_link_in_the_last_place_is_not_followed(tmp_path: Path) -> None:
+def test_opening_a_symbolic_link_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("a")
     (tmp_path / "b").symlink_to("a")
     for read in (open_regular, file_sha256):
@@ -172,14 +174,14 @@ def test_a_link_in_the_last_place_is_not_followed(tmp_path: Path) -> None:
             read(tmp_path / "b")
 
 
-def test_file_sha256(tmp_path: Path) -> None:
+def test_file_sha256_equals_the_published_test_vector(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"abc")
     # FIPS 180-2, appendix B.1
     expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     assert file_sha256(tmp_path / "a") == expected
 
 
-def test_decode_text_names_line_and_column() -> None:
+def test_invalid_utf8_is_reported_with_line_and_column() -> None:
     with pytest.raises(FormatError) as caught:
         decode_text(b"ab\nc\xc3\xa9\x80", Path("x"))
     assert (caught.value.line, caught.value.column) == (2, 3)

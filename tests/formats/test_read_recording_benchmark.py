@@ -1,4 +1,4 @@
-"""A short sample of the benchmark: the same numbers from both readers."""
+"""A short run of the reading benchmark."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings of real machines, written in other formats: the same numbers come back."""
+"""Recordings of real robots keep their numbers when written in other formats."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RECORDINGS = Path(
 
 
 @pytest.fixture(params=["xl330", "emps"])
-def real(request: pytest.FixtureRequest) -> Recording:
+def real_recording(request: pytest.FixtureRequest) -> Recording:
     folder = RECORDINGS / request.param / "recordings"
     if not folder.is_dir():
         pytest.skip(f"no recordings at {RECORDINGS}; the variable TWIN_RECORDINGS names the place")
@@ -48,17 +48,22 @@ def messages(recording: Recording) -> list[Message]:
 @pytest.mark.parametrize(
     ("storage", "compression"), [(SQLITE, None), (SQLITE, MESSAGE), (MCAP, FILE)]
 )
-def test_a_bag_of_a_real_recording_has_its_numbers(
-    real: Recording, tmp_path: Path, storage: StoragePlugin, compression: CompressionMode | None
+def test_a_real_recording_written_as_bag_has_the_same_numbers(
+    real_recording: Recording,
+    tmp_path: Path,
+    storage: StoragePlugin,
+    compression: CompressionMode | None,
 ) -> None:
-    found = read_one(write_bag(tmp_path / "bag", messages(real), storage, compression))
-    for role, series in real.series.items():
+    found = read_one(write_bag(tmp_path / "bag", messages(real_recording), storage, compression))
+    for role, series in real_recording.series.items():
         for name in ("stamp", "log_time", *QUANTITIES):
             np.testing.assert_array_equal(getattr(found.series[role], name), getattr(series, name))
 
 
-def test_a_csv_of_a_real_recording_has_its_numbers(real: Recording, tmp_path: Path) -> None:
-    state, command = real.series["state"], real.series["command"]
+def test_a_real_recording_written_as_csv_has_the_same_numbers(
+    real_recording: Recording, tmp_path: Path
+) -> None:
+    state, command = real_recording.series["state"], real_recording.series["command"]
     sent = next(t for name in QUANTITIES if (t := getattr(command, name)) is not None)
     assert state.position is not None
     lines = [

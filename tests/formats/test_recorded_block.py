@@ -1,4 +1,4 @@
-"""The machine-written end of a golden spec, and the human part that it never touches."""
+"""The recorded block at the end of a golden spec; the part written by people is unchanged."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ provenance:
 """
 
 
-def test_block_is_appended_in_the_order_that_people_expect() -> None:
+def test_the_recorded_block_is_appended_in_a_fixed_order() -> None:
     assert rewrite_recorded(HUMAN, RECORDED) == HUMAN + WRITTEN
 
 
-def test_block_is_replaced_as_a_whole() -> None:
+def test_the_recorded_block_is_replaced_as_a_whole() -> None:
     old = rewrite_recorded(HUMAN, {**RECORDED, "trace": {"file": "a.csv", "sha256": "0" * 64}})
     assert rewrite_recorded(old, RECORDED) == HUMAN + WRITTEN
 
 
-def test_human_part_stays_byte_for_byte_with_crlf() -> None:
+def test_the_part_written_by_people_keeps_its_bytes_with_crlf() -> None:
     human = HUMAN.replace("\n", "\r\n")
     text = rewrite_recorded(human, RECORDED)
     assert text.startswith(human)
@@ -46,11 +46,11 @@ def test_human_part_stays_byte_for_byte_with_crlf() -> None:
     assert rewrite_recorded(text, RECORDED) == text
 
 
-def test_missing_last_line_end_is_added() -> None:
+def test_a_missing_final_newline_is_added() -> None:
     assert rewrite_recorded("kind: fk", {"expected": 1}).startswith("kind: fk\n# ---")
 
 
-def test_long_lists_stay_narrow_and_read_back() -> None:
+def test_long_lists_are_wrapped_to_100_columns_and_read_back() -> None:
     values = [index / 7 for index in range(200)]
     text = rewrite_recorded(HUMAN, {"expected": {"a": values, "b": [values, [1.0]]}})
     assert max(map(len, text.splitlines())) <= 100
@@ -73,7 +73,7 @@ def test_long_lists_stay_narrow_and_read_back() -> None:
         ("[1]\n", 1, None, "not a mapping of fields"),
     ],
 )
-def test_refuses_what_it_would_have_to_change(
+def test_a_spec_whose_own_part_would_change_is_refused(
     text: str, line: int, where: str | None, words: str
 ) -> None:
     with pytest.raises(SpecError) as caught:
@@ -90,11 +90,11 @@ def test_refuses_what_it_would_have_to_change(
         ({1: 2}, "expected.a: a key that is not text"),
     ],
 )
-def test_refuses_what_yaml_cannot_hold(value: object, words: str) -> None:
+def test_values_that_yaml_cannot_represent_are_refused(value: object, words: str) -> None:
     with pytest.raises(SpecError, match=words):
         rewrite_recorded(HUMAN, {"expected": {"a": value}})
 
 
-def test_refuses_a_key_of_another_kind() -> None:
+def test_keys_that_are_not_recorded_are_refused() -> None:
     with pytest.raises(SpecError, match="tolerance: not a recorded key"):
         rewrite_recorded(HUMAN, {"tolerance": {}})

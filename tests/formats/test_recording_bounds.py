@@ -1,4 +1,4 @@
-"""Small files that unpack to much: refused early, with one line that names the limit."""
+"""Small files that unpack to large data are refused early with the limit."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ MIB = 2**20
 
 
 def zeros() -> bytes:
-    """16 GiB of zeros in half a MiB."""
+    """An MCAP file of 0.5 MiB that unpacks to 16 GiB of zeros."""
     part = bytes(128 * MIB)
     packed = zstandard.ZstdCompressor(level=1).compress(part)
     return HEADER + DECLARED + chunk(part, compression="zstd", packed=packed) * 128 + END
 
 
 def messages(channel: int) -> bytes:
-    """Millions of messages without content in some ten KiB."""
+    """An MCAP file of some 10 KiB with millions of empty messages."""
     empty = message_record(Message(0, raw=b""), channel)[: 9 + 22]
     empty = empty[:1] + (22).to_bytes(8, "little") + empty[9:]
     part = empty * (100 * MIB // len(empty))
@@ -48,7 +48,7 @@ def messages(channel: int) -> bytes:
     ],
     ids=["zeros", "messages", "undeclared channel"],
 )
-def test_a_small_mcap_file_ends_early_with_the_limit(
+def test_a_decompression_bomb_in_mcap_is_refused_early(
     tmp_path: Path, content: Callable[[], bytes], words: str
 ) -> None:
     path = tmp_path / "small.mcap"
@@ -62,7 +62,7 @@ def test_a_small_mcap_file_ends_early_with_the_limit(
     assert time.process_time() - began < 5.0
 
 
-def test_still_joints_at_1_khz_stay_far_below_the_limits(tmp_path: Path) -> None:
+def test_a_recording_of_joints_at_rest_at_1_khz_is_far_below_the_limits(tmp_path: Path) -> None:
     count, joints = 20_000, 30
     still = np.zeros((count, joints))
     stamp = 1_700_000_000_000_000_000 + np.arange(count) * 1_000_000
@@ -76,7 +76,7 @@ def test_still_joints_at_1_khz_stay_far_below_the_limits(tmp_path: Path) -> None
     assert len(read_one(path).series["state"].stamp) == count
 
 
-def test_compressed_messages_are_bounded_one_by_one_and_together(
+def test_compressed_messages_are_limited_individually_and_in_total(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     packed = zstandard.ZstdCompressor().compress(bytes(2 * MIB))
@@ -92,7 +92,7 @@ def test_compressed_messages_are_bounded_one_by_one_and_together(
         read_one(path)
 
 
-def test_a_broken_compressed_message_is_lost_alone(tmp_path: Path) -> None:
+def test_only_the_damaged_compressed_message_is_lost(tmp_path: Path) -> None:
     folder = write_bag(tmp_path / "bag", sines(20), SQLITE, MESSAGE)
     connection = sqlite3.connect(folder / "bag.db3")
     connection.execute(
@@ -107,7 +107,7 @@ def test_a_broken_compressed_message_is_lost_alone(tmp_path: Path) -> None:
     assert "1 of 20 messages are lost, they cannot be decoded" in str(recording.damage[0])
 
 
-def test_metadata_that_no_checksum_covers_is_said(tmp_path: Path) -> None:
+def test_metadata_without_a_checksum_is_noted(tmp_path: Path) -> None:
     said = "no checksum covers it"
     path = tmp_path / "trial.mcap"
     for guarded in (True, False):

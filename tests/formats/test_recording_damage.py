@@ -1,4 +1,4 @@
-"""Damaged and hostile recordings: a typed error or a labelled loss, never a quiet one."""
+"""Damaged and malicious recordings raise a typed error or report their loss."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def positions(recording: Recording) -> list[list[float]]:
     return [] if state is None or state.position is None else state.position.tolist()
 
 
-def test_a_sound_file_of_the_tests_own_making_has_no_damage(tmp_path: Path) -> None:
+def test_undamaged_files_report_no_damage(tmp_path: Path) -> None:
     for data in (
         HEADER + DECLARED + ONE + END,
         HEADER + chunk(DECLARED + ONE) + END,
@@ -57,7 +57,9 @@ def test_a_sound_file_of_the_tests_own_making_has_no_damage(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("options", [{"chunk_size": 400}, {"use_chunking": False}, BARE])
-def test_a_truncated_file_gives_what_is_left_and_says_so(tmp_path: Path, options: dict) -> None:  # type: ignore[type-arg]
+def test_a_truncated_file_returns_its_beginning_and_reports_damage(
+    tmp_path: Path, options: dict
+) -> None:  # type: ignore[type-arg]
     data = mcap(sines(12), **options)
     whole = positions(read(tmp_path, data))
     assert len(whole) == 12
@@ -70,13 +72,13 @@ def test_a_truncated_file_gives_what_is_left_and_says_so(tmp_path: Path, options
             continue
         found = positions(recording)
         assert found == whole[: len(found)]
-        assert recording.damage, f"cut at {length} of {len(data)}"
+        assert recording.damage, f"no damage reported for {length} of {len(data)} bytes"
         counts.add(len(found))
     if options is not BARE:
-        assert len(counts) > 3, "a cut file should give its beginning"
+        assert len(counts) > 3, "a truncated file should return its beginning"
 
 
-def test_a_cut_says_where_and_how_much_is_lost(tmp_path: Path) -> None:
+def test_a_truncation_is_reported_with_position_and_lost_bytes(tmp_path: Path) -> None:
     data = HEADER + DECLARED + ONE + ONE
     recording = read(tmp_path, data[:-5])
     start = len(HEADER + DECLARED + ONE)
@@ -96,8 +98,8 @@ def test_a_cut_says_where_and_how_much_is_lost(tmp_path: Path) -> None:
         {"use_chunking": False},
     ],
 )
-def test_no_flipped_bit_goes_unseen(tmp_path: Path, options: dict) -> None:  # type: ignore[type-arg]
-    """Every byte of the data section is under a CRC, so that a change is refused or noted."""
+def test_every_changed_bit_is_detected_or_without_effect(tmp_path: Path, options: dict) -> None:  # type: ignore[type-arg]
+    """All bytes of the data section are covered by a CRC: a change is refused or noted."""
     data = mcap(sines(6), metadata={"role": "fit"}, enable_data_crcs=True, **options)
     sound = read(tmp_path, data)
     assert sound.damage == ()
@@ -118,7 +120,7 @@ def test_no_flipped_bit_goes_unseen(tmp_path: Path, options: dict) -> None:  # t
     assert quiet < len(data) / 10
 
 
-def test_a_chunk_whose_crc_is_wrong_is_lost_and_the_others_are_not(tmp_path: Path) -> None:
+def test_only_the_chunk_with_a_wrong_crc_is_lost(tmp_path: Path) -> None:
     data = bytearray(mcap(sines(9), chunk_size=500))
     at = data.index(struct.pack("<d", -0.2 * 4))
     data[at] ^= 1
@@ -131,7 +133,7 @@ def test_a_chunk_whose_crc_is_wrong_is_lost_and_the_others_are_not(tmp_path: Pat
     assert f"/joint_states: {9 - lost} of 9 messages that the summary counts" in words
 
 
-def test_a_chunk_that_became_another_record_is_missed(tmp_path: Path) -> None:
+def test_a_chunk_missing_against_the_index_is_reported(tmp_path: Path) -> None:
     data = bytearray(mcap(sines(9), chunk_size=500))
     first = len(HEADER)
     assert data[first] == 6
@@ -156,7 +158,9 @@ def test_a_chunk_that_became_another_record_is_missed(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_no_writer_makes_is_an_error(tmp_path: Path, data: bytes, words: str) -> None:
+def test_files_that_violate_the_mcap_format_are_refused(
+    tmp_path: Path, data: bytes, words: str
+) -> None:
     with pytest.raises(FormatError, match=words):
         read(tmp_path, data)
 
@@ -187,7 +191,7 @@ def test_what_no_writer_makes_is_an_error(tmp_path: Path, data: bytes, words: st
         ),
     ],
 )
-def test_damage_is_labelled_and_the_rest_is_read(
+def test_damage_is_reported_and_the_rest_is_read(
     tmp_path: Path, data: bytes, left: int, words: str
 ) -> None:
     recording = read(tmp_path, data)
@@ -196,7 +200,7 @@ def test_damage_is_labelled_and_the_rest_is_read(
     assert bool(words) == bool(recording.damage)
 
 
-def test_bombs_are_refused_before_they_unfold(tmp_path: Path) -> None:
+def test_decompression_bombs_are_refused_before_unpacking(tmp_path: Path) -> None:
     zeros = bytes(50_000_000)
     small_frame = zstandard.ZstdCompressor().compress(zeros)
     no_size = zstandard.ZstdCompressor(write_content_size=False).compress(zeros)
@@ -219,14 +223,14 @@ def test_bombs_are_refused_before_they_unfold(tmp_path: Path) -> None:
             read(tmp_path, HEADER + bomb + END)
 
 
-def test_a_frame_that_claims_a_huge_size_gets_no_memory(tmp_path: Path) -> None:
-    # Magic, single segment with an 8-byte content size of 2**60, one raw block of nothing.
+def test_a_frame_with_a_huge_stated_size_allocates_no_memory(tmp_path: Path) -> None:
+    # Magic, single segment with an 8-byte content size of 2**60, one empty raw block.
     frame = b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**60) + b"\x01\x00\x00"
     recording = read(tmp_path, HEADER + chunk(b"", compression="zstd", packed=frame, size=9) + END)
     assert "cannot be decompressed" in str(recording.damage[0])
 
 
-def test_many_small_chunks_are_bounded_together(
+def test_many_small_chunks_are_limited_in_total(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = limits.McapLimits(uncompressed_bytes=1000, records_count=50, messages_count=5)
@@ -239,14 +243,14 @@ def test_many_small_chunks_are_bounded_together(
         read(tmp_path, HEADER + DECLARED + ONE * 6 + END)
 
 
-def test_a_chunk_that_unpacks_to_less_is_lost(tmp_path: Path) -> None:
+def test_a_chunk_that_unpacks_to_fewer_bytes_than_stated_is_lost(tmp_path: Path) -> None:
     packed = zstandard.ZstdCompressor(write_content_size=False).compress(DECLARED + ONE)
     size = len(DECLARED + ONE) + 7
     data = HEADER + chunk(b"", compression="zstd", packed=packed, size=size) + END
     assert f"decompresses to {size - 7} of {size} bytes" in str(read(tmp_path, data).damage[0])
 
 
-def test_sizes_need_not_stand_in_the_frame(tmp_path: Path) -> None:
+def test_compressed_frames_without_a_stated_size_are_read(tmp_path: Path) -> None:
     content = DECLARED + ONE
     no_size = zstandard.ZstdCompressor(write_content_size=False)
     two_frames = no_size.compress(content[:50]) + no_size.compress(content[50:])
@@ -259,7 +263,7 @@ def test_sizes_need_not_stand_in_the_frame(tmp_path: Path) -> None:
         assert (recording.damage, positions(recording)) == ((), [[0.1, -0.2]])
 
 
-def test_notes_are_bounded(tmp_path: Path) -> None:
+def test_the_number_of_damage_notes_is_limited(tmp_path: Path) -> None:
     recording = read(tmp_path, HEADER + record(200, b"") * 1000 + DECLARED + ONE + END)
     assert len(recording.damage) == recording_types._NOTES + 1
     assert str(recording.damage[-1]) == "further on: 960 more places like these"
@@ -280,20 +284,22 @@ def states(*stamps: int) -> list[Message]:
         ((5, 0, 7, 0), "/joint_states: 2 messages without header.stamp, first message 1"),
     ],
 )
-def test_odd_times_are_noted_and_kept(tmp_path: Path, stamps: tuple[int, ...], words: str) -> None:
+def test_decreasing_repeated_and_missing_stamps_are_noted_and_kept(
+    tmp_path: Path, stamps: tuple[int, ...], words: str
+) -> None:
     recording = read(tmp_path, mcap(states(*stamps)))
     assert recording.series["state"].stamp.tolist() == list(stamps)
     assert words in [str(note) for note in recording.damage]
 
 
-def test_without_any_stamp_the_log_time_serves_and_that_is_noted(tmp_path: Path) -> None:
+def test_without_stamps_log_times_are_used_with_a_note(tmp_path: Path) -> None:
     recording = read(tmp_path, mcap(states(0, 0, 0)))
     assert recording.series["state"].stamp.tolist() == [START, START + 1, START + 2]
     assert "no message has a header.stamp" in str(recording.damage[0])
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite_are_kept_and_noted(tmp_path: Path, value: float) -> None:
+def test_non_finite_values_are_kept_and_noted(tmp_path: Path, value: float) -> None:
     messages = sines(4)
     messages[2].effort = (1.0, value)
     recording = read(tmp_path, mcap(messages))
@@ -324,7 +330,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("words", list(BROKEN))
-def test_a_message_that_cannot_be_decoded_is_noted(tmp_path: Path, words: str) -> None:
+def test_an_undecodable_message_is_lost_with_a_note(tmp_path: Path, words: str) -> None:
     messages = sines(5)
     messages[3].raw = BROKEN[words]
     recording = read(tmp_path, mcap(messages))
@@ -355,20 +361,22 @@ def test_a_message_that_cannot_be_decoded_is_noted(tmp_path: Path, words: str) -
         (b"\xff", "not JSON"),
     ],
 )
-def test_odd_json_is_noted(tmp_path: Path, raw: bytes, words: str) -> None:
+def test_an_invalid_json_message_is_lost_with_a_note(
+    tmp_path: Path, raw: bytes, words: str
+) -> None:
     messages = [*sines(2), Message(START + 10**9, raw=raw)]
     recording = read(tmp_path, mcap(messages, encoding="json"))
     assert len(positions(recording)) == 2
     assert words in str(recording.damage[0])
 
 
-def test_a_topic_of_which_nothing_can_be_decoded_is_an_error(tmp_path: Path) -> None:
+def test_a_topic_without_any_decodable_message_is_an_error(tmp_path: Path) -> None:
     messages = [Message(START + i, raw=b"\xff" * 40) for i in range(50)]
     with pytest.raises(RecordingError, match="no message can be decoded, first message 0"):
         read(tmp_path, mcap(messages))
 
 
-def test_trial_records_that_differ_are_an_error(tmp_path: Path) -> None:
+def test_contradicting_trial_metadata_is_an_error(tmp_path: Path) -> None:
     def trial(role: str) -> bytes:
         pair = text("role") + text(role)
         return record(12, text("trial") + struct.pack("<I", len(pair)) + pair)

@@ -1,4 +1,4 @@
-"""One door for recordings of every kind: the same numbers, whatever file they came in."""
+"""Recordings of every format are read by one function with the same numbers."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def expected(tmp_path: Path) -> Recording:
         (MCAP, STORAGE),
     ],
 )
-def test_a_bag_of_any_storage_and_compression_is_read(
+def test_bags_of_every_storage_and_compression_are_read(
     tmp_path: Path, expected: Recording, storage: object, compression: object
 ) -> None:
     folder = write_bag(tmp_path / "bag", MESSAGES, storage, compression, {"role": "fit"})  # type: ignore[arg-type]
@@ -71,7 +71,7 @@ def test_a_bag_of_any_storage_and_compression_is_read(
 
 @pytest.mark.parametrize("storage", [SQLITE, MCAP])
 @pytest.mark.parametrize("compression", [None, FILE, MESSAGE])
-def test_a_bags_file_is_read_without_its_folder(
+def test_a_file_of_a_bag_is_read_without_its_folder(
     tmp_path: Path, expected: Recording, storage: object, compression: object
 ) -> None:
     folder = write_bag(tmp_path / "bag", MESSAGES, storage, compression)  # type: ignore[arg-type]
@@ -79,7 +79,7 @@ def test_a_bags_file_is_read_without_its_folder(
     assert_same(read_one(file), expected)
 
 
-def test_a_bag_of_several_files_is_one_recording(tmp_path: Path, expected: Recording) -> None:
+def test_a_bag_with_several_files_is_one_recording(tmp_path: Path, expected: Recording) -> None:
     folder = tmp_path / "bag"
     folder.mkdir()
     names = [f"bag_{number}.mcap" for number in (0, 1, 10)]
@@ -97,7 +97,7 @@ def test_a_bag_of_several_files_is_one_recording(tmp_path: Path, expected: Recor
     assert str(recording.damage[0]).startswith("metadata.yaml: missing: the recorder was killed")
 
 
-def test_a_folder_of_several_recordings_is_no_bag(tmp_path: Path) -> None:
+def test_a_folder_with_several_recordings_is_refused_as_a_bag(tmp_path: Path) -> None:
     for name in ("fit.mcap", "held_out.mcap"):
         (tmp_path / name).write_bytes(mcap(sines(3)))
     with pytest.raises(FormatError) as caught:
@@ -107,14 +107,16 @@ def test_a_folder_of_several_recordings_is_no_bag(tmp_path: Path) -> None:
     )
 
 
-def test_old_metadata_puts_the_folder_before_the_file(tmp_path: Path, expected: Recording) -> None:
+def test_old_metadata_with_folder_in_the_file_names_is_read(
+    tmp_path: Path, expected: Recording
+) -> None:
     folder = write_bag(tmp_path / "bag", MESSAGES)
     metadata = folder / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("- bag.db3", "- bag/bag.db3"))
     assert_same(read_one(folder), expected)
 
 
-def test_messages_that_the_metadata_counts_and_the_file_lacks_are_noted(tmp_path: Path) -> None:
+def test_messages_missing_against_the_count_in_the_metadata_are_noted(tmp_path: Path) -> None:
     folder = write_bag(tmp_path / "bag", MESSAGES)
     with sqlite3.connect(folder / "bag.db3") as connection:
         connection.execute("DELETE FROM messages WHERE id > 120")
@@ -135,7 +137,7 @@ def test_messages_that_the_metadata_counts_and_the_file_lacks_are_noted(tmp_path
         ("", "empty path"),
     ],
 )
-def test_metadata_names_files_of_its_own_folder_alone(
+def test_bag_metadata_may_name_only_files_in_its_own_folder(
     tmp_path: Path, name: str, words: str
 ) -> None:
     folder = write_bag(tmp_path / "bag", MESSAGES)
@@ -150,7 +152,7 @@ def test_metadata_names_files_of_its_own_folder_alone(
     assert caught.value.path == metadata
 
 
-def test_links_and_other_things_are_no_recordings(tmp_path: Path) -> None:
+def test_links_missing_paths_and_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(write_bag(tmp_path / "bag", MESSAGES))
     with pytest.raises(PathError, match="is a symbolic link"):
         read_one(tmp_path / "link")
@@ -161,7 +163,7 @@ def test_links_and_other_things_are_no_recordings(tmp_path: Path) -> None:
         read_one(tmp_path / "notes.txt")
 
 
-# -- SQLite files that are no friend's ----------------------------------------------------------
+# -- malicious SQLite files -------------------------------------------------------------------
 
 
 def database(folder: Path, script: str) -> Path:
@@ -203,13 +205,15 @@ ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n)"
         ),
     ],
 )
-def test_databases_that_are_no_bags_are_refused(tmp_path: Path, script: str, words: str) -> None:
+def test_sqlite_files_that_are_not_bags_are_refused(
+    tmp_path: Path, script: str, words: str
+) -> None:
     with pytest.raises(FormatError) as caught:
         read_one(database(tmp_path, script))
     assert words in str(caught.value)
 
 
-def test_a_schema_that_is_no_text_is_one_line(tmp_path: Path) -> None:
+def test_a_damaged_sqlite_schema_is_refused(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", MESSAGES) / "bag.db3"
     data = bytearray(path.read_bytes())
     at = data.find(b"CREATE TABLE topics(")
@@ -219,7 +223,7 @@ def test_a_schema_that_is_no_text_is_one_line(tmp_path: Path) -> None:
         read_one(path)
 
 
-def test_a_trigger_of_the_file_never_runs_and_the_file_stays_as_it_is(tmp_path: Path) -> None:
+def test_sqlite_triggers_do_not_run_and_the_file_is_unchanged(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", MESSAGES) / "bag.db3"
     connection = sqlite3.connect(path)
     connection.execute("CREATE TRIGGER t AFTER UPDATE ON messages BEGIN DELETE FROM messages; END")
@@ -230,7 +234,7 @@ def test_a_trigger_of_the_file_never_runs_and_the_file_stays_as_it_is(tmp_path: 
     assert {p.name for p in path.parent.iterdir()} == {"bag.db3", "metadata.yaml"}
 
 
-def test_a_database_cannot_hold_more_messages_than_its_size_allows(
+def test_an_sqlite_file_with_too_many_messages_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_bag(tmp_path / "bag", MESSAGES) / "bag.db3"
@@ -245,7 +249,7 @@ def test_a_write_ahead_log_beside_the_file_is_noted(tmp_path: Path) -> None:
     assert "its messages are not read" in str(read_one(path).damage[0])
 
 
-def test_a_cut_database_gives_what_is_left_or_one_line(tmp_path: Path) -> None:
+def test_a_truncated_sqlite_file_returns_its_beginning_or_a_typed_error(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", MESSAGES) / "bag.db3"
     data = path.read_bytes()
     left = set()
@@ -260,10 +264,10 @@ def test_a_cut_database_gives_what_is_left_or_one_line(tmp_path: Path) -> None:
         left.add(0 if state is None else len(state.stamp))
         assert recording.damage
     assert -1 in left
-    assert len(left) > 2, "a cut file should give its beginning"
+    assert len(left) > 2, "a truncated file should return its beginning"
 
 
-def test_a_zstandard_file_that_unpacks_to_too_much_is_refused(
+def test_a_zstandard_file_with_too_much_unpacked_data_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import zstandard
@@ -276,7 +280,7 @@ def test_a_zstandard_file_that_unpacks_to_too_much_is_refused(
         read_one(path)
 
 
-def test_other_packages_readers_are_asked_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readers_of_other_packages_have_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     from pytest_twin.formats import recordings
 
     class Theirs:
@@ -307,7 +311,7 @@ def test_other_packages_readers_are_asked_first(monkeypatch: pytest.MonkeyPatch)
         recordings.readers.cache_clear()
 
 
-def test_messages_and_recordings_agree_on_one_message(tmp_path: Path) -> None:
+def test_a_bag_with_one_message_is_read(tmp_path: Path) -> None:
     folder = write_bag(tmp_path / "bag", [Message(START, position=(1.0, 2.0))])
     (recording,) = read_recordings(folder)
     assert recording.series["state"].position is not None

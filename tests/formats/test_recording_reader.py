@@ -1,4 +1,4 @@
-"""Recordings: the same numbers as other decoders give, from every kind of file."""
+"""MCAP recordings of every layout give the same numbers as independent decoders."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def assert_sines(recording: Recording, count: int) -> None:
 
 @pytest.mark.parametrize("compression", list(CompressionType))
 @pytest.mark.parametrize("options", [{}, BARE, {"chunk_size": 500}, {"use_chunking": False}])
-def test_every_layout_of_a_file(
+def test_every_mcap_layout_and_compression_is_read(
     tmp_path: Path, compression: CompressionType, options: dict[str, Any]
 ) -> None:
     data = mcap(sines(50), compression=compression, **options)
@@ -80,12 +80,12 @@ def test_every_layout_of_a_file(
 
 
 @pytest.mark.parametrize(("encoding", "order"), [("cdr", "<"), ("cdr", ">"), ("json", "<")])
-def test_every_encoding(tmp_path: Path, encoding: str, order: str) -> None:
+def test_every_message_encoding_is_read(tmp_path: Path, encoding: str, order: str) -> None:
     data = mcap(sines(50), encoding=encoding, order=order)
     assert_sines(read_recording(put(tmp_path, data)), 50)
 
 
-def test_json_needs_no_schema_and_takes_nulls(tmp_path: Path) -> None:
+def test_json_messages_need_no_schema_and_may_contain_null(tmp_path: Path) -> None:
     message = Message(START, extra={"position": [None, 2]})
     recording = read_recording(put(tmp_path, mcap([message], encoding="json", schema=None)))
     np.testing.assert_array_equal(recording.series["state"].position, [[math.nan, 2.0]])
@@ -124,7 +124,7 @@ def _messages(draw: st.DrawFn) -> list[Message]:
 
 @settings(max_examples=50, deadline=None)
 @given(messages=_messages())
-def test_any_messages_read_as_mcap_ros2_support_reads_them(
+def test_random_messages_equal_those_decoded_by_mcap_ros2_support(
     tmp_path_factory: pytest.TempPathFactory, messages: list[Message]
 ) -> None:
     path = tmp_path_factory.mktemp("any") / "trial.mcap"
@@ -139,7 +139,7 @@ def test_any_messages_read_as_mcap_ros2_support_reads_them(
         }
         writer.write_message(message.topic, schema, fields, message.stamp, message.stamp)
     writer.finish()
-    # The library leaves its file open for others to close.
+    # The library does not close its file.
     writer._writer._Writer__stream.close()
     recording = read_recording(path)
     assert {series.topic for series in recording.series.values()} == {
@@ -148,8 +148,8 @@ def test_any_messages_read_as_mcap_ros2_support_reads_them(
     assert_same_as_ros2_support(recording)
 
 
-def test_names_in_another_order_are_aligned(tmp_path: Path) -> None:
-    # More orders than layouts are tried at a time, all messages of one size.
+def test_joint_names_in_changing_order_are_aligned(tmp_path: Path) -> None:
+    # More orders than the reader tries at a time; all messages have the same size.
     names = ("a", "b", "c", "d")
     value = {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0}
     messages = [
@@ -162,7 +162,7 @@ def test_names_in_another_order_are_aligned(tmp_path: Path) -> None:
     np.testing.assert_array_equal(state.position, expected)
 
 
-def test_quantities_that_no_message_fills_are_none(tmp_path: Path) -> None:
+def test_a_quantity_without_any_value_is_none(tmp_path: Path) -> None:
     messages = [
         Message(START, position=(1.0, 2.0)),
         Message(START + 1, position=(1.0, 2.0), effort=(3.0, 4.0)),
@@ -174,7 +174,7 @@ def test_quantities_that_no_message_fills_are_none(tmp_path: Path) -> None:
     assert "effort is empty in 1 of 2 messages" in str(recording.damage[0])
 
 
-def test_topics_are_mapped_and_others_left_alone(tmp_path: Path) -> None:
+def test_only_mapped_topics_are_read(tmp_path: Path) -> None:
     messages = [*sines(3, "/a"), *sines(4, "/b"), Message(START, raw=b"\xff", topic="/c")]
     path = put(tmp_path, mcap(messages, use_chunking=False))
     found = read_recording(path, {"state": "/b", "command": "/joint_commands"})
@@ -188,7 +188,7 @@ def test_trial_metadata_is_read(tmp_path: Path) -> None:
     assert read_recording(put(tmp_path, data)).metadata == {"role": "fit", "payload": "kg05"}
 
 
-def test_messages_of_different_joints_make_one_table(tmp_path: Path) -> None:
+def test_messages_of_different_joints_are_merged_into_one_table(tmp_path: Path) -> None:
     messages = [
         Message(START, ("shoulder", "elbow"), (1.0, 2.0)),
         Message(START + 10, ("gripper",), (0.1,)),
@@ -206,7 +206,7 @@ def test_messages_of_different_joints_make_one_table(tmp_path: Path) -> None:
     assert recording.damage == ()
 
 
-def test_a_joint_in_every_message_of_its_own_cannot_make_a_table_of_any_size(
+def test_the_table_of_messages_with_different_joints_is_limited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(limits, "MCAP", replace(limits.MCAP, samples_count=100))
@@ -226,14 +226,16 @@ def test_a_joint_in_every_message_of_its_own_cannot_make_a_table_of_any_size(
         ({"encoding": "cbor"}, "unknown message encoding (got 'cbor'; expected cdr, ros1 or json)"),
     ],
 )
-def test_other_types_are_an_error(tmp_path: Path, options: dict[str, Any], words: str) -> None:
+def test_unknown_message_types_and_encodings_are_an_error(
+    tmp_path: Path, options: dict[str, Any], words: str
+) -> None:
     with pytest.raises(RecordingError) as caught:
         read_recording(put(tmp_path, mcap(sines(2), **options)))
     assert words in str(caught.value)
     assert caught.value.where == "/joint_states"
 
 
-def test_a_link_to_a_recording_is_not_followed(tmp_path: Path) -> None:
+def test_a_symbolic_link_to_a_recording_is_refused(tmp_path: Path) -> None:
     put(tmp_path, mcap(sines(1)))
     (tmp_path / "link.mcap").symlink_to("trial.mcap")
     with pytest.raises(PathError, match="is a symbolic link"):
@@ -246,7 +248,7 @@ def series(topic: str, count: int, **tables: np.ndarray) -> JointSeries:
     return JointSeries(topic, ("a", "b"), stamp, stamp + 5, **{**empty, **tables})
 
 
-def test_written_recordings_read_back_and_are_the_same_bytes(tmp_path: Path) -> None:
+def test_written_recordings_are_read_back_and_bitwise_reproducible(tmp_path: Path) -> None:
     values = np.random.default_rng(3).normal(size=(3000, 2))
     values[7] = np.nan
     written = [
@@ -266,7 +268,7 @@ def test_written_recordings_read_back_and_are_the_same_bytes(tmp_path: Path) -> 
     assert_same_as_ros2_support(recording)
 
 
-def test_a_writer_that_fails_leaves_the_old_recording(tmp_path: Path) -> None:
+def test_a_failed_write_keeps_the_old_recording(tmp_path: Path) -> None:
     path = tmp_path / "trial.mcap"
     write_recording(path, [series("/joint_states", 3, position=np.zeros((3, 2)))])
     before = path.read_bytes()
@@ -279,7 +281,7 @@ def test_a_writer_that_fails_leaves_the_old_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["so101", "xl330", "emps"])
-def test_real_recordings_read_as_mcap_ros2_support_reads_them(name: str) -> None:
+def test_real_recordings_equal_those_decoded_by_mcap_ros2_support(name: str) -> None:
     folder = RECORDINGS / name / "recordings"
     if not folder.is_dir():
         pytest.skip(f"no recordings at {RECORDINGS}; the variable TWIN_RECORDINGS names the place")

@@ -1,4 +1,4 @@
-"""The quick answer is the right one: compiled schemas agree with jsonschema."""
+"""Compiled JSON schemas accept the same values as the library jsonschema."""
 
 from __future__ import annotations
 
@@ -73,11 +73,13 @@ _OBJECTS = st.dictionaries(st.sampled_from(NAMES), _VALUES, max_size=3)
 @settings(max_examples=150, deadline=None)
 @given(
     body=_keywords(_SCHEMAS),
-    # No reference in it, so that none refers to itself for ever.
+    # Without references, so that no schema refers to itself endlessly.
     shared=_SCHEMAS.filter(lambda s: "$ref" not in repr(s)),
     data=st.lists(_VALUES | _OBJECTS, min_size=5, max_size=20),
 )
-def test_agrees_with_jsonschema(body: dict[str, Any], shared: Any, data: list[Any]) -> None:
+def test_random_compiled_schemas_agree_with_jsonschema(
+    body: dict[str, Any], shared: Any, data: list[Any]
+) -> None:
     whole = {**body, "$defs": {"x": shared}}
     fits = compile_schema(whole)
     assert fits is not None
@@ -146,12 +148,12 @@ def test_a_schema_may_refer_to_itself() -> None:
 
 
 @pytest.mark.parametrize("keyword", ["unevaluatedProperties", "contains", "$dynamicRef"])
-def test_what_it_does_not_know_it_leaves_to_jsonschema(keyword: str) -> None:
+def test_schemas_with_unsupported_keywords_are_not_compiled(keyword: str) -> None:
     value = "#" if keyword == "$dynamicRef" else False
     assert compile_schema({"properties": {"a": {keyword: value}}}) is None
 
 
-def test_an_unknown_keyword_still_refuses() -> None:
+def test_schemas_with_unsupported_keywords_are_validated_by_jsonschema() -> None:
     closed = {"properties": {"a": {}}, "unevaluatedProperties": False}
     schema.validate(yaml.loads("a: 1", Path("x")), closed, Path("x"))
     with pytest.raises(SpecError):

@@ -1,4 +1,4 @@
-"""A refusal by a schema says which field, on which line, and what was expected."""
+"""Schema errors state field, line and expected value."""
 
 from __future__ import annotations
 
@@ -83,7 +83,9 @@ PATH = Path("g.yaml")
         ("~", 1, None, "is empty (expected a mapping of fields)"),
     ],
 )
-def test_words(text: str, line: int, where: str | None, words: str) -> None:
+def test_a_schema_error_states_field_line_and_expected_value(
+    text: str, line: int, where: str | None, words: str
+) -> None:
     with pytest.raises(SpecError) as caught:
         schema.validate(yaml.loads(text, PATH), SCHEMA, PATH)
     assert words in str(caught.value)
@@ -91,17 +93,17 @@ def test_words(text: str, line: int, where: str | None, words: str) -> None:
     assert caught.value.path == PATH
 
 
-def test_a_misspelt_field_is_named_rather_than_the_one_that_is_missing() -> None:
+def test_a_misspelt_field_is_reported_instead_of_a_missing_field() -> None:
     with pytest.raises(SpecError, match=r"kimd: is not a known field.*did you mean 'kind'"):
         schema.validate(yaml.loads("kimd: fk", PATH), SCHEMA, PATH)
 
 
-def test_what_fits_passes() -> None:
+def test_a_valid_document_passes() -> None:
     text = "kind: fk\ncount: 9\nnames: [a, b]\ntolerance: {position: 3 mm}\nwhere: {frame: tcp}\n"
     schema.validate(yaml.loads(text, PATH), SCHEMA, PATH)
 
 
-def test_schemas_that_ship_are_loaded_once_and_compiled() -> None:
+def test_shipped_schemas_are_cached_and_can_be_compiled() -> None:
     from pytest_twin.formats.schema_compiler import compile_schema
 
     found = schema.load_schema("twin.schema.json")
@@ -109,6 +111,6 @@ def test_schemas_that_ship_are_loaded_once_and_compiled() -> None:
     assert compile_schema(found) is not None
 
 
-def test_a_schema_that_does_not_ship_is_an_error() -> None:
+def test_an_unknown_schema_is_an_error() -> None:
     with pytest.raises(SpecError, match="the package has no such schema"):
         schema.load_schema("nothing.schema.json")

@@ -1,4 +1,4 @@
-"""Wrenches, inertial measurements and poses from CDR and from JSON."""
+"""Wrenches, IMU readings and poses in CDR and JSON encoding."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ POSES = np.hstack([np.arange(12.0).reshape(4, 3), np.tile([0.0, 0.6, 0.0, 0.8], 
 
 
 @pytest.mark.parametrize("encoding", ["cdr", "json"])
-def test_readings_of_both_encodings_are_what_was_sent(encoding: str, tmp_path: Path) -> None:
+def test_readings_in_both_encodings_equal_the_written_values(encoding: str, tmp_path: Path) -> None:
     path = sensor_bags.write(
         tmp_path / "a.mcap",
         {
@@ -49,7 +49,7 @@ def test_readings_of_both_encodings_are_what_was_sent(encoding: str, tmp_path: P
 
 
 @pytest.mark.parametrize("kind", [WRENCH, IMU])
-def test_every_cut_of_a_message_is_refused_as_one_message(kind: str) -> None:
+def test_a_truncated_sensor_message_is_refused(kind: str) -> None:
     made = sensor_bags.message(kind, START, VALUES[1])
     whole = bytes(sensor_bags.STORE.serialize_cdr(made, kind))
     assert reading_of(whole, kind, "cdr").values == pytest.approx(VALUES[1])
@@ -71,7 +71,7 @@ def test_every_cut_of_a_message_is_refused_as_one_message(kind: str) -> None:
         (b'{"wrench": {"force": {"x": 1, "y": true, "z": 3}, "torque": {}}}', "no number"),
     ],
 )  # fmt: skip
-def test_json_that_is_no_wrench_is_refused(text: bytes, words: str) -> None:
+def test_an_invalid_json_wrench_is_refused(text: bytes, words: str) -> None:
     with pytest.raises(MessageError, match=words):
         reading_of_json(text, WRENCH)
 
@@ -85,7 +85,7 @@ def test_a_pose_needs_a_quaternion_of_length_one() -> None:
         pose_of_json(text)
 
 
-def test_of_several_pose_topics_one_has_to_be_named(tmp_path: Path) -> None:
+def test_several_pose_topics_require_a_choice(tmp_path: Path) -> None:
     both = dict.fromkeys(("/cube", "/hand"), (sensor_bags.POSE, STAMPS, POSES))
     path = sensor_bags.write(tmp_path / "a.mcap", both)
     with pytest.raises(RecordingError, match="several topics of poses"):

@@ -1,4 +1,4 @@
-"""Archives of tosses: what is read, and what a hostile file cannot do."""
+"""Archives of recorded tosses: reading, and protection against malicious files."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class _Boom:
         (_npy(np.zeros((20, 19), dtype=complex)), "not an array of floating-point numbers"),
     ],
 )
-def test_a_member_that_is_no_toss_is_refused_and_never_unpickled(
+def test_an_invalid_archive_member_is_refused_and_never_unpickled(
     member: bytes, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -74,7 +74,7 @@ def test_a_member_that_is_no_toss_is_refused_and_never_unpickled(
     assert not (tmp_path / "pwned").exists()
 
 
-def test_a_claimed_size_is_refused_before_memory_is_taken(tmp_path: Path) -> None:
+def test_a_wrong_stated_array_size_is_refused_before_allocation(tmp_path: Path) -> None:
     header = _npy(np.zeros((20, 19)))
     claimed = header.replace(b"(20, 19), }  ", b"(9999999,19)}")
     assert claimed != header
@@ -82,7 +82,7 @@ def test_a_claimed_size_is_refused_before_memory_is_taken(tmp_path: Path) -> Non
         read_tosses(_zip(tmp_path / "claims.npz", {"0.npy": claimed}))
 
 
-def test_an_archive_that_unpacks_to_too_much_is_refused(
+def test_an_archive_with_too_much_unpacked_data_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bound = limits.TossLimits(unpacked_bytes=1000)
@@ -92,7 +92,7 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(
 
 
 @pytest.mark.parametrize("data", [b"", b"PK\3\4", b"\x93NUMPY", bytes(100)])
-def test_a_file_that_is_no_archive_is_refused(data: bytes, tmp_path: Path) -> None:
+def test_a_file_that_is_not_an_archive_is_refused(data: bytes, tmp_path: Path) -> None:
     path = tmp_path / "bad.npz"
     path.write_bytes(data)
     with pytest.raises(FormatError, match=r"bad\.npz"):

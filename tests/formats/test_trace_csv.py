@@ -1,4 +1,4 @@
-"""Traces: what is written reads back, bit for bit, and nothing else is read."""
+"""Trace files in CSV: bitwise round trip, digests and strict reading."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def trace(**columns: list[float]) -> Trace:
     )
 
 
-def test_text_is_what_people_expect() -> None:
+def test_a_trace_is_written_as_csv_with_units_in_the_header() -> None:
     text = trace_text(trace(elbow=[0.1, -2.0, 1e-9]))
     assert text == "time [s],elbow [rad]\n0.0,0.1\n0.5,-2.0\n1.0,1e-09\n"
 
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_reads_back_bit_for_bit(data: st.DataObject) -> None:
+def test_a_written_trace_is_read_back_bitwise_identical(data: st.DataObject) -> None:
     rows = data.draw(st.integers(1, 12))
     finite = st.floats(allow_nan=False, allow_infinity=False)
     axis = data.draw(st.lists(finite, min_size=rows, max_size=rows, unique=True))
@@ -59,12 +59,12 @@ def test_reads_back_bit_for_bit(data: st.DataObject) -> None:
         assert read.columns[name][1].tobytes() == columns[name][1].tobytes()
 
 
-def test_a_heading_escapes_what_csv_and_units_use() -> None:
+def test_special_characters_in_headings_are_escaped() -> None:
     text = trace_text(trace(**{'100% of "finger[1], left"': [1.0]}))
     assert text == "time [s],100%25 of %22finger%5B1%5D%2C left%22 [rad]\n0.0,1.0\n"
 
 
-def test_line_endings_are_named_where_nothing_else_differs(tmp_path: Path) -> None:
+def test_changed_line_endings_are_reported_as_the_cause(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     digest = write_trace(path, trace(elbow=[1.0, 2.0]))
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
@@ -75,7 +75,7 @@ def test_line_endings_are_named_where_nothing_else_differs(tmp_path: Path) -> No
         read_trace(path, digest)
 
 
-def test_file_is_held_to_its_digest(tmp_path: Path) -> None:
+def test_a_trace_with_another_digest_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     digest = write_trace(path, trace(elbow=[1.0, 2.0]))
     assert digest == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -106,14 +106,14 @@ def test_file_is_held_to_its_digest(tmp_path: Path) -> None:
         ("time [s]\n-0.0\n0.0\n", 3, "axis does not increase"),
     ],
 )
-def test_refuses_with_place(text: str, line: int, words: str) -> None:
+def test_an_invalid_trace_is_refused_with_its_line(text: str, line: int, words: str) -> None:
     with pytest.raises(FormatError) as caught:
         parse_trace(text, PATH)
     assert words in str(caught.value)
     assert caught.value.line == line
 
 
-def test_bounds_hold() -> None:
+def test_rows_and_columns_of_a_trace_are_limited() -> None:
     with pytest.raises(LimitError, match="too many rows"):
         parse_trace("time [s]\n" + "1\n" * 200_001, PATH)
     with pytest.raises(LimitError, match="too many columns"):
@@ -129,6 +129,6 @@ def test_bounds_hold() -> None:
         (Trace(("time", "s"), np.array([0.0]), {"a": ("m", np.zeros(2))}), "differ in length"),
     ],
 )
-def test_what_could_not_be_read_back_is_not_written(broken: Trace, words: str) -> None:
+def test_an_invalid_trace_is_not_written(broken: Trace, words: str) -> None:
     with pytest.raises(FormatError, match=words):
         trace_text(broken)

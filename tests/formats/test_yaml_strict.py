@@ -1,4 +1,4 @@
-"""Strict YAML: one meaning per text, and the place of whatever has none."""
+"""Strict YAML: unambiguous values, and errors with line and column."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_plain_scalars_follow_the_core_schema(text: str, value: object) -> None:
     assert type(found) is type(value)
 
 
-def test_lines_are_those_of_the_keys() -> None:
+def test_each_field_has_the_line_of_its_key() -> None:
     text = "a: 1\n\nb:\n  c:\n    - x\n    - d: 2\n  e:\n    long\n"
     lines = yaml.loads(text, PATH).lines
     assert lines == {
@@ -101,7 +101,9 @@ def test_lines_are_those_of_the_keys() -> None:
         ("# only a comment\n", 1, None, "empty file"),
     ],
 )
-def test_refuses_with_place(text: str, line: int, column: int | None, words: str) -> None:
+def test_invalid_or_ambiguous_yaml_is_refused_with_line_and_column(
+    text: str, line: int, column: int | None, words: str
+) -> None:
     with pytest.raises(FormatError) as caught:
         yaml.loads(text, PATH)
     assert words in str(caught.value)
@@ -114,7 +116,7 @@ def test_a_tag_directive_is_refused() -> None:
         yaml.loads("%TAG ! tag:x,2000:\n---\na: 1\n", PATH)
 
 
-def test_depth_is_bounded() -> None:
+def test_nesting_depth_of_yaml_is_limited() -> None:
     assert yaml.loads("[" * 32 + "]" * 32, PATH)
     with pytest.raises(LimitError, match="nested too deep"):
         yaml.loads("[" * 33 + "]" * 33, PATH)
@@ -122,12 +124,12 @@ def test_depth_is_bounded() -> None:
         yaml.loads("[" * 1_000_000, PATH)
 
 
-def test_node_count_is_bounded() -> None:
+def test_the_number_of_yaml_values_is_limited() -> None:
     with pytest.raises(LimitError, match="too many values"):
         yaml.loads("[" + "1," * 200_001 + "]", PATH)
 
 
-def test_size_is_bounded_before_it_is_read(tmp_path: Path) -> None:
+def test_a_too_large_yaml_file_is_refused_before_reading(tmp_path: Path) -> None:
     path = tmp_path / "big.yaml"
     with path.open("wb") as stream:
         stream.truncate(2**40)
@@ -135,7 +137,7 @@ def test_size_is_bounded_before_it_is_read(tmp_path: Path) -> None:
         yaml.load(path)
 
 
-def test_load_names_the_byte_that_is_not_utf8(tmp_path: Path) -> None:
+def test_invalid_utf8_in_yaml_is_reported_with_line_and_column(tmp_path: Path) -> None:
     path = tmp_path / "twin.yaml"
     path.write_bytes(b"a: 1\nb: \xc3\xa9\xff\n")
     with pytest.raises(FormatError, match="not UTF-8 text") as caught:
@@ -143,13 +145,13 @@ def test_load_names_the_byte_that_is_not_utf8(tmp_path: Path) -> None:
     assert (caught.value.line, caught.value.column) == (2, 5)
 
 
-def test_load_takes_a_byte_order_mark_and_crlf(tmp_path: Path) -> None:
+def test_yaml_with_byte_order_mark_and_crlf_is_read(tmp_path: Path) -> None:
     path = tmp_path / "twin.yaml"
     path.write_bytes(b"\xef\xbb\xbfa: 1\r\nb: x\r\n")
     assert yaml.load(path).data == {"a": 1, "b": "x"}
 
 
-def test_load_follows_no_link(tmp_path: Path) -> None:
+def test_a_symbolic_link_to_a_yaml_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "real.yaml").write_text("a: 1\n")
     (tmp_path / "twin.yaml").symlink_to("real.yaml")
     with pytest.raises(PathError, match="is a symbolic link"):
@@ -186,7 +188,7 @@ def _same(left: Any, right: Any) -> bool:
 
 @settings(max_examples=60, deadline=None)
 @given(expected=_DATA)
-def test_recorded_data_reads_back_as_it_was(expected: Any) -> None:
+def test_recorded_data_is_read_back_unchanged(expected: Any) -> None:
     text = yaml.rewrite_recorded("kind: fk\n", {"expected": expected})
     data = yaml.loads(text, PATH).data
     assert data["kind"] == "fk"
