@@ -1,4 +1,4 @@
-"""What the strategies draw, held against computations of its own."""
+"""Robots and configurations drawn by the Hypothesis strategies, with independent checks."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ FOUR_BAR = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
 
 @FEW
 @given(robot=robots(), values=st.lists(st.floats(-0.2, 0.2), min_size=10, max_size=10))
-def test_both_texts_are_one_robot_to_two_engines(
+def test_urdf_and_mjcf_of_a_drawn_robot_have_the_same_dynamics(
     robot: DrawnRobot, values: list[float], tmp_path: Path
 ) -> None:
     reference = pin.buildModelFromXML(_without_shapes(robot.urdf))
@@ -97,7 +97,7 @@ def _without_shapes(urdf: str) -> str:
 
 @FEW
 @given(robots(links=(3, 5), kinds=("revolute", "fixed"), branching=False, mimics=False))
-def test_options_shape_the_robot(robot: DrawnRobot) -> None:
+def test_options_limit_links_joint_types_and_branching(robot: DrawnRobot) -> None:
     assert 3 <= len(robot.links) <= 5
     assert {joint.kind for joint in robot.joints} <= {"revolute", "fixed"}
     assert [joint.parent for joint in robot.joints] == [link.name for link in robot.links[:-1]]
@@ -106,14 +106,14 @@ def test_options_shape_the_robot(robot: DrawnRobot) -> None:
 
 @FEW
 @given(robots())
-def test_every_moving_link_is_a_body_that_can_be(robot: DrawnRobot) -> None:
+def test_every_moving_link_has_a_possible_inertia(robot: DrawnRobot) -> None:
     moved = {joint.child for joint in robot.joints if joint.kind != "fixed"}
     for link in robot.links:
         assert link.mass > 0 or link.name not in moved
         assert 2 * max(link.moments) <= sum(link.moments) * (1 + 1e-12)
 
 
-def test_every_feature_is_drawn() -> None:
+def test_mimics_meshes_branches_massless_links_and_continuous_joints_are_drawn() -> None:
     for wanted in (
         lambda r: any(j.mimic for j in r.joints),
         lambda r: any(s.kind == "mesh" for link in r.links for s in link.shapes),
@@ -126,7 +126,7 @@ def test_every_feature_is_drawn() -> None:
 
 @FEW
 @given(urdf=urdf_robots(links=(2, 3)), mjcf=mjcf_robots(links=(2, 3)))
-def test_texts_need_no_files(urdf: str, mjcf: str, tmp_path: Path) -> None:
+def test_drawn_texts_need_no_mesh_files(urdf: str, mjcf: str, tmp_path: Path) -> None:
     for name, text in (("r.urdf", urdf), ("r.xml", mjcf)):
         (tmp_path / name).write_text(text)
         assert load(tmp_path / name).joints
@@ -134,7 +134,7 @@ def test_texts_need_no_files(urdf: str, mjcf: str, tmp_path: Path) -> None:
 
 @FEW
 @given(data=st.data(), robot=robots(links=(4, 8), meshes=False))
-def test_configurations_keep_limits_and_couplings(
+def test_drawn_configurations_respect_limits_and_mimic_couplings(
     data: st.DataObject, robot: DrawnRobot, tmp_path: Path
 ) -> None:
     q = data.draw(configurations(robot.write(tmp_path)))
@@ -147,8 +147,8 @@ def test_configurations_keep_limits_and_couplings(
             assert q[joint.name] == pytest.approx(multiplier * q[leader] + offset, abs=1e-12)
 
 
-def test_a_leader_is_drawn_where_its_follower_keeps_its_limits(tmp_path: Path) -> None:
-    # right = 0.02 - 0.5 left stays within 0 and 0.1 for left within -0.1 and 0.04.
+def test_a_joint_is_drawn_only_where_its_mimic_stays_within_limits(tmp_path: Path) -> None:
+    # right = 0.02 - 0.5 left stays within its limits for left from -0.1 to 0.04.
     (tmp_path / "gripper.xml").write_text(GRIPPER)
     seen: list[float] = []
 
@@ -164,7 +164,7 @@ def test_a_leader_is_drawn_where_its_follower_keeps_its_limits(tmp_path: Path) -
     assert 0.02 < max(seen) <= 0.041
 
 
-def test_a_joint_can_be_held_and_a_follower_cannot(tmp_path: Path) -> None:
+def test_a_joint_value_can_be_fixed_but_not_that_of_a_mimic(tmp_path: Path) -> None:
     path = tmp_path / "gripper.xml"
     path.write_text(GRIPPER)
     q = find(configurations(path, {"left": 0.03}), lambda q: True)
@@ -175,7 +175,7 @@ def test_a_joint_can_be_held_and_a_follower_cannot(tmp_path: Path) -> None:
         configurations(path, {"right": 0.0})
 
 
-def test_closed_loops_are_closed(tmp_path: Path) -> None:
+def test_drawn_configurations_satisfy_closed_kinematic_loops(tmp_path: Path) -> None:
     (tmp_path / "bar.xml").write_text(FOUR_BAR)
     realization = load(tmp_path / "bar.xml")
 
@@ -192,7 +192,7 @@ def test_closed_loops_are_closed(tmp_path: Path) -> None:
     draw()
 
 
-def test_perturbed_assets_stay_within_their_spread() -> None:
+def test_perturbed_parameters_stay_within_the_given_spread() -> None:
     arm = load(DEMO / "arm.xml")
     spread = Spread(mass=0.1, com=1e-3, position=2e-3, damping=0.5)
 
@@ -213,13 +213,13 @@ def test_perturbed_assets_stay_within_their_spread() -> None:
 
 
 def _count(patches: dict[str, dict[str, dict[str, object]]]) -> int:
-    """Numbers changed; an inertia goes with its mass."""
+    """Number of changed parameters; an inertia scales with its mass and is not counted."""
     return sum(
         len(set(patch) - {"inertia"}) for family in patches.values() for patch in family.values()
     )
 
 
-def test_examples_shrink_to_the_one_number_that_matters(tmp_path: Path) -> None:
+def test_perturbed_assets_shrink_to_the_one_relevant_parameter(tmp_path: Path) -> None:
     path = tmp_path / "gripper.xml"
     path.write_text(GRIPPER)
     gripper = load(path)
@@ -229,7 +229,7 @@ def test_examples_shrink_to_the_one_number_that_matters(tmp_path: Path) -> None:
     assert re.fullmatch(r"\w+ of body 'left': .* -> .* k?[gm]", other.changes[0])
 
 
-def test_a_perturbation_is_a_fit(tmp_path: Path) -> None:
+def test_a_perturbation_can_be_applied_as_a_fit_in_the_twin_file(tmp_path: Path) -> None:
     arm = DEMO / "arm.urdf"
     generate = settings(phases=(Phase.generate,), max_examples=50)
     other = find(
@@ -255,7 +255,7 @@ def _plain(patch: dict[str, object]) -> dict[str, object]:
     return {key: list(v) if isinstance(v, tuple) else v for key, v in patch.items()}
 
 
-def test_without_hypothesis_it_says_what_to_install() -> None:
+def test_without_hypothesis_the_error_names_the_package_extra() -> None:
     code = "import sys; sys.modules['hypothesis'] = None\nimport pytest_twin.strategies"
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60

@@ -1,4 +1,4 @@
-"""A sample of the mutation benchmark, and the measure that it judges by."""
+"""A short run of the mutation benchmark, and the size of mutations in tolerances."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def mutations() -> ModuleType:
     return module
 
 
-def test_every_fault_beyond_tolerance_is_caught(
+def test_every_fault_above_tolerance_is_detected(
     mutations: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # USD and the meshes of real robots take their time: the benchmark has them.
+    # USD and meshes of real robots are slow; only the full benchmark includes them.
     monkeypatch.setattr(
         mutations, "TARGETS", {k: v for k, v in mutations.TARGETS.items() if k != "USD"}
     )
@@ -49,13 +49,13 @@ def test_every_fault_beyond_tolerance_is_caught(
     assert tally.below.total() > 0
 
 
-def test_a_suite_that_looks_away_misses(
+def test_the_benchmark_counts_missed_faults_without_properties(
     mutations: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mutations, "PROPERTIES", {})
     monkeypatch.setattr(mutations, "TARGETS", {"Pinocchio": (mutations.pinocchio_form, 1.0)})
     monkeypatch.setattr(mutations, "real_robots", list)
-    # MuJoCo still has to be there to draw from.
+    # Drawing configurations still needs a MuJoCo form.
     monkeypatch.setattr(mutations, "text_form", mutations.mujoco_form)
     tally = mutations.run(16, 5)
     assert len(tally.missed) > 8
@@ -64,24 +64,24 @@ def test_a_suite_that_looks_away_misses(
 @pytest.mark.parametrize(
     ("xpath", "key", "value", "target", "least", "most"),
     [
-        # 1 mm is 1000 times the tolerance of a position, 1 nm a thousandth.
+        # 1 mm is 1000 times the position tolerance, 1 nm one thousandth of it.
         (".//joint/origin", "xyz", "0 0 0.301", "Pinocchio", 999, 1001),
         (".//joint/origin", "xyz", "0 0 0.300000001", "Pinocchio", 0, 0.0011),
-        # A link's centre of mass is held to 1 um where the form holds links.
+        # The tolerance of a link's centre of mass is 1 um where the form has links.
         (".//inertial/origin", "xyz", "0 0 0.1002", "MuJoCo", 199, 2100),
-        # 1 % of the mass, which is held to a millionth.
+        # 1 % of the mass; its tolerance is one millionth.
         (".//mass", "value", "2.02", "Pinocchio", 9990, 10010),
         (".//limit", "effort", "41", "MuJoCo", 24999, 25001),
-        # MuJoCo holds no velocity limit, so it has none to lose.
+        # MuJoCo has no velocity limits, so a change has no effect there.
         (".//limit", "velocity", "0", "MuJoCo", 0, 0),
         (".//limit", "velocity", "0", "Pinocchio", 999_999, 1_000_001),
-        # USD has ten times the room.
+        # The tolerance for USD is ten times larger.
         (".//joint/origin", "xyz", "0 0 0.301", "USD", 99, 101),
         (".//axis", "xyz", "0 -1 0", "MuJoCo", 1e5, math.inf),
         (".//joint", "type", "continuous", "USD", math.inf, math.inf),
     ],
 )
-def test_effects_are_measured_in_tolerances(
+def test_the_size_of_a_mutation_is_given_in_tolerances(
     mutations: ModuleType,
     xpath: str,
     key: str,

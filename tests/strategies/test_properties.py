@@ -1,4 +1,4 @@
-"""Every ready-made property holds on sound robots, and fails on the fault that it is there for."""
+"""Each property holds on correct robots and fails on the fault that it detects."""
 
 from __future__ import annotations
 
@@ -63,23 +63,23 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Asset:
 
 
 @pytest.mark.parametrize("name", PROPERTIES)
-def test_holds_on_a_sound_arm(name: str, arm: Asset) -> None:
+def test_every_property_holds_on_a_correct_arm(name: str, arm: Asset) -> None:
     PROPERTIES[name].hold(arm)
 
 
-def test_holds_on_the_demo_twin_and_its_usd() -> None:
+def test_every_property_holds_on_the_demo_twin_and_its_usd() -> None:
     for source in ("twin.yaml", "arm.urdf"):
         asset = load_asset(DEMO / source)
         for made in PROPERTIES.values():
             made.hold(asset)
-        # Where the extra is installed, a URDF is tested as a USD stage too.
+        # With the package extra a URDF is also tested as a USD stage.
         if source == "arm.urdf":
             names = [form.name for form in asset.forms]
             assert ("USD" in names) != any("USD is left out" in words for words in asset.left_out)
 
 
 @pytest.mark.parametrize("name", ["panda.urdf", "bolt.urdf", "iris.urdf", "double_pendulum.urdf"])
-def test_holds_on_robots_that_others_built(name: str) -> None:
+def test_every_property_holds_on_real_robot_descriptions(name: str) -> None:
     try:
         files = distribution("example-robot-data").files or []
     except PackageNotFoundError:
@@ -98,7 +98,7 @@ def test_holds_on_robots_that_others_built(name: str) -> None:
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(robot=robots(links=(3, 7)))
-def test_holds_on_random_robots(robot: DrawnRobot, tmp_path: Path) -> None:
+def test_every_property_holds_on_random_robots(robot: DrawnRobot, tmp_path: Path) -> None:
     asset = load_asset(robot.write(tmp_path), usd=False)
     for made in PROPERTIES.values():
         made.hold(asset)
@@ -112,7 +112,7 @@ def test_holds_on_random_robots(robot: DrawnRobot, tmp_path: Path) -> None:
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(data=st.data())
-def test_holds_on_perturbed_assets(data: st.DataObject, tmp_path: Path) -> None:
+def test_every_property_holds_on_perturbed_assets(data: st.DataObject, tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(ARM)
     other = data.draw(perturbed_assets(tmp_path / "arm.urdf")).realization
     forms = [
@@ -124,11 +124,11 @@ def test_holds_on_perturbed_assets(data: st.DataObject, tmp_path: Path) -> None:
         made.hold(asset)
 
 
-# -- each fails, and says where and by how much
+# -- each property fails and states where and by how much
 
 
 def faulty(folder: Path, old: str, new: str, target: str = "MuJoCo") -> Asset:
-    """The arm with one of its realizations made from an edited text."""
+    """The arm with one realization made from an edited description."""
     right = asset_of(folder)
     assert old in ARM
     wrong = asset_of(folder, ARM.replace(old, new, 1))
@@ -239,7 +239,7 @@ FAULTS: list[tuple[str, str, str, str, str]] = [
 
 
 @pytest.mark.parametrize(("name", "old", "new", "target", "words"), FAULTS)
-def test_sees_its_fault(
+def test_each_property_detects_its_fault(
     name: str, old: str, new: str, target: str, words: str, tmp_path: Path
 ) -> None:
     with pytest.raises(PropertyError, match=words):
@@ -247,7 +247,7 @@ def test_sees_its_fault(
 
 
 class _Changed:
-    """Dynamics of which one answer is another."""
+    """Dynamics in which one result is modified."""
 
     def __init__(self, dynamics: Any, **answers: Callable[[Any], Any]) -> None:
         self._dynamics, self._answers = dynamics, answers
@@ -259,7 +259,7 @@ class _Changed:
         return lambda q: self._answers[name](held(q))
 
 
-def _with(asset: Asset, change: Callable[[Form], Form]) -> Asset:
+def _with_changed_mujoco(asset: Asset, change: Callable[[Form], Form]) -> Asset:
     return Asset("arm", [change(f) if f.name == "MuJoCo" else f for f in asset.forms])
 
 
@@ -302,14 +302,14 @@ MECHANICS: list[tuple[str, Callable[[Form], Form], str]] = [
 
 
 @pytest.mark.parametrize(("name", "change", "words"), MECHANICS)
-def test_sees_mechanics_that_cannot_be(
+def test_properties_detect_physically_impossible_dynamics(
     name: str, change: Callable[[Form], Form], words: str, arm: Asset
 ) -> None:
     with pytest.raises(PropertyError, match=words):
-        PROPERTIES[name].hold(_with(arm, change))
+        PROPERTIES[name].hold(_with_changed_mujoco(arm, change))
 
 
-def test_sees_a_force_that_drains_energy(arm: Asset) -> None:
+def test_energy_conservation_detects_a_dissipative_force(arm: Asset) -> None:
     def drag(model: Any, data: Any) -> None:
         data.qfrc_passive[:] -= 0.05 * data.qvel
 
@@ -328,10 +328,10 @@ def test_sees_a_force_that_drains_energy(arm: Asset) -> None:
         ("rerooted", lambda tree, root: _turned(rerooted(tree, root))),
     ],
 )
-def test_sees_a_robot_that_does_not_bear_it(
+def test_mirrored_and_rerooted_properties_detect_a_wrong_transformation(
     name: str, broken: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # A fresh asset: what was imported before is kept.
+    # A new asset, because imported forms are cached.
     asset = asset_of(tmp_path)
     monkeypatch.setattr(f"pytest_twin.properties.other_clothes.trees.{name}", broken)
     with pytest.raises(PropertyError, match=r"frame '\w+': .*(mirrored|held by 'tool'), is turned"):
@@ -339,7 +339,7 @@ def test_sees_a_robot_that_does_not_bear_it(
 
 
 def _turned(tree: Any) -> Any:
-    """The axes as they were before the root was another."""
+    """The tree with reversed joint axes, as before the change of the root."""
     from pytest_twin.realization.tree import RigidTree
 
     return RigidTree(
@@ -350,8 +350,7 @@ def _turned(tree: Any) -> Any:
     )
 
 
-def test_the_energy_afloat_tells_a_wrong_base(tmp_path: Path) -> None:
-    """Lost mass of the new root shows in the joints' inertia afloat."""
+def test_rerooting_keeps_the_total_mass_and_the_joint_types(tmp_path: Path) -> None:
     asset = asset_of(tmp_path)
     form = asset.simulated[0]
     tree = tree_of(form.model)
@@ -363,10 +362,10 @@ def test_the_energy_afloat_tells_a_wrong_base(tmp_path: Path) -> None:
     assert text.count('type="prismatic"') == 1
 
 
-# -- as users run them
+# -- use in test files
 
 
-def test_one_line_makes_a_test_of_each(pytester: pytest.Pytester) -> None:
+def test_asset_properties_creates_one_test_per_property(pytester: pytest.Pytester) -> None:
     pytester.path.joinpath("arm.urdf").write_text(ARM)
     pytester.makepyfile(
         """
@@ -380,7 +379,7 @@ def test_one_line_makes_a_test_of_each(pytester: pytest.Pytester) -> None:
     result.assert_outcomes(passed=len(PROPERTIES) - 1)
 
 
-def test_a_failure_names_element_amount_and_pose(pytester: pytest.Pytester) -> None:
+def test_a_failed_property_states_element_difference_and_pose(pytester: pytest.Pytester) -> None:
     folder = pytester.path
     folder.joinpath("arm.urdf").write_text(ARM)
     folder.joinpath("other.urdf").write_text(ARM.replace('xyz="0 0.1 0"', 'xyz="0 0.101 0"'))
@@ -395,14 +394,16 @@ def test_a_failure_names_element_amount_and_pose(pytester: pytest.Pytester) -> N
     text = result.stdout.str()
     assert "pair: forward kinematics does not hold" in text
     assert "frame 'jaw': stands elsewhere by 0.001 m (tolerance 1e-06 m), two against one" in text
-    # The arm's own offset of its coupling moves the jaw where all else stands at zero.
+    # All other joints are zero; the offset of the mimic coupling moves the jaw.
     assert "at grip 0.1 (rad, m)" in text
     outcomes = result.parseoutcomes()
     assert 1 <= outcomes["failed"] <= 5
     assert outcomes["passed"] >= 15
 
 
-def test_one_realization_alone_is_not_compared(pytester: pytest.Pytester) -> None:
+def test_comparing_properties_are_skipped_for_a_single_realization(
+    pytester: pytest.Pytester,
+) -> None:
     folder = pytester.path
     folder.joinpath("free.xml").write_text(
         "<mujoco><worldbody><frame><body name='a'><freejoint name='f' align='true'/>"
@@ -419,7 +420,7 @@ def test_one_realization_alone_is_not_compared(pytester: pytest.Pytester) -> Non
     result.stdout.fnmatch_lines(["*Pinocchio is left out: *no independent reference*"])
 
 
-def test_tolerances_are_the_users(tmp_path: Path) -> None:
+def test_tolerances_of_properties_can_be_changed(tmp_path: Path) -> None:
     asset = faulty(tmp_path, 'upper="2"', 'upper="2.001"')
     with pytest.raises(PropertyError):
         PROPERTIES["limits"].hold(asset)
@@ -427,7 +428,7 @@ def test_tolerances_are_the_users(tmp_path: Path) -> None:
     PROPERTIES["limits"].hold(loose)
 
 
-def test_what_cannot_be_tested_says_why(tmp_path: Path) -> None:
+def test_unknown_properties_and_unusable_assets_are_refused_with_the_reason(tmp_path: Path) -> None:
     from pytest_twin.properties import asset_properties
 
     with pytest.raises(SpecError, match=r"no such property \(got 'energi'; expected joints_and"):
@@ -442,7 +443,7 @@ def test_what_cannot_be_tested_says_why(tmp_path: Path) -> None:
     PROPERTIES["possible_inertias"].hold(accepted)
 
 
-def test_usd_is_held_with_the_others(tmp_path: Path) -> None:
+def test_a_usd_stage_is_compared_with_the_other_realizations(tmp_path: Path) -> None:
     try:
         usd.require()
     except usd.UsdMissingError as error:
@@ -458,7 +459,7 @@ def test_usd_is_held_with_the_others(tmp_path: Path) -> None:
         PROPERTIES["couplings"].hold(mixed)
 
 
-def test_joints_of_one_body_become_links_of_their_own(tmp_path: Path) -> None:
+def test_two_joints_of_one_body_become_separate_links(tmp_path: Path) -> None:
     path = tmp_path / "two.xml"
     path.write_text(
         "<mujoco><compiler angle='radian'/><worldbody><body name='a' pos='0 0 1' euler='0 0.3 0'>"
@@ -471,7 +472,7 @@ def test_joints_of_one_body_become_links_of_their_own(tmp_path: Path) -> None:
     data = mujoco.MjData(realization.model)
     data.qpos[:] = realization.qpos(q)
     mujoco.mj_kinematics(realization.model, data)
-    # The tree counts from the reference.
+    # Joint values of the tree are relative to the reference position.
     pose = tree.poses({"x": 0.4, "y": 0.5})["a"]
     assert np.allclose(pose, realization.frame_pose(data, "a"), atol=1e-12)
     for name in ("written_and_read", "mirrored", "rerooted"):
