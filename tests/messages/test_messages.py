@@ -1,7 +1,7 @@
-"""What a user reads when something is wrong: the texts, and the rule that all of them keep.
+"""Error messages: complete texts of examples, and a rule for all errors of the package.
 
-Each row of the table causes one error and holds its whole text: file, place, value with unit, what
-was expected. The rule is checked on every error that the package raises, by its source.
+Each row of the table causes one error and states its whole text: file, place, value with unit and
+expected value. The rule is checked in the source of every error that the package raises.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ tolerance:
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Path:
-    """A twin with one golden spec, nothing recorded."""
+    """A twin with one golden spec and no recorded values."""
     root = tmp_path / "arm"
     (root / "golden").mkdir(parents=True)
     (root / "twin.yaml").write_text("name: arm\nmodel: arm.xml\n")
@@ -276,7 +276,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
 
 
 @pytest.mark.parametrize(("name", "cause", "text"), TABLE, ids=[row[0] for row in TABLE])
-def test_the_text_of_an_error(
+def test_the_error_has_exactly_this_text(
     arm: Path, name: str, cause: Callable[[Path], object], text: str
 ) -> None:
     with pytest.raises(errors.TwinError) as raised:
@@ -292,33 +292,33 @@ TYPED = {
     for name, kind in vars(errors).items()
     if isinstance(kind, type) and issubclass(kind, errors.TwinError)
 }
-# Makes an error of a golden, with file and line: (golden, field, problem).
+# Function that makes an error of a golden with file and line: (golden, field, problem).
 PLACED = "spec_error"
-# Of the style guide's "not" column, what a message could hold.
+# Phrases of the style guide's "not" column that could occur in messages.
 NOT_PLAIN = (
     *("stands above", "as it came", "that stands", "in its place", "takes off", "told by"),
     *("what is left", "hold each other", "to be surer", "astray", "a seventieth"),
 )
-# Texts of a cause that is raised again: the operating system or a library says what it expected.
+# Variables with the text of a re-raised cause, in which the system or a library states details.
 OWN_WORDS = {"error", "words", "reason"}
-# Sites without a place: the caller, which knows the file, adds it. Each number may only fall.
+# Numbers of errors without a place, which the caller adds. They may only decrease.
 WITHOUT_PLACE = {
-    "release": 18,  # of an envelope's bytes: `check` names the folder
-    "realization": 12,  # of a child process: the gate names the golden
-    "units.py": 3,  # of a text: the reader of the spec names file, line and field
+    "release": 18,  # errors in an envelope's bytes: `check` adds the folder
+    "realization": 12,  # errors of a child process: the gate adds the golden
+    "units.py": 3,  # errors in a text: the reader of the spec adds file, line and field
     "formats": 2,
-    "gate": 1,  # a text that holds its place already
+    "gate": 1,  # a text that already contains its place
     "commands": 1,
-    "setup": 2,  # of a tolerance's text: the command line names the option
+    "setup": 2,  # errors in a tolerance's text: the command line adds the option
 }
-# Errors without an expectation of their own, each with its reason.
+# Errors without an expected value, each with the reason.
 WITHOUT_EXPECTATION = {
     "gate/update.py UnwrittenToleranceError": "its text is a whole error of the spec's reader",
 }
 
 
-def sites() -> Iterator[tuple[str, ast.Call]]:
-    """Where the package makes a typed error: ``room/file.py:line`` and the call."""
+def error_sites() -> Iterator[tuple[str, ast.Call]]:
+    """Calls in the package that make a typed error: ``folder/file.py:line`` and the call."""
     for path in sorted(ROOT.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             named = isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
@@ -326,20 +326,20 @@ def sites() -> Iterator[tuple[str, ast.Call]]:
                 yield f"{path.relative_to(ROOT).as_posix()}:{node.lineno}", node
 
 
-SITES = list(sites())
+SITES = list(error_sites())
 
 
-def room(site: str) -> str:
+def top_folder(site: str) -> str:
     return site.split("/")[0].split(":")[0]
 
 
-def given(call: ast.Call, *names: str) -> bool:
-    """Whether a call has one of these keywords, or may have them through ``**``."""
+def has_keyword(call: ast.Call, *names: str) -> bool:
+    """Whether a call has one of these keywords, or ``**`` keywords."""
     return any(keyword.arg is None or keyword.arg in names for keyword in call.keywords)
 
 
 def problem_of(call: ast.Call) -> ast.expr | None:
-    """What is wrong, as a call has it."""
+    """The argument of a call that states the problem."""
     placed = isinstance(call.func, ast.Name) and call.func.id == PLACED
     problem = call.args[2:] if placed else call.args
     return problem[0] if problem else None
@@ -352,12 +352,14 @@ def texts(call: ast.Call) -> Iterator[str]:
             yield node.value
 
 
-def test_the_rule_sees_the_errors() -> None:
+def test_the_rule_covers_the_errors_of_all_folders() -> None:
     assert len(SITES) > 300
-    assert {"formats", "release", "realization", "checks"} <= {room(site) for site, _ in SITES}
+    assert {"formats", "release", "realization", "checks"} <= {
+        top_folder(site) for site, _ in SITES
+    }
 
 
-def test_no_error_ends_with_a_full_stop() -> None:
+def test_no_error_message_ends_with_a_full_stop() -> None:
     ends = [
         site
         for site, call in SITES
@@ -370,7 +372,7 @@ def test_no_error_ends_with_a_full_stop() -> None:
     assert ends == []
 
 
-def test_errors_are_in_plain_words() -> None:
+def test_no_error_message_contains_a_vague_phrase() -> None:
     found = [
         (site, phrase)
         for site, call in SITES
@@ -381,17 +383,17 @@ def test_errors_are_in_plain_words() -> None:
     assert found == []
 
 
-def test_errors_say_where() -> None:
+def test_errors_state_where_the_problem_is() -> None:
     without = [
         site
         for site, call in SITES
-        if ast.unparse(call.func) != PLACED and not given(call, "path", "where")
+        if ast.unparse(call.func) != PLACED and not has_keyword(call, "path", "where")
     ]
     assert_no_more(without, WITHOUT_PLACE)
 
 
-def raises_a_cause_again(call: ast.Call) -> bool:
-    """Whether the text of an error ends with that of its cause."""
+def includes_its_cause(call: ast.Call) -> bool:
+    """Whether the text of an error includes the text of its cause."""
     problem = problem_of(call)
     if not isinstance(problem, ast.JoinedStr):
         return False
@@ -400,17 +402,17 @@ def raises_a_cause_again(call: ast.Call) -> bool:
     return not OWN_WORDS.isdisjoint(names)
 
 
-def test_errors_say_what_was_expected() -> None:
+def test_errors_state_the_expected_value() -> None:
     without = {
         f"{site.split(':')[0]} {ast.unparse(call.func)}"
         for site, call in SITES
-        if not given(call, "expected") and not raises_a_cause_again(call)
+        if not has_keyword(call, "expected") and not includes_its_cause(call)
     }
     assert without == set(WITHOUT_EXPECTATION)
 
 
-def test_errors_of_an_element_say_what_was_expected() -> None:
-    """Elements of a model and twins make their own errors: ``raise node.error(...)``."""
+def test_errors_of_model_elements_state_the_expected_value() -> None:
+    """Model elements and twins make their own errors: ``raise node.error(...)``."""
     without, seen = [], 0
     for path in sorted(ROOT.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -420,13 +422,13 @@ def test_errors_of_an_element_say_what_was_expected() -> None:
             if call.func.attr != "error":
                 continue
             seen += 1
-            if not given(call, "expected") and not raises_a_cause_again(call):
+            if not has_keyword(call, "expected") and not includes_its_cause(call):
                 without.append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert seen > 50
     assert without == []
 
 
-def assert_no_more(sites: list[str], allowed: dict[str, int]) -> None:
-    counts = Counter(map(room, sites))
+def assert_no_more(error_sites: list[str], allowed: dict[str, int]) -> None:
+    counts = Counter(map(top_folder, error_sites))
     more = {name: count for name, count in counts.items() if count > allowed.get(name, 0)}
-    assert more == {}, [site for site in sites if room(site) in more]
+    assert more == {}, [site for site in error_sites if top_folder(site) in more]

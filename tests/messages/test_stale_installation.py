@@ -1,4 +1,4 @@
-"""An installation whose entry points are older than its code says to install it again."""
+"""An installation with outdated entry points asks the user to reinstall the package."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ THEIRS = EntryPoint("theirs", "pathlib:Path", "")
     ],
     ids=["recordings", "checks", "effects"],
 )
-def test_a_stale_installation_is_named_with_what_to_do(
+def test_an_outdated_installation_is_reported_with_the_command_to_run(
     module: ModuleType,
     kept: tuple[Callable[..., object], ...],
     ask: Callable[[Path], object],
@@ -51,29 +51,29 @@ def test_a_stale_installation_is_named_with_what_to_do(
         monkeypatch.setattr(recordings, "brought", lambda point, noun: NoReader())
     asked = installed if module is checks else module
     monkeypatch.setattr(asked, "entry_points", lambda group: registered)
-    forget(kept)
+    clear_caches(kept)
     try:
         with pytest.raises(SpecError, match="installation of pytest-twin is stale") as caught:
             ask(file)
     finally:
-        forget(kept)
+        clear_caches(kept)
     assert caught.value.where == group
     assert "reinstall pytest-twin: pip install" in str(caught.value)
 
 
 class NoReader:
-    """A reader of another package, which does not know the file."""
+    """A reader of another package that does not support the file."""
 
     def reads(self, path: Path) -> bool:
         return False
 
 
-def forget(kept: tuple[Callable[..., object], ...]) -> None:
+def clear_caches(kept: tuple[Callable[..., object], ...]) -> None:
     for function in kept:
         function.cache_clear()  # type: ignore[attr-defined]
 
 
-def test_a_sound_installation_still_names_what_is_not_a_recording(tmp_path: Path) -> None:
+def test_an_up_to_date_installation_refuses_files_that_are_not_recordings(tmp_path: Path) -> None:
     file = tmp_path / "notes.txt"
     file.write_text("hello")
     with pytest.raises(recordings.FormatError, match="no recording that can be read"):
