@@ -1,4 +1,4 @@
-"""Onset, slip and rebound of made-up contacts."""
+"""Onset, slip and rebound of synthetic contact signals."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ TIME = np.linspace(0.0, 1.0, 1001)
 
 
 def coulomb(friction: float, normal: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(tangential, applied, travel) of a unit mass under a growing force."""
+    """Tangential force, applied force (N) and travel (m) of 1 kg under an increasing force."""
     applied = 10.0 * TIME
     tangential = np.minimum(applied, friction * normal)
     speed = np.cumsum(applied - tangential) * 1e-3
     return tangential, applied, np.cumsum(speed) * 1e-3
 
 
-def test_slip_of_dry_friction() -> None:
+def test_slip_yields_coulomb_coefficient_force_and_time() -> None:
     tangential, applied, travel = coulomb(0.4, 5.0)
     found = contact.slip(
         TIME, np.full(TIME.size, 5.0), tangential, applied, travel, least_travel=1e-3
@@ -29,7 +29,7 @@ def test_slip_of_dry_friction() -> None:
     assert found.time == pytest.approx(0.2, rel=0.011)
 
 
-def test_what_sticks_or_creeps_does_not_slip() -> None:
+def test_sticking_and_creeping_contacts_have_no_slip() -> None:
     normal = np.full(TIME.size, 5.0)
     tangential, applied, travel = coulomb(3.0, 5.0)
     assert contact.slip(TIME, normal, tangential, applied, travel, least_travel=1e-3) is None
@@ -37,7 +37,7 @@ def test_what_sticks_or_creeps_does_not_slip() -> None:
     assert contact.slip(TIME, normal, applied, applied, creep, least_travel=1e-3) is None
 
 
-def test_slip_without_friction() -> None:
+def test_slip_of_a_frictionless_contact_has_coefficient_zero() -> None:
     tangential, applied, travel = coulomb(0.0, 5.0)
     found = contact.slip(
         TIME, np.full(TIME.size, 5.0), tangential, applied, travel, least_travel=1e-3
@@ -46,7 +46,7 @@ def test_slip_without_friction() -> None:
     assert found.friction == 0.0
 
 
-def test_rebound_of_a_ball() -> None:
+def test_rebound_yields_restitution_and_height_of_a_bouncing_ball() -> None:
     drop, restitution, g = 0.05, 0.6, 9.81
     fall = np.sqrt(2.0 * drop / g)
     after = TIME - fall
@@ -64,7 +64,7 @@ def test_rebound_of_a_ball() -> None:
     assert found.height == pytest.approx(restitution**2 * drop, abs=4e-4)
 
 
-def test_no_rebound_where_nothing_falls_or_leaves() -> None:
+def test_rebound_is_undefined_without_fall_and_zero_without_bounce() -> None:
     still = np.zeros(TIME.size)
     assert contact.rebound(still, still, np.zeros(TIME.size, dtype=bool)) is None
     assert contact.rebound(still, still, np.ones(TIME.size, dtype=bool)) is None
@@ -73,7 +73,7 @@ def test_no_rebound_where_nothing_falls_or_leaves() -> None:
     assert stays == contact.Rebound(0.0, 0.0)
 
 
-def test_rest_needs_contact_to_the_end() -> None:
+def test_rest_value_requires_contact_until_the_end() -> None:
     touching = TIME > 0.5
     assert contact.onset(touching) == 501
     assert contact.onset(TIME > 2.0) is None

@@ -1,4 +1,4 @@
-"""Excitation and estimators against transfer functions in closed form."""
+"""Excitation signals and response estimators compared with closed-form transfer functions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def filtered(command: np.ndarray, b: list[float], a: list[float]) -> np.ndarray:
 
 
 def excite(kind: str, lowest: int = 2, highest: int = 80) -> tuple[np.ndarray, np.ndarray]:
-    """(realizations, 4 periods of samples), harmonics."""
+    """Command (realizations, 4 periods of samples) and the excited harmonics."""
     if kind == "chirp":
         lines = np.arange(lowest, highest + 1)
         rows = [f.chirp(SAMPLES, lowest, highest, i) for i in range(6)]
@@ -44,7 +44,7 @@ def estimate(command: np.ndarray, response: np.ndarray, lines: np.ndarray, coher
 
 
 @pytest.mark.parametrize("kind", ["multisine", "chirp"])
-def test_a_linear_filter_is_found_to_rounding(kind: str) -> None:
+def test_the_response_of_a_linear_filter_is_exact_up_to_rounding(kind: str) -> None:
     command, lines = excite(kind)
     b, a = signal.butter(2, 0.02)
     found = estimate(command, filtered(command, b, a), lines)
@@ -55,7 +55,7 @@ def test_a_linear_filter_is_found_to_rounding(kind: str) -> None:
     np.testing.assert_allclose(found.coherence, 1.0, atol=1e-10)
 
 
-def test_multisine_has_its_lines_and_a_low_crest() -> None:
+def test_a_multisine_has_only_its_frequencies_and_a_low_crest_factor() -> None:
     lines = f.log_harmonics(2, 80, 25)
     x = f.multisine(SAMPLES, lines, (1, 0))
     spectrum = np.abs(np.fft.rfft(x))
@@ -63,13 +63,13 @@ def test_multisine_has_its_lines_and_a_low_crest() -> None:
     assert np.abs(x).max() == pytest.approx(1.0)
     assert spectrum[others].max() < 1e-9 * spectrum[lines].min()
     np.testing.assert_allclose(spectrum[lines], spectrum[lines[0]], rtol=1e-9)
-    assert crest(x) < 2.7  # Gaussian noise of this length has about 3.5
+    assert crest(x) < 2.7  # the crest factor of Gaussian noise of this length is about 3.5
     np.testing.assert_array_equal(x, f.multisine(SAMPLES, lines, (1, 0)))
     assert not np.allclose(x, f.multisine(SAMPLES, lines, (1, 1)))
 
 
 @pytest.mark.parametrize(("lowest", "highest"), [(2, 80), (2, 81), (1, 50)])
-def test_chirps_join_smoothly_and_sweep_their_band(lowest: int, highest: int) -> None:
+def test_chirps_are_periodic_and_cover_their_band(lowest: int, highest: int) -> None:
     for realization in range(8):
         x = f.chirp(SAMPLES, lowest, highest, realization)
         assert np.abs(x).max() == pytest.approx(1.0, abs=1e-3)
@@ -91,7 +91,7 @@ def test_a_nonlinearity_lowers_the_coherence() -> None:
     assert dead.best < 1.0 - 1e-3
 
 
-def test_noise_carries_nothing() -> None:
+def test_noise_has_no_coherent_frequency() -> None:
     command, lines = excite("multisine")
     noise = np.random.default_rng(3).normal(size=command.shape)
     found = estimate(command, noise, lines)
@@ -101,7 +101,7 @@ def test_noise_carries_nothing() -> None:
     assert f.resonance(found) is None
 
 
-def test_lines_without_excitation_are_never_reported() -> None:
+def test_unexcited_frequencies_are_not_reported() -> None:
     command, lines = excite("multisine")
     more = np.arange(2, 121)
     found = estimate(command, command, more)
@@ -122,7 +122,7 @@ def exact(frequency: np.ndarray, gain: np.ndarray) -> f.Response:
     )
 
 
-def test_bandwidth_of_a_first_order_lag_is_its_corner() -> None:
+def test_bandwidth_of_a_first_order_lag_is_its_corner_frequency() -> None:
     lines = np.geomspace(0.01, 30.0, 200)
     corner = 3.0
     gain = 1.0 / (1.0 + 1j * lines / corner)
@@ -132,7 +132,7 @@ def test_bandwidth_of_a_first_order_lag_is_its_corner() -> None:
     assert f.bandwidth(exact(lines[lines < 2.0], gain[lines < 2.0])) is None
 
 
-def test_resonance_of_a_second_order_lag() -> None:
+def test_resonance_of_a_second_order_lag_equals_the_closed_form() -> None:
     natural, zeta = 5.0, 0.2
     lines = np.geomspace(0.05, 50.0, 150)
     ratio = lines / natural
@@ -143,7 +143,7 @@ def test_resonance_of_a_second_order_lag() -> None:
     assert found[1] == pytest.approx(20.0 * np.log10(peak), abs=0.02)
 
 
-def test_bandwidth_is_not_read_across_a_gap() -> None:
+def test_bandwidth_is_not_interpolated_across_missing_frequencies() -> None:
     lines = np.geomspace(0.1, 30.0, 60)
     gain = 1.0 / (1.0 + 1j * lines / 3.0)
     whole = exact(lines, gain)

@@ -1,4 +1,4 @@
-"""Frequency responses of a recorded joint, against a filter whose response is known."""
+"""Frequency responses of a recorded joint compared with a known filter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HERTZ, DAMPING = 8.0, 0.2
 
 
 def recorded(path: Path, effort: float) -> Trial:
-    """A joint that follows its command as a second-order system, and an effort of some sign."""
+    """A trial of a second-order joint response and an effort of ``effort`` times the command."""
     w = 2 * np.pi * HERTZ
     sections = signal.tf2sos(*signal.bilinear([w**2], [1, 2 * DAMPING * w, w**2], RATE))
     random = np.random.default_rng(0)
@@ -35,7 +35,7 @@ def recorded(path: Path, effort: float) -> Trial:
     return make_trials(recordings_at(path, DEFAULT_TOPICS)[0], None, options)[0]
 
 
-def test_resonance_is_that_of_the_joint_and_of_the_model(tmp_path: Path) -> None:
+def test_resonances_of_recording_and_model_are_reported(tmp_path: Path) -> None:
     trial = recorded(tmp_path / "noise.csv", 2.0)
     stiffer = np.gradient(trial.position[:, 0])
     command, effort = joint_responses(trial, "knee", stiffer)
@@ -44,7 +44,7 @@ def test_resonance_is_that_of_the_joint_and_of_the_model(tmp_path: Path) -> None
     assert said["measured"]["resonance"]["frequency"] == pytest.approx(peak, rel=0.05)
     assert (said["input"], said["unit"], said["recording"]) == ("command", "1", "noise.csv")
     assert said["predicted"]["magnitude_db"] != said["measured"]["magnitude_db"]
-    # The effort is twice the command: its response is 6 dB lower.
+    # The effort is twice the command: the response to it is 6 dB lower.
     shared = np.isin(command.measured.frequency, effort.measured.frequency)
     ratio = command.measured.magnitude[shared] / effort.measured.magnitude
     np.testing.assert_allclose(ratio, 2.0, rtol=0.01)
@@ -53,11 +53,11 @@ def test_resonance_is_that_of_the_joint_and_of_the_model(tmp_path: Path) -> None
     assert "model:" in row["resonance"]
     ((_, address),) = figures_of([said])
     drawing = base64.b64decode(address.split(",")[1]).decode()
-    # Frequencies are plain numbers: text of a page is no formula.
+    # Axis labels are plain numbers instead of formulas.
     assert "mathdefault" not in drawing
     assert ">10</text>" in drawing
 
 
-def test_an_unsigned_effort_has_no_response(tmp_path: Path) -> None:
+def test_an_effort_without_signal_has_no_frequency_response(tmp_path: Path) -> None:
     trial = recorded(tmp_path / "noise.csv", 0.0)
     assert [one.input for one in joint_responses(trial, "knee")] == ["command"]

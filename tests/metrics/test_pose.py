@@ -19,7 +19,7 @@ def unit(vector: object) -> np.ndarray:
     "angle", [0.0, 1e-12, 1e-9, 1e-6, 0.3, 2.0, np.pi - 1e-6, np.pi - 1e-9, np.pi]
 )
 @given(axis=directions, base=directions)
-def test_geodesic_angle_is_precise_everywhere(angle: float, axis: tuple, base: tuple) -> None:
+def test_geodesic_angle_is_exact_for_all_angles(angle: float, axis: tuple, base: tuple) -> None:
     turn = Rotation.from_rotvec(angle * unit(axis)).as_matrix()
     start = Rotation.from_rotvec(np.asarray(base)).as_matrix()
     assert pose.rotation_angle(turn) == pytest.approx(angle, abs=2e-15)
@@ -34,7 +34,9 @@ def test_rotation_vector_is_axis_times_angle(angle: float, axis: tuple) -> None:
 
 
 @given(st.floats(0, np.pi), directions)
-def test_quaternion_and_back(angle: float, axis: tuple) -> None:
+def test_rotation_matrix_survives_conversion_to_quaternion_and_back(
+    angle: float, axis: tuple
+) -> None:
     rotation = Rotation.from_rotvec(angle * unit(axis))
     quaternion = pose.quaternion_of(rotation.as_matrix())
     expected = rotation.as_quat(scalar_first=True)
@@ -44,12 +46,12 @@ def test_quaternion_and_back(angle: float, axis: tuple) -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-10, 1.0, np.pi / 2, np.pi - 1e-10, np.pi])
-def test_angle_between_directions(angle: float) -> None:
+def test_angle_between_directions_is_exact(angle: float) -> None:
     turned = [3 * np.cos(angle), 3 * np.sin(angle), 0.0]
     assert pose.direction_error([0.5, 0, 0], turned) == pytest.approx(angle, abs=1e-15)
 
 
-def test_what_has_no_direction_or_is_not_finite_is_nan() -> None:
+def test_angles_of_zero_or_non_finite_vectors_are_nan() -> None:
     assert np.isnan(pose.direction_error([0, 0, 0], [1, 0, 0]))
     assert np.isnan(pose.direction_error([np.nan, 0, 0], [1, 0, 0]))
     broken = np.full((3, 3), np.nan)
@@ -59,7 +61,7 @@ def test_what_has_no_direction_or_is_not_finite_is_nan() -> None:
     assert np.isnan(pose.position_error([np.nan, 0, 0], [0, 0, 0]))
 
 
-def test_pose_vector_is_position_then_quaternion() -> None:
+def test_pose_vector_contains_position_then_quaternion() -> None:
     transform = np.eye(4)
     transform[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     transform[:3, 3] = [1, 2, 3]

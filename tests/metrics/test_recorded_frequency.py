@@ -1,4 +1,4 @@
-"""Frequency response of recordings, against filters whose response is known."""
+"""Frequency responses of recordings compared with known filters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def second_order(hertz: float, damping: float) -> np.ndarray:
     return signal.tf2sos(*signal.bilinear([w**2], [1, 2 * damping * w, w**2], RATE))
 
 
-def test_a_known_filter_has_its_magnitude_and_phase() -> None:
+def test_magnitude_and_phase_equal_those_of_a_known_filter() -> None:
     sections = second_order(8.0, 0.5)
     command = noise()
     found = recorded_response(command, signal.sosfilt(sections, command), RATE)
@@ -33,7 +33,7 @@ def test_a_known_filter_has_its_magnitude_and_phase() -> None:
     np.testing.assert_allclose(found.phase[low], np.unwrap(np.angle(true))[low], atol=0.06)
 
 
-def test_bandwidth_and_resonance() -> None:
+def test_bandwidth_and_resonance_of_a_second_order_filter_are_found() -> None:
     command = noise()
     answer = recorded_response(command, signal.sosfilt(second_order(8.0, 0.2), command), RATE)
     assert answer is not None
@@ -43,7 +43,7 @@ def test_bandwidth_and_resonance() -> None:
     assert bandwidth(answer) == pytest.approx(8.0 * 1.51, rel=0.08)
 
 
-def test_lines_that_the_command_does_not_excite_are_left_out() -> None:
+def test_frequencies_that_the_command_does_not_excite_are_left_out() -> None:
     command = signal.sosfiltfilt(signal.butter(6, 3.0, fs=RATE, output="sos"), noise())
     response = command + 1e-3 * noise(seed=1)
     found = recorded_response(command, response, RATE)
@@ -51,18 +51,18 @@ def test_lines_that_the_command_does_not_excite_are_left_out() -> None:
     assert found.frequency.max() < 10.0
 
 
-def test_an_unrelated_response_has_no_line() -> None:
+def test_a_response_unrelated_to_the_command_has_no_frequency() -> None:
     found = recorded_response(noise(seed=1), noise(seed=2), RATE)
     assert found is not None
     assert found.frequency.size == 0
     assert compared(noise(seed=1), noise(seed=1), noise(seed=2), RATE) is None
 
 
-def test_a_short_recording_is_not_averaged() -> None:
+def test_a_too_short_recording_has_no_response() -> None:
     assert recorded_response(noise(100), noise(100), RATE) is None
 
 
-def test_a_delay_is_seen_in_the_phase_alone() -> None:
+def test_a_delay_changes_only_the_phase() -> None:
     command = signal.sosfiltfilt(signal.butter(4, 10.0, fs=RATE, output="sos"), noise())
     found = compared(command, np.roll(command, 2), command, RATE)
     assert found is not None
@@ -71,7 +71,7 @@ def test_a_delay_is_seen_in_the_phase_alone() -> None:
     assert found.phase_at == found.highest
 
 
-def test_irregular_stamps_become_even() -> None:
+def test_irregular_stamps_are_resampled_to_a_uniform_rate() -> None:
     time = np.cumsum(np.random.default_rng(0).uniform(0.004, 0.006, 2000))
     rate, (wave,) = uniform(time, np.sin(2 * np.pi * time))
     assert rate == pytest.approx(200.0, rel=0.01)

@@ -1,4 +1,4 @@
-"""Step metrics against closed forms."""
+"""Step response metrics compared with closed forms."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def second_order(t: np.ndarray, omega: float, zeta: float) -> np.ndarray:
 
 @given(tau=st.floats(0.02, 0.1), start=st.floats(-3.0, 3.0), change=st.floats(0.1, 5.0))
 @settings(max_examples=30, deadline=None)
-def test_first_order(tau: float, start: float, change: float) -> None:
+def test_step_metrics_of_a_first_order_response(tau: float, start: float, change: float) -> None:
     time = np.linspace(0.0, 2.0, 4001)
     found = step_metrics(time, start + change * (1.0 - np.exp(-time / tau)), target=start + change)
     assert found.rise_time == pytest.approx(np.log(9.0) * tau, rel=1e-3)
@@ -33,7 +33,7 @@ def test_first_order(tau: float, start: float, change: float) -> None:
 
 @given(zeta=st.floats(0.25, 0.9), omega=st.floats(10.0, 40.0), sign=st.sampled_from([-1.0, 1.0]))
 @settings(max_examples=30, deadline=None)
-def test_second_order(zeta: float, omega: float, sign: float) -> None:
+def test_step_metrics_of_a_second_order_response(zeta: float, omega: float, sign: float) -> None:
     time = np.linspace(0.0, 60.0 / omega, 20001)
     found = step_metrics(time, sign * 0.3 * second_order(time, omega, zeta))
     assert found.overshoot == pytest.approx(
@@ -63,12 +63,12 @@ def test_steady_state_error_is_a_fraction_of_the_step() -> None:
     "response",
     [
         lambda t: t,  # a ramp never comes to rest
-        lambda t: np.sin(20.0 * t),  # nor does an oscillator
-        lambda t: np.zeros_like(t),  # nothing answered
+        lambda t: np.sin(20.0 * t),  # an undamped oscillator never comes to rest
+        lambda t: np.zeros_like(t),  # no response
         lambda t: np.where(t > 0.5, np.nan, t),
     ],
 )
-def test_what_the_response_does_not_carry_is_none(response) -> None:
+def test_metrics_of_a_response_without_steady_state_are_none(response) -> None:
     time = np.linspace(0.0, 1.0, 1001)
     found = step_metrics(time, response(time), target=1.0)
     assert found.rise_time is None
@@ -85,7 +85,7 @@ def test_without_a_target_there_is_no_steady_state_error() -> None:
     assert found.rise_time is not None
 
 
-def test_settling_waits_for_the_slowest_column() -> None:
+def test_settling_time_is_that_of_the_slowest_column() -> None:
     time = np.linspace(0.0, 2.0, 2001)
     values = np.column_stack([np.exp(-time / 0.05), np.exp(-time / 0.2)])
     found = settling_time(time, values, np.zeros(2), np.array([0.01, 0.01]))
@@ -94,7 +94,7 @@ def test_settling_waits_for_the_slowest_column() -> None:
     assert settling_time(time, values, np.zeros(2), np.array([2.0, 2.0])) == 0.0
 
 
-def test_the_worst_sample_is_the_one_that_is_not_a_number() -> None:
+def test_a_nan_sample_counts_as_the_worst() -> None:
     time = np.array([0.0, 1.0, 2.0])
     error, at, now, then = worst_sample(time, np.array([0.0, np.nan, 9.0]), np.zeros(3))
     assert np.isnan(error)
