@@ -1,4 +1,4 @@
-"""What a log says of long work."""
+"""Progress lines of long work in a log file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pytest_twin.report import each_minute
 from pytest_twin.report.each_minute import EachMinute
 
 
-def test_a_line_a_minute_has_the_fraction_the_time_left_and_the_stage(
+def test_each_minute_a_line_states_fraction_time_left_and_stage(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 0.0

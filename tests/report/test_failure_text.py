@@ -1,4 +1,4 @@
-"""What a person reads of a failure."""
+"""Text of a failed golden for people."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FAILED = Outcome(
 )
 
 
-def test_a_failure_says_what_to_do() -> None:
+def test_a_failure_text_states_values_margin_cause_spec_and_plot() -> None:
     text = failure_text(FAILED, location="golden/step/elbow.yaml:12", plot=".twin/plots/x.svg")
     assert text == "\n".join(
         [
@@ -54,21 +54,21 @@ def test_a_failure_says_what_to_do() -> None:
     )
 
 
-def test_the_table_says_when_only_where_there_is_a_time() -> None:
+def test_the_table_has_a_time_column_only_if_measures_have_times() -> None:
     still = [replace(measure, time=None) for measure in (ELBOW, WRIST)]
     assert measure_table(still)[0].split() == (
         ["measure", "of", "measured", "against", "error", "tolerance", "margin"]
     )
 
 
-def test_an_error_says_what_went_wrong_and_where_the_spec_is() -> None:
+def test_an_error_text_states_the_error_and_the_spec() -> None:
     outcome = replace(FAILED, status="error", measures=(), reasons=(), error="simulation diverged")
     assert failure_text(outcome, location="golden/step/elbow.yaml:12") == (
         "golden/step/elbow@mujoco: simulation diverged\n  spec  golden/step/elbow.yaml:12"
     )
 
 
-def test_the_headline_counts_the_other_failures() -> None:
+def test_the_headline_states_the_worst_failure_and_counts_the_others() -> None:
     several = replace(FAILED, measures=(ELBOW, replace(ELBOW, subject="wrist", error=0.02)))
     assert headline(several).endswith("at 1.234 s (1 more failed)")
     assert headline(replace(FAILED, status="passed", measures=(WRIST,))) == (
@@ -76,7 +76,7 @@ def test_the_headline_counts_the_other_failures() -> None:
     )
 
 
-def test_what_is_not_a_number_is_the_worst() -> None:
+def test_a_measure_that_is_not_a_number_is_the_worst() -> None:
     lost = replace(WRIST, error=math.nan)
     outcome = replace(FAILED, measures=(ELBOW, lost))
     assert headline(outcome).startswith(
@@ -85,7 +85,7 @@ def test_what_is_not_a_number_is_the_worst() -> None:
     assert "FAIL" in measure_table((lost,))[1]
 
 
-def test_many_measures_are_a_table_of_the_worst() -> None:
+def test_a_long_table_shows_only_the_40_worst_measures() -> None:
     measures = [replace(ELBOW, subject=f"joint{i}", error=0.02 + i * 1e-3) for i in range(100)]
     lines = measure_table(measures)
     assert len(lines) == 42
@@ -93,12 +93,12 @@ def test_many_measures_are_a_table_of_the_worst() -> None:
     assert lines[-1] == "  and 60 more, 60 of them failed"
 
 
-def test_many_reasons_are_cut() -> None:
+def test_a_long_list_of_changes_is_shortened() -> None:
     outcome = replace(FAILED, reasons=tuple(Reason(f"part{i}") for i in range(50)))
     assert "and 42 more changes" in failure_text(outcome, location="x:1")
 
 
-def test_names_bring_no_escapes_and_no_lines() -> None:
+def test_names_cannot_inject_escape_sequences_or_lines() -> None:
     hostile = replace(ELBOW, subject="el\x1b[31mbow\nPASSED")
     outcome = replace(FAILED, golden="a\u202eb", measures=(hostile, WRIST))
     text = failure_text(outcome, location="x\ry:1")
@@ -120,20 +120,22 @@ def test_names_bring_no_escapes_and_no_lines() -> None:
         (math.inf, math.inf, "no number"),
     ],
 )
-def test_use_of_a_tolerance(error: float, tolerance: float, expected: str) -> None:
+def test_the_used_fraction_of_a_tolerance_is_in_percent_or_multiples(
+    error: float, tolerance: float, expected: str
+) -> None:
     measure = Measure("a", "b", 0.0, 0.0, error, tolerance, "m")
     assert use(measure) == expected
     assert measure.passed == (use_of_tolerance(measure) <= 1.0)
 
 
-def test_outcomes_survive_json() -> None:
+def test_an_outcome_survives_conversion_to_json_and_back() -> None:
     import json
 
     odd = replace(FAILED, measures=(replace(ELBOW, error=math.inf, time=None), WRIST))
     assert Outcome.from_json(json.loads(json.dumps(odd.to_json(), allow_nan=False))) == odd
 
 
-def test_a_mean_has_no_time_of_its_own() -> None:
+def test_an_rms_measure_states_the_time_of_its_largest_error() -> None:
     mean = replace(ELBOW, name="position_rms")
     outcome = replace(FAILED, measures=(mean,))
     assert headline(outcome).endswith(" by 0.0213 rad (largest at 1.234 s)")
@@ -144,5 +146,5 @@ def test_a_mean_has_no_time_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("error", "words"), [(0.0107, "100 %"), (0.1069, "999 %"), (0.107, "10 times")]
 )
-def test_use_of_a_tolerance_has_no_exponent(error: float, words: str) -> None:
+def test_the_used_fraction_of_a_tolerance_has_no_exponent(error: float, words: str) -> None:
     assert use(replace(ELBOW, error=error)) == words

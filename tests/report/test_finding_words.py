@@ -1,4 +1,4 @@
-"""A finding in one sentence, with its gain, its alternatives and the next test."""
+"""Sentences about a finding: quantity, gain, alternatives and next test."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pytest_twin.report.finding_words import ambiguous, finding_sentence, gain, 
 
 
 def finding(effect: str, joint: str | None = "elbow", **parameters: Any) -> dict[str, Any]:
-    """A finding as ``diagnosis.json`` has it, of (value, unit, low, high)."""
+    """A finding as in ``diagnosis.json``; parameters are (value, unit, lower, upper)."""
     return {
         "effect": effect,
         "joint": joint,
@@ -65,13 +65,13 @@ def finding(effect: str, joint: str | None = "elbow", **parameters: Any) -> dict
         ),
     ],
 )
-def test_a_sentence_has_quantity_joint_value_unit_and_interval(
+def test_a_finding_sentence_states_quantity_joint_value_unit_and_interval(
     said: dict[str, Any], sentence: str
 ) -> None:
     assert finding_sentence(said) == sentence
 
 
-def test_the_gain_says_of_which_error_and_whether_it_grows() -> None:
+def test_the_gain_states_which_error_it_removes_or_adds() -> None:
     said = finding("command_delay")
     assert gain(said, held_out=True) == "removes 99.5 % of the remaining squared held-out error"
     assert gain(said | {"held_out_gain": -0.12}, held_out=False) == (
@@ -79,7 +79,7 @@ def test_the_gain_says_of_which_error_and_whether_it_grows() -> None:
     )
 
 
-def test_alternatives_above_a_tenth_are_named_with_their_share() -> None:
+def test_alternatives_above_10_percent_confidence_are_named() -> None:
     rivals = [
         {"effect": "stribeck_friction", "joint": "elbow", "confidence": 0.3},
         {"effect": "sensor_delay", "joint": None, "confidence": 0.05},
@@ -89,5 +89,5 @@ def test_alternatives_above_a_tenth_are_named_with_their_share() -> None:
     assert ambiguous(finding("coulomb_friction")) == ""
 
 
-def test_the_next_test_is_an_instruction() -> None:
+def test_the_next_test_is_worded_as_an_instruction() -> None:
     assert to_confirm(finding("command_delay")) == "To confirm: record slow reversals."

@@ -1,4 +1,4 @@
-"""One file, the verdict first, nothing from outside, and names that stay names."""
+"""The HTML report: one self-contained file, verdict first, names escaped."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ FULL = report(
 )
 
 
-def test_the_verdict_comes_first_then_what_refused_then_the_failures() -> None:
+def test_the_report_lists_verdict_then_reasons_then_failures() -> None:
     text = text_of(html.render(FULL))
     places = [
         text.index(words)
@@ -95,7 +95,7 @@ def test_the_verdict_comes_first_then_what_refused_then_the_failures() -> None:
     assert places == sorted(places)
 
 
-def test_each_golden_says_margins_reasons_and_where_its_spec_is() -> None:
+def test_each_golden_is_shown_with_margin_reason_and_spec_line() -> None:
     text = text_of(html.render(FULL))
     assert "exceeded its tolerance of 0.0005 m by 0.0015 m" in text
     assert "-0.0015 m" in text
@@ -104,7 +104,7 @@ def test_each_golden_says_margins_reasons_and_where_its_spec_is() -> None:
     assert "it diverged at 0.3 s" in text
 
 
-def test_what_changed_says_old_and_new_and_how_many_goldens_it_concerns() -> None:
+def test_each_change_is_shown_with_old_and_new_value_and_number_of_goldens() -> None:
     tree = lxml_html.fromstring(html.render(FULL).encode())
     (row,) = tree.xpath("//h2[starts-with(., 'Changes')]/following-sibling::div[1]//tr")
     assert [cell.text_content() for cell in row] == [
@@ -112,12 +112,12 @@ def test_what_changed_says_old_and_new_and_how_many_goldens_it_concerns() -> Non
     ]  # fmt: skip
 
 
-def test_what_was_skipped_says_why_and_by_which_release() -> None:
+def test_a_skipped_golden_names_the_release_that_proves_it() -> None:
     text = text_of(html.render(FULL))
     assert "proven by release 2 on 2026-04-01; nothing that it depends on has changed since" in text
 
 
-def test_a_stale_golden_that_was_not_selected_is_not_run_and_not_failed() -> None:
+def test_an_unselected_stale_golden_is_shown_as_not_run() -> None:
     left_out = replace(outcome("fk/b", "error"), error="stale, and not run")
     page = html.render(
         report(
@@ -137,14 +137,14 @@ def test_a_stale_golden_that_was_not_selected_is_not_run_and_not_failed() -> Non
     assert tree.xpath("//*[contains(@class, 'bad')]") == []
 
 
-def test_ids_are_flat_and_readable() -> None:
+def test_nested_ids_are_shown_as_flat_rows() -> None:
     text = text_of(html.render(FULL))
     assert "realizations / mujoco11ee" in text
     assert "payloadsnone" in text
     assert "fitnone" in text
 
 
-def test_failures_are_open_and_the_rest_is_closed() -> None:
+def test_failed_goldens_are_expanded_and_passed_ones_collapsed() -> None:
     tree = lxml_html.fromstring(html.render(FULL).encode())
     opened = {
         node.xpath("string(.//span[@class='name'])").split("Title")[0]: "open" in node.attrib
@@ -158,21 +158,21 @@ def test_failures_are_open_and_the_rest_is_closed() -> None:
     }
 
 
-def test_the_file_needs_nothing_but_itself() -> None:
+def test_the_report_loads_no_external_resources() -> None:
     page = html.render(FULL)
     tree = lxml_html.fromstring(page.encode())
     assert tree.xpath("//script | //link | //iframe | //object | //embed | //form | //base") == []
     for node in tree.iter():
         for name, value in node.attrib.items():
             assert not name.startswith("on"), (node.tag, name)
-            assert name != "style", "the policy would drop it"
+            assert name != "style", "the content security policy would block it"
             if name in ("src", "href", "srcset", "action"):
                 assert value.startswith("data:image/svg+xml;base64,")
     assert "url(" not in page
     assert "@import" not in page
 
 
-def test_the_policy_allows_the_style_and_nothing_else() -> None:
+def test_the_content_security_policy_allows_only_the_inline_style() -> None:
     tree = lxml_html.fromstring(html.render(FULL).encode())
     (policy,) = tree.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")
     (style,) = tree.xpath("//style")
@@ -180,7 +180,7 @@ def test_the_policy_allows_the_style_and_nothing_else() -> None:
     assert policy == f"default-src 'none'; img-src data:; style-src 'sha256-{digest}'"
 
 
-def test_the_plot_is_inside() -> None:
+def test_plots_are_embedded_in_the_report() -> None:
     tree = lxml_html.fromstring(html.render(FULL).encode())
     (source,) = tree.xpath("//img/@src")
     assert base64.b64decode(source.partition(",")[2]) == (
@@ -188,7 +188,7 @@ def test_the_plot_is_inside() -> None:
     )
 
 
-def test_hostile_names_stay_names() -> None:
+def test_malicious_names_are_escaped_in_the_report() -> None:
     odd = replace(
         outcome("x", "failed", 2e-3),
         golden=HOSTILE,
@@ -231,14 +231,14 @@ def test_hostile_names_stay_names() -> None:
         ("failed", "Failed", False),
     ],
 )
-def test_every_verdict_has_its_word(verdict: str, word: str, good: bool) -> None:
+def test_each_verdict_has_its_own_word_and_colour(verdict: str, word: str, good: bool) -> None:
     options = {"release": 7, "expires": "2026-08-02T12:00:00Z"} if verdict == "released" else {}
     tree = lxml_html.fromstring(html.render(report(verdict=verdict, **options)).encode())
     assert tree.xpath("string(//h1)").strip() == word
     assert ("good" in tree.xpath("string(//header/@class)")) == good
 
 
-def test_thousands_of_goldens_stay_a_page() -> None:
+def test_a_report_of_thousands_of_goldens_has_limited_size() -> None:
     big = [
         Entry(outcome(f"fk/{i}", count=30), f"Title {i}", f"g{i}.yaml:1", parts=("p",) * 40)
         for i in range(2000)
@@ -251,11 +251,13 @@ def test_thousands_of_goldens_stay_a_page() -> None:
     text = text_of(page)
     assert text.count("Title ") >= 2001
     assert "and 29 more with smaller errors" in text
-    # What failed keeps its measures whatever else is cut.
+    # Failed goldens keep their measures when others are shortened.
     assert text.index("Title of last") < text.index("Title 0")
 
 
-def test_plots_share_a_bound_and_failures_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_total_size_of_plots_is_limited_and_failures_have_priority(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(html, "MAX_PLOT_BYTES", 150)
     page = html.render(
         report(

@@ -1,4 +1,4 @@
-"""Plots hold what they say, for numbers and names of every kind."""
+"""Plots of measures and series for any numbers and names."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def worst_of(now: Trace, then: Trace, name: str, tolerance: float) -> Measure:
     )
 
 
-def test_series_show_the_worst_sample_and_what_was_allowed() -> None:
+def test_a_series_plot_shows_the_worst_sample_and_the_tolerance() -> None:
     now, then = trace(0.05), trace()
     found = words(plot("step", "Step", [worst_of(now, then, "elbow", 0.02)], now, then))
     assert "Step  (step)" in found
@@ -59,7 +59,7 @@ def test_series_show_the_worst_sample_and_what_was_allowed() -> None:
     assert "time [s]" in found
 
 
-def test_the_panels_with_the_worst_measures_come_first() -> None:
+def test_panels_are_sorted_by_their_worst_measure() -> None:
     names = [f"joint{i}" for i in range(7)]
     then = trace(names=names)
     columns = {
@@ -75,8 +75,8 @@ def test_the_panels_with_the_worst_measures_come_first() -> None:
     assert panels[0].worst.error == pytest.approx(0.12)
 
 
-def test_a_mean_over_the_series_draws_no_band() -> None:
-    """An RMS names a time too, but it is no value of the series."""
+def test_an_rms_measure_draws_no_tolerance_band() -> None:
+    """An RMS measure has a time too, but it is not a value of the series."""
     now, then = trace(0.05), trace()
     rms = Measure("rms", "elbow", 0.058, 0.0, 0.058, 0.02, "rad", "recording", time=2.0)
     (panel,), _ = time_panels([rms], now, then)
@@ -89,7 +89,7 @@ def test_a_mean_over_the_series_draws_no_band() -> None:
     assert panel.worst.tolerance == 0.5
 
 
-def test_a_command_lies_in_the_panel_of_its_joint() -> None:
+def test_a_command_is_drawn_in_the_panel_of_its_joint() -> None:
     now = trace()
     both = Trace(now.axis, now.x, {"command:elbow": ("rad", np.ones(401)), **now.columns})
     (panel,), _ = time_panels([], both, None)
@@ -100,7 +100,7 @@ def test_a_command_lies_in_the_panel_of_its_joint() -> None:
     assert sorted(panel.title for panel in panels) == ["command of elbow", "position of elbow"]
 
 
-def test_frequency_responses_are_in_decibel_over_a_logarithmic_axis() -> None:
+def test_frequency_responses_are_drawn_in_db_on_a_logarithmic_axis() -> None:
     frequency = np.geomspace(0.5, 20.0, 60)
     columns = {
         "magnitude": ("1", 1.0 / frequency),
@@ -123,7 +123,7 @@ def test_frequency_responses_are_in_decibel_over_a_logarithmic_axis() -> None:
     assert any(word.startswith("6.02 at") for word in found)
 
 
-def test_without_series_each_error_is_held_against_its_tolerance() -> None:
+def test_without_series_errors_are_drawn_relative_to_their_tolerances() -> None:
     measures = [
         Measure("position", f"tcp at pose {i}", 0.0, 0.0, 10.0**-i, 1e-2, "m") for i in range(20)
     ]
@@ -133,21 +133,21 @@ def test_without_series_each_error_is_held_against_its_tolerance() -> None:
     assert "error, of the tolerance   (6 with less not shown)" in found
 
 
-def test_nothing_measured_is_no_plot() -> None:
+def test_without_measures_there_is_no_plot() -> None:
     assert plot("fk", "Kinematics", [], None, None) is None
     assert plot("step", "Step", [], Trace(("time", "s"), TIME, {}), None) is None
 
 
-def test_plots_swap_their_colours_on_a_dark_page() -> None:
+def test_plots_change_their_colours_in_dark_mode() -> None:
     svg = (plot("step", "Step", [], trace(), None) or b"").decode()
     assert "prefers-color-scheme:dark" in svg
     light = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", svg))
     swapped = set(re.findall(r'\[style\*="(?:fill|stroke): (#[0-9a-f]{6})"\]', svg))
-    # matplotlib writes its clip paths and empty markers in black.
+    # matplotlib writes clip paths and empty markers in black.
     assert light - {"#000000"} <= swapped
 
 
-def test_plots_are_small_however_long_the_series() -> None:
+def test_the_size_of_a_plot_does_not_depend_on_the_length_of_the_series() -> None:
     time = np.linspace(0.0, 200.0, 200_000)
     noise = np.random.default_rng(1).normal(size=(6, time.size))
     now = Trace(("time", "s"), time, {f"position:j{i}": ("rad", noise[i]) for i in range(6)})
@@ -157,7 +157,7 @@ def test_plots_are_small_however_long_the_series() -> None:
     assert len(svg) < 200_000
 
 
-def test_thinning_keeps_every_spike() -> None:
+def test_downsampling_keeps_every_spike() -> None:
     values = np.zeros(100_000)
     values[[5, 33_333, 99_998]] = (3.0, -7.0, 5.0)
     line = thin(Line(np.arange(values.size, dtype=float), values))
@@ -167,7 +167,7 @@ def test_thinning_keeps_every_spike() -> None:
     assert (np.diff(line.x) > 0).all()
 
 
-def test_the_same_numbers_give_the_same_plot() -> None:
+def test_plots_are_reproducible() -> None:
     assert plot("step", "Step", [], trace(), trace(0.1)) == plot(
         "step", "Step", [], trace(), trace(0.1)
     )
@@ -179,13 +179,13 @@ _NAMES = st.text(max_size=30) | st.sampled_from(
 _VALUES = st.floats() | st.sampled_from([0.0, 1e-300, 1e300, math.nan, math.inf])
 
 
-# Drawing is slow: a failing example is shown as it was found.
+# Drawing is slow, so failing examples are not shrunk.
 _DRAWN = settings(max_examples=12, deadline=None, phases=(Phase.explicit, Phase.generate))
 
 
 @_DRAWN
 @given(_NAMES, st.lists(st.tuples(_NAMES, _VALUES, _VALUES), min_size=1, max_size=5))
-def test_bars_of_any_name_and_number(
+def test_bar_plots_can_be_drawn_for_any_name_and_number(
     title: str, given_measures: list[tuple[str, float, float]]
 ) -> None:
     measures = [
@@ -197,7 +197,7 @@ def test_bars_of_any_name_and_number(
 
 @_DRAWN
 @given(_NAMES, _NAMES, st.lists(_VALUES, min_size=5, max_size=5), _VALUES)
-def test_series_of_any_name_and_number(
+def test_series_plots_can_be_drawn_for_any_name_and_number(
     title: str, name: str, values: list[float], tolerance: float
 ) -> None:
     x = np.arange(5.0)

@@ -1,4 +1,4 @@
-"""The one line of a first look: a name with its doubts, or where and when force is missing."""
+"""The one-line quick diagnosis: likely effects, or where and when a force is missing."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def said(
     return quick_diagnosis_in_words(QuickDiagnosis(suspects, unexplained, joint, WHERE, 2.04))
 
 
-def test_one_effect_comes_with_size_confidence_and_what_it_removes() -> None:
+def test_one_likely_effect_is_stated_with_size_confidence_and_gain() -> None:
     assert said(STICTION) == (
         "probably Stribeck friction at joint elbow: Coulomb friction about 0.33 N*m, Stribeck "
         "velocity about 0.051 rad/s; confidence 65 %; correcting it would remove 99 % of the "
@@ -36,7 +36,7 @@ def test_one_effect_comes_with_size_confidence_and_what_it_removes() -> None:
     )
 
 
-def test_effects_that_explain_it_about_as_well_are_all_named() -> None:
+def test_equally_likely_effects_are_all_named() -> None:
     rivals = (("presliding_hysteresis", ("elbow",)), ("sensor_delay", ()))
     assert said(replace(STICTION, rivals=rivals)) == (
         "could be Stribeck friction at joint elbow (Coulomb friction about 0.33 N*m, Stribeck "
@@ -45,7 +45,7 @@ def test_effects_that_explain_it_about_as_well_are_all_named() -> None:
     )
 
 
-def test_joints_with_causes_of_their_own_are_each_named() -> None:
+def test_different_effects_on_different_joints_are_each_named() -> None:
     assert said(replace(STICTION, of=("elbow",)), DELAY, unexplained=("lift",)) == (
         "probably Stribeck friction at joint elbow: Coulomb friction about 0.33 N*m, Stribeck "
         "velocity about 0.051 rad/s; confidence 65 %; correcting it would remove 99 % of the "
@@ -55,7 +55,7 @@ def test_joints_with_causes_of_their_own_are_each_named() -> None:
     )
 
 
-def test_without_a_name_it_says_where_and_when() -> None:
+def test_without_a_likely_effect_joint_and_times_of_the_missing_force_are_stated() -> None:
     assert said() == (
         "no known effect explains the error; a force is missing at joint elbow, mainly fast, "
         "|velocity| > 3 rad/s, 2 to 3.25 s, 4 to 4.5 s"
@@ -67,5 +67,5 @@ def test_without_a_name_it_says_where_and_when() -> None:
     )
 
 
-def test_names_of_files_carry_no_escapes() -> None:
+def test_joint_names_cannot_inject_escape_sequences() -> None:
     assert said(joint="el\x1bbow\n").isprintable()
