@@ -1,4 +1,4 @@
-"""A stand-in for the sandbox: calls in this process, where the simulators are loaded already."""
+"""A replacement for the sandbox that runs calls in this process and saves the process start."""
 
 from __future__ import annotations
 
@@ -20,6 +20,6 @@ class InProcess:
         pass
 
     def call(self, function: str, arguments: Mapping[str, Any], progress: object = None) -> Any:
-        """Call ``module:function`` with keyword arguments; progress is not told."""
+        """Call ``module:function`` with keyword arguments; progress is not reported."""
         module, _, name = function.partition(":")
         return getattr(importlib.import_module(module), name)(**arguments)

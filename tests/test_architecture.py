@@ -1,4 +1,4 @@
-"""The direction of imports; no file of ours reaches into pytest's internals."""
+"""Architecture: allowed import directions, loading and stepping of simulators."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 PROJECT = Path(__file__).resolve().parent.parent
 
 
-def test_rooms_import_only_from_below() -> None:
+def test_packages_import_only_from_lower_layers() -> None:
     result = subprocess.run(
         [str(Path(sys.executable).with_name("lint-imports")), "--no-cache"],
         cwd=PROJECT,
@@ -33,8 +33,8 @@ def test_nothing_imports_pytest_internals() -> None:
     assert offenders == []
 
 
-def test_modules_of_tests_have_names_of_their_own() -> None:
-    """Pytest imports them by bare name: a second one of the same name is refused."""
+def test_module_names_of_tests_are_unique() -> None:
+    """pytest imports test modules by their bare name and refuses duplicates."""
     names = Counter(path.name for path in (PROJECT / "tests").rglob("test_*.py"))
     assert [name for name, times in names.items() if times > 1] == []
 
@@ -61,21 +61,21 @@ def places_of(pattern: re.Pattern[str]) -> set[str]:
     }
 
 
-def test_models_are_loaded_in_the_room_that_the_docs_name() -> None:
+def test_models_are_loaded_only_in_the_documented_package() -> None:
     named = ("realization/", "asset/loss/", "properties/")
     assert [place for place in places_of(LOADS) if not place.startswith(named)] == []
 
 
-def test_simulators_are_stepped_in_few_places() -> None:
+def test_simulators_are_stepped_only_in_the_documented_places() -> None:
     elsewhere = {p for p in places_of(STEPS) if not p.startswith("realization/")}
     assert elsewhere == STEPPED_IN
 
 
-def test_no_plant_shares_code_with_the_package() -> None:
+def test_benchmark_plants_share_no_code_with_the_package() -> None:
     concealed = (PROJECT / "benchmarks" / "concealed").glob("*.py")
     plants = [
         *(PROJECT / "golden" / "make").glob("*.py"),
-        # Cases from real recordings have no plant: they read and write recordings of a robot.
+        # Cases from real recordings have no simulated plant: they read and write recordings.
         *(p for p in concealed if not p.name.startswith(("real_", "injections"))),
     ]
     assert len(plants) >= 6

@@ -1,4 +1,4 @@
-"""The door of ``pytest-twin``: help, errors in one line, and a command's result as JSON."""
+"""The command line of ``pytest-twin``: help, one-line errors, JSON results, completion."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
-def test_help_of_a_command_has_its_purpose_an_example_and_each_exit_status(
+def test_help_of_a_command_states_purpose_example_and_exit_statuses(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as end:
@@ -54,8 +54,8 @@ def test_help_of_a_command_has_its_purpose_an_example_and_each_exit_status(
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
-def test_the_options_of_an_example_exist(name: str) -> None:
-    """An example that the parser refuses teaches a reader to distrust all of them."""
+def test_examples_in_the_help_use_existing_options(name: str) -> None:
+    """The parser must accept every documented example."""
     module = importlib.import_module(f"pytest_twin.commands.{name}")
     for line in module.EXAMPLES:
         found = re.search(rf"pytest-twin {name} [^|>#)\"]*", line)
@@ -67,7 +67,7 @@ def test_the_options_of_an_example_exist(name: str) -> None:
         assert [word for word in unknown if word.startswith("-")] == []
 
 
-def test_a_misspelled_command_is_answered_with_the_one_that_was_meant(
+def test_a_misspelt_command_is_refused_with_a_similar_command(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(SystemExit) as end:
@@ -105,7 +105,7 @@ def test_a_misspelled_command_is_answered_with_the_one_that_was_meant(
         ),
     ],
 )
-def test_a_wrong_command_line_is_answered_in_one_line(
+def test_an_invalid_command_line_is_refused_in_one_line(
     words: list[str], line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as end:
@@ -122,8 +122,8 @@ def test_a_wrong_command_line_is_answered_in_one_line(
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
-def test_a_command_loads_no_other_but_what_it_builds_on(name: str) -> None:
-    """Imports of all take a second, before every one of a thousand short commands."""
+def test_a_command_imports_only_the_commands_it_builds_on(name: str) -> None:
+    """Importing all commands would add a second to every short command."""
     run = subprocess.run(
         [sys.executable, "-c", LOADED, name], capture_output=True, text=True, check=True
     )
@@ -157,7 +157,7 @@ def test_every_command_that_writes_json_is_tested() -> None:
 
 
 @pytest.mark.parametrize("name", JSON_COMMANDS)
-def test_json_alone_is_on_standard_output_and_the_text_on_standard_error(
+def test_json_goes_to_standard_output_and_text_to_standard_error(
     name: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -176,7 +176,7 @@ def test_json_alone_is_on_standard_output_and_the_text_on_standard_error(
     assert len(err.splitlines()) > 1
 
 
-def test_json_in_a_file_leaves_the_text_on_standard_output(
+def test_with_json_in_a_file_the_text_stays_on_standard_output(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -197,7 +197,7 @@ def test_unusable_input_writes_no_json(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_knows_every_command_and_option(
+def test_shell_completion_contains_every_command_and_option(
     shell: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["completion", shell]) == 0
@@ -208,7 +208,7 @@ def test_completion_knows_every_command_and_option(
         subprocess.run([shell, "-n"], input=script, text=True, check=True)
 
 
-def test_completion_without_its_package_says_what_to_install(
+def test_without_its_package_completion_names_the_extra(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "shtab", None)

@@ -1,4 +1,4 @@
-"""The documentation builds without a warning: links, headings, images and the generated pages."""
+"""The documentation builds without warnings and its references exist."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_every_page_of_the_docs_is_in_the_site(site: Path) -> None:
     assert pages <= {path.relative_to(site) for path in site.rglob("*.html")}
 
 
-def test_the_reference_has_every_command_kind_file_and_error_of_the_code(site: Path) -> None:
+def test_the_reference_covers_every_command_kind_file_and_error(site: Path) -> None:
     from pytest_twin import cli, errors
     from pytest_twin.checks import kinds
 
@@ -50,7 +50,7 @@ def test_the_reference_has_every_command_kind_file_and_error_of_the_code(site: P
     files = re.sub(r"<[^>]+>", "", (folder / "files.html").read_text())
     assert "findings[].confidence" in files
     results = list((ROOT / "pytest_twin" / "schemas" / "results").iterdir())
-    # Each title is a heading and an entry of the page's own contents.
+    # Each title occurs as a heading and in the table of contents.
     assert files.count("--json -") == 2 * len(results), [p.name for p in results]
     named = (folder / "errors.html").read_text()
     assert all(
@@ -60,7 +60,7 @@ def test_the_reference_has_every_command_kind_file_and_error_of_the_code(site: P
     )
 
 
-def test_the_reference_has_what_packages_of_users_import(site: Path) -> None:
+def test_the_reference_covers_the_public_interface(site: Path) -> None:
     page = (site / "reference" / "generated" / "api.html").read_text()
     for module in ("pytest_twin.checks", "pytest_twin.effects", "pytest_twin.properties"):
         exported = importlib.import_module(module)
@@ -71,7 +71,7 @@ def test_the_reference_has_what_packages_of_users_import(site: Path) -> None:
         assert f'.{protocol}"' in page
 
 
-def test_every_module_of_the_page_how_it_works_exists() -> None:
+def test_every_module_named_on_the_page_how_it_works_exists() -> None:
     page = (DOCS / "explanation" / "how-it-works.md").read_text()
     named = {
         name for name in re.findall(r"`([a-z_.]+)`", page) if not name.endswith((".yaml", ".json"))
@@ -87,7 +87,7 @@ def test_every_module_of_the_page_how_it_works_exists() -> None:
     assert missing == []
 
 
-def test_every_module_of_the_page_on_the_diagnosis_exists() -> None:
+def test_every_module_named_on_the_diagnosis_page_exists() -> None:
     page = (DOCS / "explanation" / "how-a-diagnosis-works.md").read_text()
     groups = re.findall(r"\((`[a-z_/`,\s]+)\)", page)
     named = {name for group in groups for name in re.findall(r"`([a-z_/]+)`", group)}
@@ -99,7 +99,7 @@ def test_every_module_of_the_page_on_the_diagnosis_exists() -> None:
     assert named - exist == set()
 
 
-def test_every_file_that_a_page_names_exists() -> None:
+def test_every_file_named_on_a_page_exists() -> None:
     place = re.compile(
         r"(?<![\w./-])((?:pytest_twin|tests|benchmarks|docs|examples)/[\w/.-]+\.\w+)"
     )
@@ -114,7 +114,7 @@ def test_every_file_that_a_page_names_exists() -> None:
     assert missing == set()
 
 
-def test_the_picture_of_how_it_works_is_the_one_that_the_script_draws() -> None:
+def test_the_picture_of_how_it_works_is_up_to_date() -> None:
     assert ways().PICTURE.read_text("utf-8") == ways().picture()
 
 
@@ -127,7 +127,7 @@ def ways() -> ModuleType:
     return module
 
 
-def test_links_of_the_readme_lead_somewhere() -> None:
+def test_links_in_the_readme_have_a_target() -> None:
     for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
         text = (ROOT / name).read_text()
         for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)|src=\"([^\"]+)\"", text):

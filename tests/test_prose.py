@@ -1,4 +1,4 @@
-"""Documents, messages and docstrings are spelled right and use the plain words of the project."""
+"""The prose check finds misspellings and vague phrases, and the project has none."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PROSE = ROOT / "docs" / "prose"
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """A checkout with the check and its lists alone."""
+    """A folder that contains only the prose check and its word lists."""
     shutil.copytree(PROSE, tmp_path / "docs" / "prose")
     return tmp_path
 
@@ -27,7 +27,7 @@ def check(*files: Path, root: Path = ROOT) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
-def test_everything_that_people_read_is_spelled_right_and_plain() -> None:
+def test_the_prose_of_the_project_passes_the_check() -> None:
     done = check()
     assert (done.returncode, done.stdout) == (0, ""), done.stdout + done.stderr
 
@@ -40,7 +40,7 @@ def test_everything_that_people_read_is_spelled_right_and_plain() -> None:
         ("The golden rests on a part.", "rests on ==> depends on"),
     ],
 )
-def test_a_misspelled_word_and_a_phrase_are_found_with_what_to_write(
+def test_misspelt_words_and_vague_phrases_are_found_with_a_replacement(
     checkout: Path, text: str, told: str
 ) -> None:
     page = checkout / "docs" / "page.md"

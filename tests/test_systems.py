@@ -1,4 +1,4 @@
-"""Systems that are not supported are told so in one line, before anything else fails."""
+"""Unsupported operating systems are refused in one line before anything else fails."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_command_refuses_windows_in_one_line(capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize(("twin", "status"), [("", 0), ("name: arm\nmodel: arm.xml\n", 2)])
-def test_the_plugin_refuses_windows_where_a_twin_is_and_disturbs_no_other_project(
+def test_the_plugin_refuses_windows_only_in_projects_with_a_twin(
     tmp_path, twin: str, status: int
 ) -> None:
     (tmp_path / "test_other.py").write_text("def test_it():\n    pass\n")
@@ -54,7 +54,7 @@ def test_the_plugin_refuses_windows_where_a_twin_is_and_disturbs_no_other_projec
     assert "Traceback" not in done.stdout + done.stderr
 
 
-def test_a_child_keeps_a_lower_bound_of_memory_that_the_machine_sets() -> None:
+def test_a_child_process_keeps_a_lower_memory_limit_of_the_system() -> None:
     program = (
         "import resource\n"
         "resource.setrlimit(resource.RLIMIT_AS, (4 * 2**30, 4 * 2**30))\n"

@@ -1,4 +1,4 @@
-"""Progress and colour: on a terminal, in a log, and where colour is refused."""
+"""Progress and colour on a terminal, in a log file and without colour."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return Terminal()
 
 
-def test_a_terminal_has_colour_and_the_same_words(terminal: Terminal) -> None:
+def test_on_a_terminal_the_same_text_is_coloured(terminal: Terminal) -> None:
     with redirect_stdout(terminal):
         show(TEXT)
     said = terminal.getvalue()
@@ -39,19 +39,21 @@ def test_a_terminal_has_colour_and_the_same_words(terminal: Terminal) -> None:
     assert "\x1b[1;32mExplained" in said
 
 
-def test_no_color_is_honoured(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_variable_no_color_disables_colour(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
     with redirect_stdout(terminal):
         show("note: one recording")
     assert terminal.getvalue() == "note: one recording\n"
 
 
-def test_a_pipe_gets_the_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_to_a_pipe_is_unchanged(capsys: pytest.CaptureFixture[str]) -> None:
     show(TEXT)
     assert capsys.readouterr().out == TEXT + "\n"
 
 
-def test_text_from_a_file_is_no_markup(terminal: Terminal) -> None:
+def test_brackets_in_the_text_are_not_interpreted_as_markup(terminal: Terminal) -> None:
     with redirect_stderr(terminal):
         show_error("pytest-twin audit", "link '[bold]wrist[/bold]': no mass")
     assert "link '[bold]wrist[/bold]': no mass" in terminal.getvalue()
@@ -70,7 +72,7 @@ def test_a_terminal_shows_stage_fraction_and_time_left(terminal: Terminal) -> No
     assert "left" in said
 
 
-def test_a_log_has_a_plain_line_a_minute_also_while_nothing_is_reported(
+def test_a_log_file_gets_a_plain_progress_line_each_minute(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(progress, "_LOOK_SECONDS", 0.01)

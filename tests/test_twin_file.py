@@ -1,4 +1,4 @@
-"""twin.yaml: what it may say, what it means, and in which words it is refused."""
+"""twin.yaml: permitted fields, their meaning, and errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def refused(folder: Path, text: str) -> str:
     return str(caught.value).replace(str(folder), "")
 
 
-def test_a_model_is_enough(folder: Path) -> None:
+def test_a_twin_file_needs_only_a_model(folder: Path) -> None:
     twin = load_twin(write(folder, "model: model.xml\n"))
     assert twin.name == "arm"
     assert twin.root == folder
@@ -91,7 +91,7 @@ def full(folder: Path) -> Path:
     return folder
 
 
-def test_everything_that_can_be_said(full: Path) -> None:
+def test_every_field_of_the_twin_file_is_read(full: Path) -> None:
     twin = load_twin(write(full, FULL))
     assert list(twin.realizations) == ["mujoco", "urdf"]
     assert twin.source == (full / "asset/robot.step",)
@@ -122,7 +122,7 @@ def test_everything_that_can_be_said(full: Path) -> None:
     )
 
 
-def test_roots_as_a_list_bear_the_folders_names(full: Path) -> None:
+def test_roots_given_as_a_list_are_named_after_their_folders(full: Path) -> None:
     twin = load_twin(write(full, "model: model.xml\nroots: [../shared]\n"))
     assert twin.roots == {"shared": full.parent / "shared"}
 
@@ -174,7 +174,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("text", "words"), REFUSED)
-def test_refusals_name_file_line_and_field(folder: Path, text: str, words: str) -> None:
+def test_an_invalid_twin_file_is_refused_with_file_line_and_field(
+    folder: Path, text: str, words: str
+) -> None:
     (folder / "model.txt").write_text("x")
     (folder / "fit2.yaml").write_text("id: a\njoint: {elbow: {stifness: 1}}\n")
     message = refused(folder, text)
@@ -182,13 +184,13 @@ def test_refusals_name_file_line_and_field(folder: Path, text: str, words: str) 
     assert "\n" not in message
 
 
-def test_a_link_out_of_the_folder_is_refused(folder: Path) -> None:
+def test_a_symbolic_link_out_of_the_folder_is_refused(folder: Path) -> None:
     (folder.parent / "outside.xml").write_text(MODEL)
     (folder / "linked.xml").symlink_to(folder.parent / "outside.xml")
     assert "leaves the declared roots" in refused(folder, "model: linked.xml\n")
 
 
-def test_find_twin_looks_upwards(folder: Path) -> None:
+def test_the_twin_file_is_searched_in_parent_folders(folder: Path) -> None:
     path = write(folder, "model: model.xml\n")
     deep = folder / "golden" / "fk"
     deep.mkdir(parents=True)
@@ -197,7 +199,7 @@ def test_find_twin_looks_upwards(folder: Path) -> None:
     assert find_twin(folder.parent) is None
 
 
-def test_the_schema_is_one_and_says_what_each_field_is() -> None:
+def test_the_twin_schema_is_valid_and_describes_every_field() -> None:
     jsonschema.Draft202012Validator.check_schema(schema())
 
     def undescribed(node: Any, where: str) -> list[str]:
@@ -214,7 +216,7 @@ def test_the_schema_is_one_and_says_what_each_field_is() -> None:
     assert [path for found in everything for path in found] == []
 
 
-def test_the_recordings_twin_loads_unchanged() -> None:
+def test_the_twin_file_of_the_xl330_recordings_is_read() -> None:
     beside = Path(__file__).resolve().parents[2] / "shared" / "recordings"
     path = Path(os.environ.get("TWIN_RECORDINGS", beside)) / "xl330" / "twin.yaml"
     if not path.is_file():
@@ -243,7 +245,9 @@ json_values = st.recursive(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(st.dictionaries(st.sampled_from(sorted(schema()["properties"])), json_values, max_size=4))
-def test_whatever_it_says_is_read_or_refused(folder: Path, data: dict[str, Any]) -> None:
+def test_arbitrary_twin_files_are_read_or_raise_a_typed_error(
+    folder: Path, data: dict[str, Any]
+) -> None:
     path = write(folder, json.dumps({**data, "model": "model.xml"}))
     try:
         found: object = load_twin(path).realizations["mujoco"]

@@ -1,4 +1,4 @@
-"""Quantities and the words of errors."""
+"""Quantities with units, and the text of errors."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from pytest_twin.units import Quantity, parse_quantity
         (11, Quantity(11.0, "1")),
     ],
 )
-def test_quantity_is_si(text: str, si: Quantity) -> None:
+def test_quantities_are_converted_to_si(text: str, si: Quantity) -> None:
     assert parse_quantity(text, (si.unit,)) == si
 
 
-def test_a_unit_of_another_dimension_is_refused_in_words() -> None:
+def test_a_unit_of_another_dimension_is_refused_with_the_expected_units() -> None:
     with pytest.raises(SpecError) as error:
         parse_quantity("5 s", ("m",))
     assert str(error.value) == (
@@ -41,17 +41,17 @@ def test_a_unit_of_another_dimension_is_refused_in_words() -> None:
 @pytest.mark.parametrize(
     "text", ["11", 11, "0.21", True, "mm", "nan m", "1e999 m", None, "1 m\n2 m", "--1 m"]
 )
-def test_no_quantity_is_refused(text: object) -> None:
+def test_a_text_that_is_not_a_quantity_is_refused(text: object) -> None:
     with pytest.raises(SpecError):
         parse_quantity(text, ("m",))
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False, width=32))
-def test_any_finite_number_is_read_back(value: float) -> None:
+def test_any_finite_number_with_unit_is_read_back(value: float) -> None:
     assert parse_quantity(f"{value!r} m", ("m",)).value == value
 
 
-def test_an_error_says_place_value_and_expectation() -> None:
+def test_an_error_states_place_value_and_expected_value() -> None:
     error = FormatError(
         "negative",
         path="a/b.xml",
@@ -66,19 +66,19 @@ def test_an_error_says_place_value_and_expectation() -> None:
 
 
 @given(st.text())
-def test_an_error_is_one_printable_line_whatever_a_file_holds(text: str) -> None:
+def test_an_error_is_always_one_printable_line(text: str) -> None:
     shown = str(TwinError("bad", value=text, where=text))
     assert shown.isprintable()
     assert len(shown.splitlines()) == 1
 
 
-def test_an_error_survives_the_way_between_processes() -> None:
+def test_an_error_survives_the_transfer_between_processes() -> None:
     error = SpecError("bad", path="x.yaml", line=2, value=3)
     again = pickle.loads(pickle.dumps(error))
     assert type(again) is SpecError
     assert str(again) == str(error)
 
 
-def test_a_bare_number_is_no_length() -> None:
+def test_a_number_without_unit_is_not_accepted_as_a_length() -> None:
     with pytest.raises(SpecError, match="the unit is missing"):
         parse_quantity("0.21", ("m",))
