@@ -1,4 +1,4 @@
-"""What `init` copies of a robot, and which roots it declares."""
+"""Which files `init` copies into the twin's folder, and which roots it declares."""
 
 from __future__ import annotations
 
@@ -25,65 +25,67 @@ def arm(tmp_path: Path) -> RobotFiles:
 
 def test_a_copy_keeps_the_folders_below_the_root(arm: RobotFiles, tmp_path: Path) -> None:
     twin = tmp_path / "twin"
-    brought = bring_in(arm, twin)
-    assert brought.model == twin / "asset/arm/urdf/arm.urdf"
-    assert brought.files == [brought.model, twin / "asset/arm/meshes/a.stl"]
-    assert all(path.is_file() for path in brought.files)
-    assert brought.roots == {"arm": twin / "asset/arm"}
+    copied = bring_in(arm, twin)
+    assert copied.model == twin / "asset/arm/urdf/arm.urdf"
+    assert copied.files == [copied.model, twin / "asset/arm/meshes/a.stl"]
+    assert all(path.is_file() for path in copied.files)
+    assert copied.roots == {"arm": twin / "asset/arm"}
 
 
-def test_a_package_elsewhere_gets_a_folder_of_its_name(arm: RobotFiles, tmp_path: Path) -> None:
+def test_a_package_outside_the_root_is_copied_into_a_folder_with_its_name(
+    arm: RobotFiles, tmp_path: Path
+) -> None:
     mesh = file(tmp_path / "opt/share/visuals-2/b.stl")
     packages = {"visuals": mesh.parent, "arm_description": arm.root}
     robot = RobotFiles(arm.model, [*arm.files, mesh], arm.root, packages)
     twin = tmp_path / "twin"
-    brought = bring_in(robot, twin)
-    assert brought.files[2] == twin / "asset/visuals/b.stl"
-    assert brought.roots == {
+    copied = bring_in(robot, twin)
+    assert copied.files[2] == twin / "asset/visuals/b.stl"
+    assert copied.roots == {
         "arm": twin / "asset/arm",
         "arm_description": twin / "asset/arm",
         "visuals": twin / "asset/visuals",
     }
 
 
-def test_a_folder_that_relative_paths_lead_to_keeps_its_place(
+def test_a_folder_referenced_by_a_relative_path_keeps_its_relative_position(
     arm: RobotFiles, tmp_path: Path
 ) -> None:
     mesh = file(tmp_path / "ws/shared/b.stl")
     robot = RobotFiles(arm.model, [*arm.files, mesh], arm.root, others=[mesh.parent])
-    brought = bring_in(robot, tmp_path / "twin")
-    assert brought.model == tmp_path / "twin/asset/ws/arm/urdf/arm.urdf"
-    assert brought.files[2] == tmp_path / "twin/asset/ws/shared/b.stl"
+    copied = bring_in(robot, tmp_path / "twin")
+    assert copied.model == tmp_path / "twin/asset/ws/arm/urdf/arm.urdf"
+    assert copied.files[2] == tmp_path / "twin/asset/ws/shared/b.stl"
 
 
-def test_a_file_that_is_named_absolutely_stays_and_is_declared(
+def test_a_file_with_an_absolute_path_is_not_copied_and_its_folder_is_declared(
     arm: RobotFiles, tmp_path: Path
 ) -> None:
     mesh = file(tmp_path / "elsewhere/b.stl")
     arm.model.write_text(f"<mesh filename='file://{mesh}'/>")
     robot = RobotFiles(arm.model, [*arm.files, mesh], arm.root, others=[mesh.parent])
-    brought = bring_in(robot, tmp_path / "twin")
-    assert brought.files[2] == mesh
-    assert brought.roots["elsewhere"] == mesh.parent
+    copied = bring_in(robot, tmp_path / "twin")
+    assert copied.files[2] == mesh
+    assert copied.roots["elsewhere"] == mesh.parent
 
 
-def test_a_robot_in_the_folder_is_not_copied_and_its_root_is_declared(
+def test_a_robot_inside_the_twin_is_not_copied_and_its_root_is_declared(
     arm: RobotFiles, tmp_path: Path
 ) -> None:
-    brought = bring_in(arm, tmp_path / "ws")
-    assert brought.model == arm.model
-    assert brought.roots == {"arm": arm.root}
+    copied = bring_in(arm, tmp_path / "ws")
+    assert copied.model == arm.model
+    assert copied.roots == {"arm": arm.root}
     plain = RobotFiles(arm.model, [arm.model], arm.model.parent)
     assert bring_in(plain, tmp_path / "ws").roots == {}
 
 
-def test_the_name_of_a_root_is_one_that_a_twin_can_state(tmp_path: Path) -> None:
+def test_special_characters_in_the_name_of_a_root_are_replaced(tmp_path: Path) -> None:
     root = tmp_path / "my arm (v2)"
     model = file(root / "arm.urdf")
     assert list(bring_in(RobotFiles(model, [model], root), tmp_path / "t").roots) == ["my_arm__v2_"]
 
 
-def test_an_asset_that_is_there_is_not_written_over(arm: RobotFiles, tmp_path: Path) -> None:
+def test_an_existing_asset_is_not_overwritten(arm: RobotFiles, tmp_path: Path) -> None:
     bring_in(arm, tmp_path / "twin")
     with pytest.raises(SpecError, match="the asset's place is taken"):
         bring_in(arm, tmp_path / "twin")

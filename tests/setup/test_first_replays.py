@@ -1,4 +1,4 @@
-"""``init ROBOT RECORDING...``: a replay golden each, with the task's tolerance or a blank."""
+"""``init ROBOT RECORDING...`` writes a replay golden per recording, with or without a tolerance."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROBOT = """\
 
 
 def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    # Build machines set CI, and --twin-update refuses to run there: these tests are a person's.
+    # Build machines set CI, and --twin-update refuses to run there: these tests act as a person.
     hidden = ("CI", "TWIN_SIGNING_KEY", "PYTEST_ADDOPTS")
     env = {name: value for name, value in os.environ.items() if name not in hidden}
     state = {"XDG_CONFIG_HOME": str(cwd.parent / "config"), "XDG_STATE_HOME": str(cwd.parent / "s")}
@@ -56,7 +56,7 @@ def twin(tmp_path: Path) -> Path:
     return tmp_path / "twin"
 
 
-def test_a_tolerance_that_nobody_asked_for_is_a_blank_that_never_passes(twin: Path) -> None:
+def test_without_a_given_tolerance_the_golden_has_a_placeholder_and_fails(twin: Path) -> None:
     made = run("pytest-twin", "init", "robot.xml", "../logs/sweep.csv", cwd=twin)
     assert made.returncode == 0, made.stdout + made.stderr
     path = twin / "golden" / "replay" / "sweep.yaml"
@@ -78,7 +78,7 @@ def test_a_tolerance_that_nobody_asked_for_is_a_blank_that_never_passes(twin: Pa
     assert "release 0001 signed" in released.stdout
 
 
-def test_the_tolerance_is_the_one_that_was_asked_for_and_not_the_result(twin: Path) -> None:
+def test_the_given_tolerance_is_written_even_if_the_replay_exceeds_it(twin: Path) -> None:
     made = run(
         "pytest-twin", "init", "robot.xml", "../logs/sweep.csv", "--tolerance", "0.01mrad",
         cwd=twin,
@@ -86,14 +86,14 @@ def test_the_tolerance_is_the_one_that_was_asked_for_and_not_the_result(twin: Pa
     assert made.returncode == 0, made.stdout + made.stderr
     golden = yaml.safe_load((twin / "golden" / "replay" / "sweep.yaml").read_text())
     assert golden["tolerance"] == {"angle_max": "0.01mrad"}
-    told = json.loads((twin / ".twin" / "init.json").read_text())
-    assert told["unwritten"] == []
-    assert told["failing"]["golden/replay/sweep"].startswith("angle_max of elbow: ")
+    report = json.loads((twin / ".twin" / "init.json").read_text())
+    assert report["unwritten"] == []
+    assert report["failing"]["golden/replay/sweep"].startswith("angle_max of elbow: ")
     assert "FAILS now: golden/replay/sweep" in made.stdout
     assert run("pytest", "golden/replay", cwd=twin).returncode == 1
 
 
-def test_a_tolerance_of_one_joint(twin: Path) -> None:
+def test_a_tolerance_can_be_given_for_one_joint(twin: Path) -> None:
     made = run(
         "pytest-twin", "init", "robot.xml", "../logs/sweep.csv", "--tolerance", "elbow=3deg",
         cwd=twin,
@@ -117,7 +117,7 @@ def test_a_tolerance_of_one_joint(twin: Path) -> None:
         ("0mrad", "not a tolerance"),
     ],
 )
-def test_a_tolerance_that_means_nothing_is_refused(twin: Path, tolerance: str, words: str) -> None:
+def test_an_invalid_tolerance_is_refused(twin: Path, tolerance: str, words: str) -> None:
     made = run(
         "pytest-twin", "init", "robot.xml", "../logs/sweep.csv", "--tolerance", tolerance, cwd=twin
     )
@@ -126,19 +126,19 @@ def test_a_tolerance_that_means_nothing_is_refused(twin: Path, tolerance: str, w
     assert not (twin / "twin.yaml").exists()
 
 
-def test_a_recording_that_cannot_be_used_is_left_out_with_its_reason(twin: Path) -> None:
+def test_an_unusable_recording_is_left_out_and_the_reason_is_reported(twin: Path) -> None:
     (twin.parent / "logs" / "empty.csv").write_text("time,elbow.position,elbow.command\n")
     made = run(
         "pytest-twin", "init", "robot.xml", "../logs/sweep.csv", "../logs/empty.csv",
         "--tolerance", "60mrad", cwd=twin,
     )  # fmt: skip
     assert made.returncode == 0, made.stdout + made.stderr
-    told = json.loads((twin / ".twin" / "init.json").read_text())
-    assert list(told["left_out"]) == ["empty.csv"]
-    assert "golden/replay/sweep" in told["goldens"]
+    report = json.loads((twin / ".twin" / "init.json").read_text())
+    assert list(report["left_out"]) == ["empty.csv"]
+    assert "golden/replay/sweep" in report["goldens"]
 
 
-def test_tolerances_are_read_with_their_units() -> None:
+def test_tolerances_are_parsed_with_their_units() -> None:
     assert parse_tolerance("5mrad,0.2 mm,wrist=2 mrad") == TaskTolerance(
         {"angle_max": "5mrad", "position_max": "0.2 mm"}, {"wrist": {"angle_max": "2 mrad"}}
     )
@@ -148,7 +148,7 @@ def test_tolerances_are_read_with_their_units() -> None:
         parse_tolerance("a=5mrad,a=1mm")
 
 
-def test_recordings_stay_where_they_are(tmp_path: Path) -> None:
+def test_recordings_are_not_moved(tmp_path: Path) -> None:
     twin = tmp_path / "twin"
     for path in ("twin/recordings/a.mcap", "logs/b.mcap", "logs/day2/c.mcap"):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
@@ -165,7 +165,7 @@ def test_recordings_stay_where_they_are(tmp_path: Path) -> None:
 
 
 def write_bag(folder: Path) -> None:
-    """A rosbag2 folder of the sweep, in SQLite storage."""
+    """The sweep as a rosbag2 folder with SQLite storage."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     header, state = (store.types[name] for name in ("std_msgs/msg/Header", JOINT_STATE))
     time = store.types["builtin_interfaces/msg/Time"]
@@ -185,7 +185,7 @@ def write_bag(folder: Path) -> None:
                 writer.write(topic, stamp, store.serialize_cdr(message, JOINT_STATE))
 
 
-def test_a_rosbag2_folder_is_a_golden_s_recording(twin: Path) -> None:
+def test_a_rosbag2_folder_can_be_the_recording_of_a_golden(twin: Path) -> None:
     write_bag(twin / "recordings" / "sweep")
     made = run(
         "pytest-twin", "init", "robot.xml", "recordings/sweep", "--tolerance", "60mrad", cwd=twin

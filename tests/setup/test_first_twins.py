@@ -1,4 +1,4 @@
-"""From a robot's file to a signed release, as a newcomer does it: two commands, other robots."""
+"""Two commands lead from a robot file to a signed release, for several robots."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def run(*command: str, cwd: Path, state: Path) -> subprocess.CompletedProcess[st
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_from_a_urdf_to_a_release(name: str, tmp_path: Path) -> None:
+def test_init_and_release_work_for_a_urdf(name: str, tmp_path: Path) -> None:
     twin = tmp_path / "twin"
     made = run("pytest-twin", "init", str(find_robots() / ROBOTS[name]), "--out", str(twin),
                cwd=tmp_path, state=tmp_path)  # fmt: skip
@@ -64,7 +64,7 @@ def test_from_a_urdf_to_a_release(name: str, tmp_path: Path) -> None:
     assert "release 0001 still holds" in again.stdout
 
 
-def test_an_impossible_inertia_is_repaired_in_sight(tmp_path: Path) -> None:
+def test_repairs_of_impossible_inertias_are_written_and_noted(tmp_path: Path) -> None:
     made = run("pytest-twin", "init", str(find_robots() / ROBOTS["allegro"]), cwd=tmp_path,
                state=tmp_path)  # fmt: skip
     assert made.returncode == 0, made.stdout + made.stderr
@@ -74,7 +74,7 @@ def test_an_impossible_inertia_is_repaired_in_sight(tmp_path: Path) -> None:
         assert any(link in line for line in made.stdout.splitlines() if line.startswith("note"))
 
 
-def test_a_robot_in_the_folder_stays_where_it_is(tmp_path: Path) -> None:
+def test_a_robot_file_inside_the_folder_is_not_copied(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text(
         "<mujoco><worldbody><body name='link'><joint name='hinge' axis='0 1 0' range='-90 90'/>"
         "<geom type='capsule' fromto='0 0 0 0 0 .3' size='.02'/></body></worldbody>"
@@ -91,7 +91,7 @@ def test_a_robot_in_the_folder_stays_where_it_is(tmp_path: Path) -> None:
     )
 
 
-def test_every_spec_names_a_schema_that_an_editor_finds(tmp_path: Path) -> None:
+def test_every_spec_refers_to_an_existing_schema_file(tmp_path: Path) -> None:
     made = run("pytest-twin", "init", str(DEMO / "arm.xml"), cwd=tmp_path, state=tmp_path)
     assert made.returncode == 0, made.stdout + made.stderr
     files = [tmp_path / "twin.yaml", *(tmp_path / "golden").rglob("*.yaml")]
@@ -103,7 +103,7 @@ def test_every_spec_names_a_schema_that_an_editor_finds(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["nothing.urdf", "notes.txt"])
-def test_what_is_no_robot_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+def test_a_missing_or_wrong_file_is_refused_with_one_line(name: str, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("a robot, one day")
     made = run("pytest-twin", "init", name, cwd=tmp_path, state=tmp_path)
     assert made.returncode == 2
@@ -114,7 +114,7 @@ def test_what_is_no_robot_is_refused_in_one_line(name: str, tmp_path: Path) -> N
     assert not (tmp_path / "twin.yaml").exists()
 
 
-def test_a_broken_robot_leaves_no_half_twin(tmp_path: Path) -> None:
+def test_after_an_invalid_robot_file_no_other_file_is_left(tmp_path: Path) -> None:
     (tmp_path / "robot.urdf").write_text("<robot name='r'><link name='a'/><link name='a'/></robot>")
     made = run("pytest-twin", "init", "robot.urdf", cwd=tmp_path, state=tmp_path)
     assert made.returncode == 2
@@ -123,7 +123,7 @@ def test_a_broken_robot_leaves_no_half_twin(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir() if path.suffix != ".urdf"] == []
 
 
-def test_the_demo_twin_releases(tmp_path: Path) -> None:
+def test_the_demo_twin_can_be_released(tmp_path: Path) -> None:
     twin = tmp_path / "golden"
     shutil.copytree(
         DEMO,

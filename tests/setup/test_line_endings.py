@@ -1,4 +1,4 @@
-"""A twin whose text files got CR LF line endings, as git's core.autocrlf makes them."""
+"""Error messages for a twin whose text files git's core.autocrlf converted to CR LF."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A released twin, with CR LF in every text file."""
+    """A released twin; every text file has CR LF line endings."""
     folder = tmp_path_factory.mktemp("crlf") / "twin"
     folder.mkdir()
     (folder / "robot.xml").write_text(ROBOT)
@@ -43,29 +43,29 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_goldens_with_a_trace_name_the_line_endings(twin: Path) -> None:
+def test_goldens_with_a_trace_fail_and_report_the_line_endings(twin: Path) -> None:
     found = run("pytest", cwd=twin)
     assert found.returncode == 1
     failed = [line for line in found.stdout.splitlines() if line.startswith("FAILED")]
     traces = list((twin / "golden").rglob("*.trace.csv"))
     assert len(failed) == len(traces) > 1
-    said = " ".join(found.stdout.split())
-    assert said.count("has CR LF line endings where LF was recorded") >= len(traces)
-    assert "commit a .gitattributes with '* -text'" in said
+    output = " ".join(found.stdout.split())
+    assert output.count("has CR LF line endings where LF was recorded") >= len(traces)
+    assert "commit a .gitattributes with '* -text'" in output
 
 
-def test_verify_names_the_line_endings_of_files(twin: Path) -> None:
+def test_verify_reports_changed_line_endings_of_files(twin: Path) -> None:
     found = run("pytest-twin", "verify", "releases/0001", cwd=twin)
     assert found.returncode == 1
-    said = found.stdout + found.stderr
-    assert "files/robot.xml: has CR LF line endings where LF was signed" in said
+    output = found.stdout + found.stderr
+    assert "files/robot.xml: has CR LF line endings where LF was signed" in output
 
 
-def test_verify_names_a_line_ending_after_the_envelope(twin: Path) -> None:
+def test_verify_reports_an_added_line_ending_at_the_end_of_the_envelope(twin: Path) -> None:
     envelope = twin / "releases" / "0001" / "release.dsse.json"
     envelope.write_bytes(envelope.read_bytes() + b"\r\n")
     found = run("pytest-twin", "verify", "releases/0001", cwd=twin)
     assert found.returncode == 1
-    said = found.stdout + found.stderr
-    assert "the envelope has line endings that were not signed" in said
-    assert "commit a .gitattributes with '* -text'" in said
+    output = found.stdout + found.stderr
+    assert "the envelope has line endings that were not signed" in output
+    assert "commit a .gitattributes with '* -text'" in output

@@ -1,4 +1,4 @@
-"""Robots that few people have: nameless, sliding, free, with words of other alphabets."""
+"""Unusual robots: nameless ones, slide joints, free bodies and names in other alphabets."""
 
 from __future__ import annotations
 
@@ -48,20 +48,20 @@ def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("text", [NAMELESS, FREE, UMLAUTS], ids=["nameless", "free", "umlauts"])
-def test_a_gate_around_it_signs(text: str, tmp_path: Path) -> None:
+def test_init_and_release_work_for_unusual_robots(text: str, tmp_path: Path) -> None:
     folder = tmp_path / "mein Zwilling ü"
     folder.mkdir()
     (folder / "robot eins.xml").write_text(text)
     made = run("pytest-twin", "init", "robot eins.xml", cwd=folder)
     assert made.returncode == 0, made.stdout + made.stderr
-    told = json.loads((folder / ".twin" / "init.json").read_text())
-    assert told["failing"] == told["left_out"] == {}
+    report = json.loads((folder / ".twin" / "init.json").read_text())
+    assert report["failing"] == report["left_out"] == {}
     released = run("pytest", "--twin-release", cwd=folder)
     assert released.returncode == 0, released.stdout[-3000:]
     assert "release 0001 signed" in released.stdout
 
 
-def test_what_has_no_name_is_said(tmp_path: Path) -> None:
+def test_unnamed_joints_and_missing_frames_are_noted(tmp_path: Path) -> None:
     folder = tmp_path / "twin"
     folder.mkdir()
     (folder / "robot.xml").write_text(NAMELESS)
@@ -81,21 +81,21 @@ def test_an_interrupt_leaves_the_folder_as_it_was(stage: str, tmp_path: Path) ->
         [str(BIN / "pytest-twin"), "init", "robot.xml"],
         cwd=folder, env=environment(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         text=True, start_new_session=True,
-        # A test run in the background of a shell ignores interrupts, and so would its children.
+        # A process in the background of a shell ignores SIGINT, and its children inherit this.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     sign = folder / "golden" / "fk" if stage == "golden" else folder / stage
     end = time.monotonic() + 120
     while not sign.exists() and child.poll() is None and time.monotonic() < end:
         time.sleep(0.005)
-    os.killpg(child.pid, signal.SIGINT)  # as Ctrl-C: the whole group gets it
-    _, said = child.communicate(timeout=60)
+    os.killpg(child.pid, signal.SIGINT)  # like Ctrl-C, which signals the whole process group
+    _, stderr = child.communicate(timeout=60)
     assert child.returncode == 130
-    assert said == "pytest-twin init: interrupted; no file is half written\n"
+    assert stderr == "pytest-twin init: interrupted; no file is half written\n"
     assert sorted(path.name for path in folder.rglob("*")) == ["golden", "notes.txt", "robot.xml"]
 
 
-def test_a_spec_that_is_there_is_never_overwritten(tmp_path: Path) -> None:
+def test_an_existing_spec_is_not_overwritten(tmp_path: Path) -> None:
     folder = tmp_path / "twin"
     (folder / "golden" / "fk").mkdir(parents=True)
     (folder / "robot.xml").write_text(UMLAUTS)
@@ -129,14 +129,16 @@ range="-.1 .1" damping="2" armature=".1"/><geom type="box" size=".1 .02 .02" mas
 """
 
 
-def test_odd_names_get_portable_files_and_a_release(tmp_path: Path) -> None:
+def test_joints_with_special_characters_get_portable_file_names_and_can_be_released(
+    tmp_path: Path,
+) -> None:
     folder = tmp_path / "twin"
     folder.mkdir()
     (folder / "robot.xml").write_text(ODD_NAMES)
     made = run("pytest-twin", "init", "robot.xml", cwd=folder)
     assert made.returncode == 0, made.stdout + made.stderr
-    told = json.loads((folder / ".twin" / "init.json").read_text())
-    assert told["failing"] == told["left_out"] == {}
+    report = json.loads((folder / ".twin" / "init.json").read_text())
+    assert report["failing"] == report["left_out"] == {}
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("golden/*/*"))
     assert all(re.fullmatch(r"[A-Za-z0-9_.\-/]+", file) for file in files)
     assert len({file.lower() for file in files}) == len(files)
@@ -169,20 +171,20 @@ MASSLESS = """\
 """
 
 
-def test_a_robot_without_masses_gets_no_golden_of_forces(tmp_path: Path) -> None:
+def test_for_a_robot_without_masses_no_golden_that_needs_forces_is_proposed(tmp_path: Path) -> None:
     (tmp_path / "bare.urdf").write_text(MASSLESS)
     done = run("pytest-twin", "init", "bare.urdf", "--out", "twin", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "bare.urdf:1: 2 moving links have no inertia ('a', 'b'): raised to" in done.stdout
-    told = json.loads((tmp_path / "twin/.twin/init.json").read_text())
+    report = json.loads((tmp_path / "twin/.twin/init.json").read_text())
     none = "no moving link has a mass; state masses in the model first"
     for kind in ("step", "settling", "frequency_response", "joint_direction"):
-        assert told["nothing_to_propose"][kind] == none
-    assert {golden.split("/")[1] for golden in told["goldens"]} >= {"fk", "limits"}
-    assert told["left_out"] == told["failing"] == {}
+        assert report["nothing_to_propose"][kind] == none
+    assert {golden.split("/")[1] for golden in report["goldens"]} >= {"fk", "limits"}
+    assert report["left_out"] == report["failing"] == {}
 
 
-def test_notes_of_one_kind_are_one_line(tmp_path: Path) -> None:
+def test_notes_of_the_same_kind_are_printed_as_one_line(tmp_path: Path) -> None:
     bare = MASSLESS.replace(' effort="9"', "")
     (tmp_path / "bare.urdf").write_text(bare)
     done = run("pytest-twin", "init", "bare.urdf", "--out", "twin", cwd=tmp_path)
@@ -191,5 +193,5 @@ def test_notes_of_one_kind_are_one_line(tmp_path: Path) -> None:
         "note: bare.urdf:2: joint 'j1' states no effort and has no actuator "
         "(and 1 more note of this kind in .twin/init.json)"
     ]
-    told = json.loads((tmp_path / "twin/.twin/init.json").read_text())
-    assert sum("states no effort" in note for note in told["notes"]) == 2
+    report = json.loads((tmp_path / "twin/.twin/init.json").read_text())
+    assert sum("states no effort" in note for note in report["notes"]) == 2

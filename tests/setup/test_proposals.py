@@ -1,4 +1,4 @@
-"""What ``init`` proposes for a robot: what its drives allow, and why the rest is left out."""
+"""Which goldens ``init`` proposes for a robot, and the reasons for those left out."""
 
 from __future__ import annotations
 
@@ -73,11 +73,11 @@ def mjcf(tmp_path: Path, text: str) -> Realization:
     return load(path)
 
 
-def first(kind: str, realization: Realization) -> dict[str, Mapping[str, Any]]:
+def proposed_specs(kind: str, realization: Realization) -> dict[str, Mapping[str, Any]]:
     return {str(spec["name"]): spec for spec in check_of(kind).first(realization)}
 
 
-def golden(spec: Mapping[str, Any], kind: str) -> Golden:
+def golden_of(spec: Mapping[str, Any], kind: str) -> Golden:
     units = check_of(kind).tolerances
     return Golden(
         id=str(spec["name"]),
@@ -94,9 +94,9 @@ def golden(spec: Mapping[str, Any], kind: str) -> Golden:
     )
 
 
-def passes(spec: Mapping[str, Any], kind: str, then: Realization, now: Realization) -> bool:
-    """Whether a golden that was recorded on one robot passes on the other."""
-    check, proposed = check_of(kind), golden(spec, kind)
+def golden_passes(spec: Mapping[str, Any], kind: str, then: Realization, now: Realization) -> bool:
+    """Whether a golden that was recorded on the robot ``then`` passes on the robot ``now``."""
+    check, proposed = check_of(kind), golden_of(spec, kind)
     values, trace = check.expect(proposed, check.observe(proposed, then, lambda _: None))
     kept = Golden(
         **{name: getattr(proposed, name) for name in Golden.__slots__} | {"expected": values}
@@ -107,25 +107,29 @@ def passes(spec: Mapping[str, Any], kind: str, then: Realization, now: Realizati
 
 
 @pytest.mark.parametrize("link", MASSES)
-def test_a_mass_that_is_off_by_7_percent_fails_a_torque_step(link: str, tmp_path: Path) -> None:
+def test_a_torque_step_fails_for_a_mass_that_is_7_percent_too_large(
+    link: str, tmp_path: Path
+) -> None:
     robot = arm(tmp_path)
     heavier = arm(tmp_path, {**MASSES, link: 1.07 * MASSES[link]}, name="heavier")
-    steps = first("step", robot)
+    steps = proposed_specs("step", robot)
     assert list(steps) == ["joint0", "joint1", "joint2"]
     carrying = [f"joint{i}" for i in range(list(MASSES).index(link) + 1)]
-    failing = [name for name, spec in steps.items() if not passes(spec, "step", robot, heavier)]
+    failing = [
+        name for name, spec in steps.items() if not golden_passes(spec, "step", robot, heavier)
+    ]
     assert failing == carrying
-    assert all(passes(spec, "step", robot, robot) for spec in steps.values())
+    assert all(golden_passes(spec, "step", robot, robot) for spec in steps.values())
 
 
-def test_a_link_that_is_too_light_to_be_felt_is_named(tmp_path: Path) -> None:
+def test_a_link_too_light_to_affect_the_step_is_noted(tmp_path: Path) -> None:
     robot = arm(tmp_path, {**MASSES, "cover": 1e-5})
-    notes = " ".join(first("step", robot)["joint0"]["notes"])
+    notes = " ".join(proposed_specs("step", robot)["joint0"]["notes"])
     assert "Not tested by this step: the mass of cover (less than 0.4 % of the inertia" in notes
 
 
-def test_a_robot_without_servos_falls_and_is_told_so(tmp_path: Path) -> None:
-    specs = first("settling", arm(tmp_path))
+def test_for_a_robot_without_servos_a_fall_under_gravity_is_proposed(tmp_path: Path) -> None:
+    specs = proposed_specs("settling", arm(tmp_path))
     assert list(specs) == ["gravity"]
     assert specs["gravity"]["title"] == "Fall from the pose under gravity; nothing holds the joints"
     notes = " ".join(specs["gravity"]["notes"])
@@ -133,25 +137,27 @@ def test_a_robot_without_servos_falls_and_is_told_so(tmp_path: Path) -> None:
     assert "Left out: motion without gravity, because no servo would move the joints." in notes
 
 
-def test_a_joint_whose_range_leaves_no_room_gets_no_step(tmp_path: Path) -> None:
+def test_for_a_joint_with_a_tiny_range_no_step_is_proposed(tmp_path: Path) -> None:
     robot = arm(tmp_path)
     text = (tmp_path / "arm.urdf").read_text().replace('lower="-2" upper="2"', "@", 1)
     (tmp_path / "arm.urdf").write_text(text.replace("@", 'lower="0" upper="1e-9"'))
-    assert list(first("step", load(tmp_path / "arm.urdf"))) == ["joint1", "joint2"]
-    assert list(first("step", robot)) == ["joint0", "joint1", "joint2"]
+    assert list(proposed_specs("step", load(tmp_path / "arm.urdf"))) == ["joint1", "joint2"]
+    assert list(proposed_specs("step", robot)) == ["joint0", "joint1", "joint2"]
 
 
-def test_a_urdf_without_efforts_is_told_where_its_motors_come_from(tmp_path: Path) -> None:
+def test_for_a_urdf_without_efforts_a_note_says_that_motors_come_from_the_effort_limit(
+    tmp_path: Path,
+) -> None:
     arm(tmp_path)
     text = (tmp_path / "arm.urdf").read_text().replace('effort="20"', 'effort="0"')
     (tmp_path / "arm.urdf").write_text(text)
-    (spec,) = first("settling", load(tmp_path / "arm.urdf")).values()
+    (spec,) = proposed_specs("settling", load(tmp_path / "arm.urdf")).values()
     assert "a URDF joint gets a motor where its <limit> states an effort above zero" in " ".join(
         spec["notes"]
     )
 
 
-def test_a_urdf_with_several_limbs_is_told_that_its_base_is_fixed(tmp_path: Path) -> None:
+def test_for_a_urdf_with_several_limbs_a_note_says_that_its_base_is_fixed(tmp_path: Path) -> None:
     trunk = LINK.format(name="trunk", mass=5, x=0, i=0.1)
     limbs = "".join(
         LINK.format(name=f"leg{i}", mass=1, x=0.1, i=0.01)
@@ -159,44 +165,46 @@ def test_a_urdf_with_several_limbs_is_told_that_its_base_is_fixed(tmp_path: Path
         for i in range(2)
     )
     (tmp_path / "dog.urdf").write_text(f"<robot name='dog'>{trunk}{limbs}</robot>")
-    said = "trunk is fixed to the world: a URDF does not say whether a base floats."
-    assert any(said in note for note in inspection.look(str(tmp_path / "dog.urdf"))["notes"])
-    spec = first("settling", load(tmp_path / "dog.urdf"))["gravity"]
-    assert any(said in note for note in spec["notes"])
+    note_text = "trunk is fixed to the world: a URDF does not say whether a base floats."
+    assert any(note_text in note for note in inspection.look(str(tmp_path / "dog.urdf"))["notes"])
+    spec = proposed_specs("settling", load(tmp_path / "dog.urdf"))["gravity"]
+    assert any(note_text in note for note in spec["notes"])
     robot = arm(tmp_path)
     assert not any("fixed to the world" in n for n in inspection.look(str(robot.path))["notes"])
 
 
-def test_no_title_speaks_of_servos_where_there_are_none(tmp_path: Path) -> None:
+def test_without_servos_no_title_mentions_servos(tmp_path: Path) -> None:
     robot = arm(tmp_path)
     for kind in ("step", "settling", "frequency_response", "limits", "joint_direction"):
         for spec in check_of(kind).first(robot):
             assert "servo" not in spec["title"]
 
 
-def test_a_robot_that_servos_hold_is_let_go_beside_its_pose(tmp_path: Path) -> None:
+def test_a_robot_with_servos_gets_settling_goldens_with_and_without_gravity(tmp_path: Path) -> None:
     robot = mjcf(
         tmp_path,
         "<mujoco><worldbody><body name='link'><joint name='hinge' axis='0 1 0' range='-90 90'/>"
         "<geom type='capsule' fromto='0 0 0 0 0 .3' size='.02'/></body></worldbody>"
         "<actuator><position name='hinge' joint='hinge' kp='50' kv='2'/></actuator></mujoco>",
     )
-    specs = first("settling", robot)
+    specs = proposed_specs("settling", robot)
     assert specs["gravity"]["title"] == "Servos hold the pose under gravity"
     assert specs["no_gravity"]["stimulus"]["displacement"] == {"hinge": 0.05}
     assert specs["gravity"]["notes"] == []
 
 
-def test_a_floating_base_comes_to_rest_on_its_floor(tmp_path: Path) -> None:
+def test_a_floating_base_with_a_floor_gets_a_golden_of_settling_on_the_floor(
+    tmp_path: Path,
+) -> None:
     robot = mjcf(tmp_path, QUADRUPED.format(floor=FLOOR, legs=LEGS, servos=SERVOS))
-    specs = first("settling", robot)
+    specs = proposed_specs("settling", robot)
     assert specs["gravity"]["title"].startswith("Come to rest on the floor under gravity")
-    assert passes(specs["gravity"], "settling", robot, robot)
+    assert golden_passes(specs["gravity"], "settling", robot, robot)
 
 
-def test_a_floating_base_without_a_floor_does_not_fall_for_ever(tmp_path: Path) -> None:
+def test_for_a_floating_base_without_a_floor_no_fall_is_proposed(tmp_path: Path) -> None:
     robot = mjcf(tmp_path, QUADRUPED.format(floor="", legs=LEGS, servos=SERVOS))
-    specs = first("settling", robot)
+    specs = proposed_specs("settling", robot)
     assert list(specs) == ["no_gravity"]
     assert "the base floats" in specs["no_gravity"]["title"]
     assert "because the base floats and nothing is under it" in " ".join(
@@ -204,13 +212,15 @@ def test_a_floating_base_without_a_floor_does_not_fall_for_ever(tmp_path: Path) 
     )
 
 
-def test_a_floating_base_without_servos_and_floor_has_no_settling(tmp_path: Path) -> None:
+def test_for_a_floating_base_without_servos_and_floor_no_settling_is_proposed(
+    tmp_path: Path,
+) -> None:
     robot = mjcf(tmp_path, QUADRUPED.format(floor="", legs=LEGS, servos=""))
     with pytest.raises(NothingToProposeError, match=r"nothing is under it.*no servo would move"):
         check_of("settling").first(robot)
 
 
-def test_a_free_object_is_no_floating_base(tmp_path: Path) -> None:
+def test_a_free_object_is_not_taken_for_a_floating_base(tmp_path: Path) -> None:
     robot = mjcf(
         tmp_path,
         "<mujoco><worldbody><geom name='floor' type='plane' size='2 2 .1'/><body name='link' "
@@ -219,26 +229,26 @@ def test_a_free_object_is_no_floating_base(tmp_path: Path) -> None:
         "name='cube'/><geom type='box' size='.02 .02 .02' mass='.1'/></body></worldbody>"
         "<actuator><position name='hinge' joint='hinge' kp='50' kv='2'/></actuator></mujoco>",
     )
-    for spec in first("settling", robot).values():
+    for spec in proposed_specs("settling", robot).values():
         assert "floats" not in spec["title"]
-    notes = " ".join(first("settling", robot)["gravity"]["notes"])
+    notes = " ".join(proposed_specs("settling", robot)["gravity"]["notes"])
     assert "No position servo holds cube" in notes
 
 
-def test_a_gripper_on_a_tendon_gets_a_step_of_its_drive(tmp_path: Path) -> None:
+def test_a_tendon_driven_gripper_gets_a_step_of_its_actuator(tmp_path: Path) -> None:
     robot = mjcf(tmp_path, GRIPPER)
-    spec = first("step", robot)["grip"]
+    spec = proposed_specs("step", robot)["grip"]
     assert spec["target"] == {"joint": "left_finger", "actuator": "grip"}
     assert abs(spec["stimulus"]["amplitude"]) == 25.5
-    found = check_of("step").observe(golden(spec, "step"), robot, lambda _: None)
+    found = check_of("step").observe(golden_of(spec, "step"), robot, lambda _: None)
     assert found.trace is not None
     assert found.trace.columns["command:left_finger"][0] == "1"
     moved = found.trace.columns["position:left_finger"][1]
     assert abs(moved[-1] - moved[0]) > 1e-3
-    assert passes(spec, "step", robot, robot)
+    assert golden_passes(spec, "step", robot, robot)
 
 
-def test_a_robot_with_no_moving_joint_gets_reasons(tmp_path: Path) -> None:
+def test_for_a_robot_without_moving_joints_the_reasons_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "stand.urdf"
     path.write_text(
         "<robot name='stand'><link name='base'/>"
@@ -256,7 +266,9 @@ def test_a_robot_with_no_moving_joint_gets_reasons(tmp_path: Path) -> None:
     assert json.dumps(found)
 
 
-def test_the_servo_lines_of_twin_yaml_load_once_the_gains_are_in(tmp_path: Path) -> None:
+def test_the_commented_servo_lines_of_twin_yaml_are_valid_once_gains_are_filled_in(
+    tmp_path: Path,
+) -> None:
     robot = arm(tmp_path)
     look = inspection.look(str(robot.path))
     first_twin = FirstTwin(
@@ -278,7 +290,7 @@ def test_the_servo_lines_of_twin_yaml_load_once_the_gains_are_in(tmp_path: Path)
     assert inspection.look(str(robot.path))["motors"] == dict.fromkeys(
         ["joint0", "joint1", "joint2"], "hinge"
     )
-    assert first("settling", realization)["gravity"]["title"] == (
+    assert proposed_specs("settling", realization)["gravity"]["title"] == (
         "Servos hold the pose under gravity"
     )
 
@@ -291,13 +303,15 @@ def test_the_servo_lines_of_twin_yaml_load_once_the_gains_are_in(tmp_path: Path)
         ('<motor name="m" joint="j"/>', "the model has no position servos; its motors take torq"),
     ],
 )
-def test_what_a_model_without_servos_is_told(tmp_path: Path, actuator: str, words: str) -> None:
+def test_a_model_without_position_servos_gets_a_note_with_the_reason(
+    tmp_path: Path, actuator: str, words: str
+) -> None:
     path = tmp_path / "arm.xml"
     path.write_text(
         '<mujoco><worldbody><body name="b"><joint name="j"/><geom size=".1" mass="1"/></body>'
         f"</worldbody><actuator>{actuator}</actuator></mujoco>"
     )
     realization = load(path)
-    said = proposals.Actuation.of(realization).no_controller(realization)
-    assert said is not None
-    assert words in said
+    note_text = proposals.Actuation.of(realization).no_controller(realization)
+    assert note_text is not None
+    assert words in note_text

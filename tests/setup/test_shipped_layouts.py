@@ -1,4 +1,4 @@
-"""The usual ROS layout through every command that reads a model, with no option."""
+"""Every command that reads a model accepts the usual ROS package layout without an option."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def robot(folder: Path, mesh: str = "../meshes/a.stl") -> Path:
 
 
 @pytest.mark.parametrize("mesh", ["../meshes/a.stl", "package://arm_description/meshes/a.stl"])
-def test_audit_realize_and_init_find_the_root_and_say_it(
+def test_audit_realize_and_init_find_and_report_the_root(
     tmp_path: Path, mesh: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = robot(tmp_path / "ws/arm_description", mesh)
@@ -59,7 +59,7 @@ def test_audit_realize_and_init_find_the_root_and_say_it(
     assert twin.roots == {"arm_description": tmp_path / "twin/asset/arm_description"}
 
 
-def test_init_takes_a_source_that_intake_keeps(tmp_path: Path) -> None:
+def test_init_accepts_a_source_stored_by_intake(tmp_path: Path) -> None:
     robot(tmp_path / "arm_description", "package://arm_description/meshes/a.stl")
     out = tmp_path / "kept"
     assert main(["intake", str(tmp_path / "arm_description"), "--out", str(out)]) == 0
@@ -67,7 +67,7 @@ def test_init_takes_a_source_that_intake_keeps(tmp_path: Path) -> None:
     assert load_twin(tmp_path / "twin/twin.yaml").roots["arm_description"].is_dir()
 
 
-def test_a_root_is_named_once_for_all_that_is_read(
+def test_audit_realize_and_init_accept_the_root_option(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = robot(tmp_path / "arm", "../../shared/a.stl")
