@@ -1,4 +1,4 @@
-"""Small robots as suppliers send them, and what the tests of assets share."""
+"""Small robots in the form in which suppliers send them, and helpers for the tests of assets."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TRIANGLES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4)]
 
 
 def stl(scale: float = 1.0) -> bytes:
-    """A solid of five corners as binary STL."""
+    """A polyhedron with five vertices as binary STL."""
     body = b"".join(
         struct.pack("<12fH", 0, 0, 0, *(scale * CORNERS[list(face)]).ravel(), 0)
         for face in TRIANGLES
@@ -36,7 +36,7 @@ def stl(scale: float = 1.0) -> bytes:
 
 
 def dae(unit: float) -> str:
-    """The same as COLLADA, in a unit of so many metres, with Y up."""
+    """The same polyhedron as COLLADA, with Y up; one unit of length is ``unit`` metres."""
     points = " ".join(f"{value / unit:.9g}" for value in CORNERS.ravel())
     faces = " ".join(str(corner) for face in TRIANGLES for corner in face)
     return f"""<?xml version="1.0" encoding="utf-8"?>
@@ -122,7 +122,7 @@ ARM = """<robot name="arm">
 
 
 def write_arm(folder: Path, text: str = ARM) -> Path:
-    """The arm as a ROS package; its URDF."""
+    """Write the arm as a ROS package and return the path of its URDF."""
     package = folder / "arm_description"
     (package / "urdf").mkdir(parents=True)
     (package / "meshes").mkdir()
@@ -145,7 +145,7 @@ def _words(values: Sequence[float]) -> str:
 
 @st.composite
 def random_urdf(draw: st.DrawFn) -> str:
-    """A tree of up to seven links with oblique axes and turned inertias."""
+    """A tree of up to seven links with oblique joint axes and rotated inertias."""
     count = draw(st.integers(2, 7))
     links = []
     joints = []

@@ -1,4 +1,4 @@
-"""Whatever stands in an attribute: every form is made, or an error says where."""
+"""Random URDF attributes: the robot is converted, or an error gives the place."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ VALUES = st.sampled_from(
 
 @settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_random_attributes(data: st.DataObject) -> None:
+def test_random_attributes_are_converted_or_refused_and_write_no_other_file(
+    data: st.DataObject,
+) -> None:
     root = etree.fromstring(ARM)
     places = [(node, key) for node in root.iter() for key in node.attrib]
     for _ in range(data.draw(st.integers(1, 3))):
@@ -47,7 +49,7 @@ def test_random_attributes(data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("scale", ["x", "1 1", "0 1 1", "nan 1 1", ""])
-def test_a_scale_that_is_none_is_refused_with_its_line(tmp_path: Path, scale: str) -> None:
+def test_an_invalid_scale_of_a_mesh_is_refused(tmp_path: Path, scale: str) -> None:
     root = etree.fromstring(ARM)
     next(root.iter("mesh")).set("scale", scale)
     urdf = write_arm(tmp_path, etree.tostring(root, encoding="unicode"))

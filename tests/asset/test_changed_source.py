@@ -1,4 +1,4 @@
-"""A source that was taken in and is not as it was: no realization, and no release."""
+"""A source that was changed after its intake is reported; realization and release are refused."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pytest_twin.twin import load_twin
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An asset that was taken in and realized, and a twin around it."""
+    """A twin of an asset after intake and realization."""
     tmp_path = tmp_path_factory.mktemp("template")
     folder = tmp_path / "twin/asset"
     package = write_arm(tmp_path).parents[1]
@@ -32,51 +32,51 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def asset(template: Path, tmp_path: Path) -> Path:
-    """The asset of a twin of one's own."""
+    """The asset folder of a separate copy of the twin for each test."""
     return Path(shutil.copytree(template, tmp_path / "twin")) / "asset"
 
 
-def said(asset: Path) -> list[str]:
+def reported_changes(asset: Path) -> list[str]:
     return list(changed_sources(load_twin(asset.parent / "twin.yaml")))
 
 
-def test_a_frozen_source_is_quiet(asset: Path) -> None:
-    assert said(asset) == []
+def test_for_an_unchanged_source_nothing_is_reported(asset: Path) -> None:
+    assert reported_changes(asset) == []
 
 
-def _edited(asset: Path) -> str:
+def _edit_urdf(asset: Path) -> str:
     path = asset / "source/urdf/arm.urdf"
     path.chmod(0o644)
     path.write_text(path.read_text().replace('value="2"', 'value="3"'))
     return "source/urdf/arm.urdf was changed"
 
 
-def _mesh(asset: Path) -> str:
+def _change_mesh(asset: Path) -> str:
     path = asset / "source/meshes/part.stl"
     path.chmod(0o644)
     path.write_bytes(path.read_bytes() + b"\0")
     return "source/meshes/part.stl was changed"
 
 
-def _removed(asset: Path) -> str:
+def _remove_mesh(asset: Path) -> str:
     (asset / "source/meshes/part.dae").unlink()
     return "source/meshes/part.dae: no such file"
 
 
-def _added(asset: Path) -> str:
+def _add_file(asset: Path) -> str:
     (asset / "source/urdf/notes.txt").write_text("x")
     return "source/urdf/notes.txt was added"
 
 
-@pytest.mark.parametrize("change", [_edited, _mesh, _removed, _added])
-def test_a_changed_source_is_named(
+@pytest.mark.parametrize("change", [_edit_urdf, _change_mesh, _remove_mesh, _add_file])
+def test_a_changed_source_is_reported_and_refused_by_release_and_realize(
     asset: Path, change: Callable[[Path], str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = change(asset)
-    lines = said(asset)
+    lines = reported_changes(asset)
     assert len(lines) == 1
     assert f"the source asset has changed since intake: {words}" in lines[0]
-    # The gate takes whatever speaks against the twin as a reason to refuse.
+    # The gate refuses a release while there are problems.
     with Sandbox() as sandbox:
         problems = look_around(load_twin(asset.parent / "twin.yaml"), [], sandbox).problems
     assert lines[0] in problems

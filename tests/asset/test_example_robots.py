@@ -1,4 +1,4 @@
-"""A handful of real robots; all of them are in ``benchmarks/assets.py``."""
+"""Tests with a few real robots; ``benchmarks/assets.py`` covers all of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from pytest_twin.realization import urdf
         "alexander_description/urdf/alexander_v1.lowerBodyOnly.urdf",
     ],
 )
-def test_every_form_moves_alike(tmp_path: Path, name: str) -> None:
+def test_mjcf_usd_and_pinocchio_forms_have_the_same_kinematics(tmp_path: Path, name: str) -> None:
     pytest.importorskip("urdf_usd_converter")
     made = realize(str(ROBOTS / name), str(tmp_path))
     assert made["critical"] == []
@@ -52,7 +52,7 @@ def test_impossible_inertias_are_flagged(tmp_path: Path, name: str, flagged: int
     assert len([flag for flag in found.flags if flag.critical]) == flagged
 
 
-def test_known_moments() -> None:
+def test_the_smallest_principal_moments_of_two_known_robots_are_reproduced() -> None:
     laas = urdf.read(ROBOTS / "romeo_description/urdf/romeo_laas_small.urdf")
     assert np.linalg.eigvalsh(laas.links["body"].inertia).min() == pytest.approx(-0.021, abs=5e-4)
     finger = urdf.read(FINGER).links["finger_lower_link"]

@@ -1,4 +1,4 @@
-"""Intake: what a supplier sends stays in its place, and is written down."""
+"""Intake: the files of a supplier are unpacked, stored unchanged and listed in a manifest."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from pytest_twin.formats.digest import file_sha256
 SMALL = IntakeLimits(files=4, file_bytes=2000, total_bytes=5000, depth=3, name_bytes=40)
 
 
-def a_zip(path: Path, *entries: tuple[str, bytes]) -> Path:
+def write_zip(path: Path, *entries: tuple[str, bytes]) -> Path:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in entries:
             archive.writestr(name, data)
     return path
 
 
-def a_tar(path: Path, *members: tarfile.TarInfo | tuple[str, bytes]) -> Path:
+def write_tar(path: Path, *members: tarfile.TarInfo | tuple[str, bytes]) -> Path:
     with tarfile.open(path, "w:gz") as archive:
         for member in members:
             if isinstance(member, tarfile.TarInfo):
@@ -42,13 +42,13 @@ def a_tar(path: Path, *members: tarfile.TarInfo | tuple[str, bytes]) -> Path:
     return path
 
 
-def special(name: str, kind: bytes, target: str = "") -> tarfile.TarInfo:
+def special_member(name: str, kind: bytes, target: str = "") -> tarfile.TarInfo:
     info = tarfile.TarInfo(name)
     info.type, info.linkname = kind, target
     return info
 
 
-def a_linking_zip(path: Path) -> Path:
+def write_zip_with_link(path: Path) -> Path:
     entry = zipfile.ZipInfo("link")
     entry.external_attr = (stat.S_IFLNK | 0o777) << 16
     with zipfile.ZipFile(path, "w") as archive:
@@ -56,22 +56,24 @@ def a_linking_zip(path: Path) -> Path:
     return path
 
 
-def opened(path: Path, limits: IntakeLimits = SMALL) -> list[str]:
+def unpack_archive(path: Path, limits: IntakeLimits = SMALL) -> list[str]:
     folder = path.parent / f"{path.name}.out"
     folder.mkdir()
     return unpack(str(path), str(folder), limits)
 
 
-@pytest.mark.parametrize("make", [a_zip, a_tar])
-def test_files_arrive_whole_and_read_only(tmp_path: Path, make: Callable[..., Path]) -> None:
+@pytest.mark.parametrize("make", [write_zip, write_tar])
+def test_files_are_stored_unchanged_and_read_only(
+    tmp_path: Path, make: Callable[..., Path]
+) -> None:
     origin = make(tmp_path / "asset", ("a/robot.urdf", b"<robot/>"), ("b.stl", b"\0" * 1500))
-    assert opened(origin) == ["a/robot.urdf", "b.stl"]
+    assert unpack_archive(origin) == ["a/robot.urdf", "b.stl"]
     arrived = tmp_path / "asset.out/a/robot.urdf"
     assert arrived.read_bytes() == b"<robot/>"
     assert stat.S_IMODE(arrived.stat().st_mode) == 0o444
 
 
-@pytest.mark.parametrize("make", [a_zip, a_tar])
+@pytest.mark.parametrize("make", [write_zip, write_tar])
 @pytest.mark.parametrize(
     ("name", "words"),
     [
@@ -82,31 +84,33 @@ def test_files_arrive_whole_and_read_only(tmp_path: Path, make: Callable[..., Pa
         ("a/\x1b[2J.txt", "a name with a control character"),
     ],
 )
-def test_names_that_lead_out(
+def test_file_names_outside_the_archive_are_refused(
     tmp_path: Path, make: Callable[..., Path], name: str, words: str
 ) -> None:
     origin = make(tmp_path / "asset", (name, b"x"))
     with pytest.raises(PathError, match=words):
-        opened(origin)
+        unpack_archive(origin)
     assert not (tmp_path / "out.txt").exists()
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        a_linking_zip,
-        lambda path: a_tar(path, special("link", tarfile.SYMTYPE, "/etc/passwd")),
-        lambda path: a_tar(path, special("hard", tarfile.LNKTYPE, "/etc/passwd")),
-        lambda path: a_tar(path, special("pipe", tarfile.FIFOTYPE)),
-        lambda path: a_tar(path, special("device", tarfile.CHRTYPE)),
+        write_zip_with_link,
+        lambda path: write_tar(path, special_member("link", tarfile.SYMTYPE, "/etc/passwd")),
+        lambda path: write_tar(path, special_member("hard", tarfile.LNKTYPE, "/etc/passwd")),
+        lambda path: write_tar(path, special_member("pipe", tarfile.FIFOTYPE)),
+        lambda path: write_tar(path, special_member("device", tarfile.CHRTYPE)),
     ],
 )
-def test_links_and_devices(tmp_path: Path, make: Callable[[Path], Path]) -> None:
+def test_links_and_devices_in_archives_are_refused(
+    tmp_path: Path, make: Callable[[Path], Path]
+) -> None:
     with pytest.raises(PathError, match="a link or a device"):
-        opened(make(tmp_path / "asset"))
+        unpack_archive(make(tmp_path / "asset"))
 
 
-@pytest.mark.parametrize("make", [a_zip, a_tar])
+@pytest.mark.parametrize("make", [write_zip, write_tar])
 @pytest.mark.parametrize(
     ("entries", "words"),
     [
@@ -117,44 +121,46 @@ def test_links_and_devices(tmp_path: Path, make: Callable[[Path], Path]) -> None
         ([("n" * 41, b"")], "a name is too long"),
     ],
 )
-def test_bombs(
+def test_archives_above_the_limits_are_refused(
     tmp_path: Path, make: Callable[..., Path], entries: list[tuple[str, bytes]], words: str
 ) -> None:
     with pytest.raises(LimitError, match=words):
-        opened(make(tmp_path / "asset", *entries))
+        unpack_archive(make(tmp_path / "asset", *entries))
 
 
-def test_two_names_that_are_one_elsewhere(tmp_path: Path) -> None:
-    origin = a_zip(tmp_path / "asset", ("Robot.urdf", b"1"), ("robot.urdf", b"2"))
+def test_two_names_that_differ_only_in_case_are_refused(tmp_path: Path) -> None:
+    origin = write_zip(tmp_path / "asset", ("Robot.urdf", b"1"), ("robot.urdf", b"2"))
     with pytest.raises(FormatError, match="two files of one name"):
-        opened(origin)
+        unpack_archive(origin)
 
 
 @pytest.mark.parametrize("cut", [30, 60, 200])
-@pytest.mark.parametrize("make", [a_zip, a_tar])
-def test_broken_archives(tmp_path: Path, make: Callable[..., Path], cut: int) -> None:
+@pytest.mark.parametrize("make", [write_zip, write_tar])
+def test_truncated_archives_are_refused(
+    tmp_path: Path, make: Callable[..., Path], cut: int
+) -> None:
     origin = make(tmp_path / "asset", ("a", bytes(range(256)) * 7), ("b", b"text" * 20))
     origin.write_bytes(origin.read_bytes()[:-cut])
     with pytest.raises(FormatError):
-        opened(origin)
+        unpack_archive(origin)
 
 
-def test_no_archive_and_an_empty_one(tmp_path: Path) -> None:
+def test_other_files_and_empty_archives_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text").write_text("hello" * 200)
     with pytest.raises(FormatError, match="not an archive"):
-        opened(tmp_path / "text")
+        unpack_archive(tmp_path / "text")
     with pytest.raises(FormatError, match="it contains no file"):
-        opened(a_zip(tmp_path / "empty"))
+        unpack_archive(write_zip(tmp_path / "empty"))
 
 
-def test_a_folder_with_a_link(tmp_path: Path) -> None:
+def test_a_folder_with_a_link_is_refused(tmp_path: Path) -> None:
     (tmp_path / "asset").mkdir()
     (tmp_path / "asset/link").symlink_to("/etc/passwd")
     with pytest.raises(PathError, match="a link"):
-        opened(tmp_path / "asset")
+        unpack_archive(tmp_path / "asset")
 
 
-def test_kinds_of_evidence() -> None:
+def test_the_kind_of_a_document_is_taken_from_its_path() -> None:
     names = {
         "docs/manual.pdf": "manual",
         "docs/User_Guide.md": "manual",
@@ -171,7 +177,9 @@ def test_kinds_of_evidence() -> None:
     assert missing(["CAD", "manual"]) == ["calibration certificate", "firmware", "SDK"]
 
 
-def test_the_command_writes_a_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_intake_writes_a_manifest_and_refuses_to_run_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     package = write_arm(tmp_path).parents[1]
     (package / "manual.pdf").write_bytes(b"%PDF")
     out = tmp_path / "taken"
@@ -189,17 +197,17 @@ def test_the_command_writes_a_manifest(tmp_path: Path, capsys: pytest.CaptureFix
     printed = capsys.readouterr().out
     assert "missing: calibration certificate" in printed
     assert f"next: pytest-twin realize {out}/source/urdf/arm.urdf" in printed
-    told = json.loads((out / "manifest.json").read_text())["states"]["source"]
-    assert (told["supplier"], told["received"]) == ("Arms", "2024-05-06")
-    assert told["missing"] == ["CAD", "calibration certificate", "firmware", "SDK"]
-    assert told["evidence"]["manual"] == ["source/manual.pdf"]
-    for name, digest in told["files"].items():
+    source = json.loads((out / "manifest.json").read_text())["states"]["source"]
+    assert (source["supplier"], source["received"]) == ("Arms", "2024-05-06")
+    assert source["missing"] == ["CAD", "calibration certificate", "firmware", "SDK"]
+    assert source["evidence"]["manual"] == ["source/manual.pdf"]
+    for name, digest in source["files"].items():
         assert file_sha256(out / name) == digest
     assert main(words) == 2
     assert "its source is never overwritten" in capsys.readouterr().err
 
 
-def test_a_manifest_that_was_touched_is_refused(tmp_path: Path) -> None:
+def test_a_modified_manifest_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("a")
     state = manifest.state_of(tmp_path, [tmp_path / "a"])
     path = tmp_path / "manifest.json"

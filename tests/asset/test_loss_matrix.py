@@ -1,4 +1,4 @@
-"""The matrix sees what a conversion does: on a whole robot, and on one with a fault put in."""
+"""The loss matrix of a conversion, for a correct conversion and for ones with an injected fault."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from pytest_twin.realization import urdf, urdf_extras
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The arm in all its forms."""
+    """The folder with all converted forms of the arm."""
     folder = tmp_path_factory.mktemp("arm")
     out = folder / "out"
     out.mkdir()
-    told = realize(str(write_arm(folder)), str(out))
-    assert told["critical"] == []
+    report = realize(str(write_arm(folder)), str(out))
+    assert report["critical"] == []
     return out
 
 
@@ -36,7 +36,7 @@ def source(made: Path) -> Description:
 
 
 def converted(source: Description, made: Path, text: str) -> Conversion:
-    """The conversion to an MJCF of this text."""
+    """The comparison of the source with an MJCF of this text."""
     path = made / "mutant.xml"
     path.write_text(text)
     target = from_mujoco.describe(mujoco.MjModel.from_xml_path(str(path)), "base")
@@ -48,7 +48,9 @@ def row(conversion: Conversion, feature: str) -> Row:
     return next(row for row in conversion.rows if row.feature == feature)
 
 
-def test_what_is_kept_changed_and_lost(source: Description, made: Path) -> None:
+def test_the_matrix_of_the_arm_lists_what_is_kept_changed_and_lost(
+    source: Description, made: Path
+) -> None:
     found = converted(source, made, (made / "arm.xml").read_text())
     verdicts = {row.feature: row.verdict for row in found.rows}
     assert verdicts == {
@@ -97,7 +99,7 @@ def test_what_is_kept_changed_and_lost(source: Description, made: Path) -> None:
     assert "reduction 50" in reduction.before
 
 
-def test_sensors_and_frames_stand_where_the_urdf_has_them(made: Path) -> None:
+def test_sensors_and_frames_have_the_poses_of_the_urdf(made: Path) -> None:
     model = mujoco.MjModel.from_xml_path(str(made / "arm.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -113,7 +115,7 @@ def test_sensors_and_frames_stand_where_the_urdf_has_them(made: Path) -> None:
     assert data.site_xpos[model.site("tcp").id] == pytest.approx(data.xpos[model.body("tcp").id])
 
 
-def test_what_is_looked_at_is_not_felt(made: Path) -> None:
+def test_visual_geoms_have_no_contact_and_no_mass(made: Path) -> None:
     model = mujoco.MjModel.from_xml_path(str(made / "arm.xml"))
     seen = model.geom("upper_visual_0")
     assert (seen.contype, seen.conaffinity, seen.group) == (0, 0, 2)
@@ -141,7 +143,7 @@ FAULTS = {
         'name="slider" pos="0 0 300"',
         "forward kinematics, position",
     ),
-    "a turned frame": (
+    "a rotated frame": (
         r'name="left" pos',
         'name="left" euler="0.001 0 0" pos',
         "forward kinematics, orientation",
@@ -152,10 +154,10 @@ FAULTS = {
         "centre of mass",
     ),
     "a heavier link": (r'mass="0.4"', 'mass="0.41"', "mass"),
-    "another inertia": (r'(mass="0.4" diaginertia=")0.001', r"\g<1>0.0015", "links"),
+    "a changed inertia": (r'(mass="0.4" diaginertia=")0.001', r"\g<1>0.0015", "links"),
     "armature": (r'name="lift"', 'name="lift" armature="0.01"', "mass matrix"),
     "a dropped mimic": (r"<equality>.*</equality>", "", "mimic"),
-    "another mimic": (r'polycoef="0.1 -0.5', 'polycoef="0.1 0.5', "mimic"),
+    "a reversed mimic ratio": (r'polycoef="0.1 -0.5', 'polycoef="0.1 0.5', "mimic"),
     "a lost range": (
         r'(name="lift"[^>]*) limited="true"',
         r'\1 limited="false"',
@@ -173,24 +175,26 @@ FAULTS = {
     ),
     "a lost sensor": (r"<sensor>.*</sensor>", "", "sensors"),
     "a servo": (r'(<general name="lift")', r'\1 biastype="affine" biasprm="0 -5 0"', "drives"),
-    "a default state": (r'name="lift"', 'name="lift" ref="0.1"', "default state"),
+    "a joint reference offset": (r'name="lift"', 'name="lift" ref="0.1"', "default state"),
 }
 CRITICAL = {
     "a sign flip",
     "a swapped axis",
     "a millimetre scale",
-    "a turned frame",
+    "a rotated frame",
     "a shifted centre of mass",
     "a heavier link",
     "armature",
-    "another inertia",
-    "another mimic",
-    "a default state",
+    "a changed inertia",
+    "a reversed mimic ratio",
+    "a joint reference offset",
 }
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_shows_in_its_row(source: Description, made: Path, fault: str) -> None:
+def test_an_injected_fault_changes_the_row_of_its_feature(
+    source: Description, made: Path, fault: str
+) -> None:
     pattern, replacement, feature = FAULTS[fault]
     whole = (made / "arm.xml").read_text()
     text, count = re.subn(pattern, replacement, whole, count=1, flags=re.DOTALL)
@@ -202,7 +206,7 @@ def test_a_fault_shows_in_its_row(source: Description, made: Path, fault: str) -
     assert any(row.critical for row in after.rows) == (fault in CRITICAL)
 
 
-def test_usd_and_pinocchio_of_the_arm(made: Path) -> None:
+def test_the_matrices_of_usd_and_pinocchio_list_what_is_kept_and_lost(made: Path) -> None:
     pytest.importorskip("urdf_usd_converter")
     import json
 
@@ -210,7 +214,7 @@ def test_usd_and_pinocchio_of_the_arm(made: Path) -> None:
     usd, pinocchio = matrix["conversions"][1:]
     assert [usd["target"], pinocchio["target"]] == ["USD", "Pinocchio"]
     rows = {row["feature"]: row for row in usd["rows"]}
-    # The axis of `lift` lies oblique, and UsdPhysics holds it with single precision.
+    # The axis of `lift` is oblique, and UsdPhysics stores it in single precision.
     assert rows["forward kinematics, position"]["difference"] < 1e-9
     assert rows["forward kinematics, orientation"]["difference"] < 1e-9
     assert rows["mass"]["verdict"] == "changed"
@@ -224,7 +228,7 @@ def test_usd_and_pinocchio_of_the_arm(made: Path) -> None:
     assert rows["mimic"]["items"][0]["before"] == "-0.5 * left + 0.1"
 
 
-def test_pages_show_names_and_run_nothing(made: Path) -> None:
+def test_reports_escape_names_and_load_no_external_content(made: Path) -> None:
     evil = "<script>alert(1)</script>|`x`"
     item = Row("links", "lost", evil, evil, evil, critical=True)
     matrix = Matrix(evil, evil, (Conversion(evil, evil, evil, (item,)),))

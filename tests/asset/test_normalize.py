@@ -1,4 +1,4 @@
-"""The normalized asset: self-contained, explicit, and nothing done in silence."""
+"""The normalized asset: it is self-contained and explicit, and every change is logged."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from pytest_twin.errors import PathError, SpecError
 from pytest_twin.realization import inertia, urdf
 
 
-def made(source: Path, folder: Path, accept: tuple[str, ...] = ()) -> Normalized:
+def normalized(source: Path, folder: Path, accept: tuple[str, ...] = ()) -> Normalized:
     folder.mkdir()
     return normalize(source, folder, accept=accept)
 
 
-def digests(folder: Path) -> dict[str, str]:
+def file_digests(folder: Path) -> dict[str, str]:
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in folder.rglob("*")
@@ -28,13 +28,13 @@ def digests(folder: Path) -> dict[str, str]:
     }
 
 
-def corners(path: Path) -> np.ndarray:
+def sorted_vertices(path: Path) -> np.ndarray:
     points = np.asarray(trimesh.load(path, process=False, force="mesh").vertices)
     return points[np.lexsort(points.T)]
 
 
-def test_meshes_come_along_in_metres(tmp_path: Path) -> None:
-    found = made(write_arm(tmp_path), tmp_path / "out")
+def test_meshes_are_copied_and_scaled_to_metres(tmp_path: Path) -> None:
+    found = normalized(write_arm(tmp_path), tmp_path / "out")
     text = found.urdf.read_text()
     assert "package://" not in text
     assert "scale" not in text
@@ -43,12 +43,12 @@ def test_meshes_come_along_in_metres(tmp_path: Path) -> None:
     wanted = CORNERS[np.lexsort(CORNERS.T)]
     # One was STL in millimetres with a scale, the other COLLADA in centimetres.
     for name in meshes:
-        assert corners(tmp_path / "out/meshes" / name) == pytest.approx(wanted, abs=1e-8)
+        assert sorted_vertices(tmp_path / "out/meshes" / name) == pytest.approx(wanted, abs=1e-8)
 
 
-def test_every_change_says_where_from_what_to_what_and_why(tmp_path: Path) -> None:
+def test_every_change_is_logged_with_place_old_and_new_value_and_reason(tmp_path: Path) -> None:
     source = write_arm(tmp_path)
-    found = made(source, tmp_path / "out")
+    found = normalized(source, tmp_path / "out")
     lines = source.read_text().splitlines()
     by_where = {change.where: change for change in found.changes}
     axis = by_where["joint 'lift'/axis.xyz"]
@@ -66,9 +66,9 @@ def test_every_change_says_where_from_what_to_what_and_why(tmp_path: Path) -> No
     assert "its up axis is Y_UP" in other.why
 
 
-def test_what_is_not_in_the_log_is_not_changed(tmp_path: Path) -> None:
+def test_values_without_a_log_entry_are_unchanged(tmp_path: Path) -> None:
     source = write_arm(tmp_path)
-    before, after = urdf.read(source), urdf.read(made(source, tmp_path / "out").urdf)
+    before, after = urdf.read(source), urdf.read(normalized(source, tmp_path / "out").urdf)
     assert list(before.links) == list(after.links)
     for name, link in before.links.items():
         held = after.links[name]
@@ -84,18 +84,18 @@ def test_what_is_not_in_the_log_is_not_changed(tmp_path: Path) -> None:
             assert getattr(joint, field) == getattr(held, field)
 
 
-def test_the_same_source_gives_the_same_bytes_and_is_not_touched(tmp_path: Path) -> None:
+def test_normalization_is_reproducible_and_does_not_change_the_source(tmp_path: Path) -> None:
     source = write_arm(tmp_path)
     package = source.parents[1]
-    before = digests(package)
-    made(source, tmp_path / "one")
-    made(source, tmp_path / "two")
-    assert digests(tmp_path / "one") == digests(tmp_path / "two")
-    assert digests(package) == before
+    before = file_digests(package)
+    normalized(source, tmp_path / "one")
+    normalized(source, tmp_path / "two")
+    assert file_digests(tmp_path / "one") == file_digests(tmp_path / "two")
+    assert file_digests(package) == before
 
 
-def test_an_impossible_inertia_stays_and_is_flagged(tmp_path: Path) -> None:
-    found = made(ALLEGRO, tmp_path / "out")
+def test_an_impossible_inertia_is_kept_and_flagged(tmp_path: Path) -> None:
+    found = normalized(ALLEGRO, tmp_path / "out")
     flags = {flag.patch: flag for flag in found.flags}
     assert sorted(flags) == [f"inertia-repair:link_{n}.0" for n in (11, 15, 3, 7)]
     assert all(flag.critical for flag in found.flags)
@@ -105,9 +105,9 @@ def test_an_impossible_inertia_stays_and_is_flagged(tmp_path: Path) -> None:
     assert (link.inertia == urdf.read(ALLEGRO).links["link_3.0"].inertia).all()
 
 
-def test_its_repair_is_accepted_by_name_alone(tmp_path: Path) -> None:
+def test_only_the_accepted_inertia_repair_is_applied(tmp_path: Path) -> None:
     patch = "inertia-repair:link_3.0"
-    found = made(ALLEGRO, tmp_path / "out", (patch,))
+    found = normalized(ALLEGRO, tmp_path / "out", (patch,))
     assert len(found.flags) == 3
     log = [change for change in found.changes if change.patch]
     assert [change.patch for change in log] == [patch]
@@ -122,22 +122,24 @@ def test_its_repair_is_accepted_by_name_alone(tmp_path: Path) -> None:
     assert (after.links["link_7.0"].inertia == before.links["link_7.0"].inertia).all()
 
 
-def test_a_patch_that_nothing_asks_for_is_refused(tmp_path: Path) -> None:
+def test_an_unnecessary_patch_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match="this asset does not need that patch") as caught:
-        made(write_arm(tmp_path), tmp_path / "out", ("inertia-repair:upper",))
+        normalized(write_arm(tmp_path), tmp_path / "out", ("inertia-repair:upper",))
     assert caught.value.expected == "no --accept"
 
 
-def test_a_lost_visual_is_logged_and_a_lost_collision_refused(tmp_path: Path) -> None:
+def test_a_missing_visual_mesh_is_logged_and_a_missing_collision_mesh_refused(
+    tmp_path: Path,
+) -> None:
     source = write_arm(tmp_path)
     (source.parents[1] / "meshes/part.dae").unlink()
-    found = made(source, tmp_path / "out")
+    found = normalized(source, tmp_path / "out")
     gone = next(change for change in found.changes if change.after is None)
     assert gone.before == "mesh package://arm_description/meshes/part.dae"
     assert gone.why == "no such file; the visual mesh is omitted"
     (source.parents[1] / "meshes/part.stl").unlink()
     with pytest.raises(PathError, match="no such file") as caught:
-        made(source, tmp_path / "again")
+        normalized(source, tmp_path / "again")
     assert (
         caught.value.line
         == ARM.splitlines().index(next(line for line in ARM.splitlines() if "part.stl" in line)) + 1
@@ -150,4 +152,4 @@ def test_a_mesh_outside_the_roots_is_refused(tmp_path: Path, reference: str) -> 
     text = ARM.replace("package://arm_description/meshes/part.stl", reference)
     source = write_arm(tmp_path, text)
     with pytest.raises(PathError, match="path leaves the declared roots"):
-        made(source, tmp_path / "out")
+        normalized(source, tmp_path / "out")

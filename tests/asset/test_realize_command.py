@@ -27,19 +27,21 @@ def rows(out: Path, target: str) -> dict[str, dict[str, object]]:
     return {row["feature"]: row for row in held["rows"]}
 
 
-def test_panda(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_panda_is_realized_as_mjcf_that_plain_mujoco_loads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "panda"
     assert main(["realize", str(PANDA), "--out", str(out)]) == 0
     assert "URDF -> MJCF" in capsys.readouterr().out
-    told = json.loads((out / "manifest.json").read_text())
-    assert list(told["states"]) == ["source", "normalized", "realization"]
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert list(manifest["states"]) == ["source", "normalized", "realization"]
     for state in ("normalized", "realization"):
-        for name, digest in told["states"][state]["files"].items():
+        for name, digest in manifest["states"][state]["files"].items():
             assert file_sha256(out / name) == digest
     assert {"panda.urdf", "panda.xml", "changes.md", "loss.html", "loss.md"} <= {
         path.name for path in out.iterdir()
     }
-    # Plain MuJoCo, from another folder, with nothing of ours loaded.
+    # Plain MuJoCo loads it from another folder, without pytest_twin.
     loaded = subprocess.run(
         [sys.executable, "-c", LOAD, str(out / "panda.xml")],
         cwd="/", capture_output=True, text=True, check=True,
@@ -51,7 +53,7 @@ def test_panda(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert found["mimic"]["verdict"] == "kept"
 
 
-def test_usd_is_written_and_read_back(tmp_path: Path) -> None:
+def test_usd_is_written_and_the_result_is_reproducible(tmp_path: Path) -> None:
     pytest.importorskip("urdf_usd_converter")
     out = tmp_path / "finger"
     assert main(["realize", str(FINGER), "--out", str(out)]) == 1
@@ -63,8 +65,8 @@ def test_usd_is_written_and_read_back(tmp_path: Path) -> None:
     assert first == second
 
 
-def test_without_the_extra_the_rest_is_made(tmp_path: Path) -> None:
-    # What two packages of OpenUSD in one environment do: the module is there and does not load.
+def test_if_openusd_does_not_load_the_other_forms_are_written(tmp_path: Path) -> None:
+    # As with two OpenUSD packages in one environment: the module exists but does not load.
     (tmp_path / "broken/pxr").mkdir(parents=True)
     (tmp_path / "broken/pxr/__init__.py").write_text("raise ImportError('built apart')")
     out = tmp_path / "arm"
@@ -91,9 +93,9 @@ def test_an_impossible_inertia_fails_until_its_repair_is_accepted(
     urdf = write_arm(tmp_path, ARM.replace(tube, 'ixx="1" iyy="0.1" izz="0.1"'))
     words = ["realize", str(urdf), "--out", str(out)]
     assert main(words) == 1
-    said = capsys.readouterr().err
-    assert "link 'upper'.inertia: no body can have it" in said
-    assert said.count('to accept its repair: --accept "inertia-repair:upper"') == 1
+    stderr = capsys.readouterr().err
+    assert "link 'upper'.inertia: no body can have it" in stderr
+    assert stderr.count('to accept its repair: --accept "inertia-repair:upper"') == 1
     assert not (out / "arm.xml").exists()
     assert (out / "arm.urdf").is_file()
     assert main([*words, "--accept", "inertia-repair:upper"]) == 0
@@ -110,29 +112,32 @@ def test_an_impossible_inertia_fails_until_its_repair_is_accepted(
     [
         (lambda folder: UR3, "ur3.urdf:6: robot: a robot without links"),
         (lambda folder: folder / "none.urdf", "no such file"),
-        (lambda folder: _file(folder, "<robot"), "robot.urdf:1"),
-        (lambda folder: _file(folder, "<!DOCTYPE a [<!ENTITY b 'c'>]><robot/>"), "DTD"),
-        (lambda folder: _file(folder, "<robot><link name='a'/><link name='a'/></robot>"), "name"),
+        (lambda folder: _write_urdf(folder, "<robot"), "robot.urdf:1"),
+        (lambda folder: _write_urdf(folder, "<!DOCTYPE a [<!ENTITY b 'c'>]><robot/>"), "DTD"),
+        (
+            lambda folder: _write_urdf(folder, "<robot><link name='a'/><link name='a'/></robot>"),
+            "name",
+        ),
     ],
 )
-def test_unusable_input_is_one_line(
+def test_unusable_input_is_refused_with_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], make: object, words: str
 ) -> None:
     assert callable(make)
     assert main(["realize", str(make(tmp_path)), "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert len(said.strip().splitlines()) == 1
+    stderr = capsys.readouterr().err
+    assert words in stderr
+    assert len(stderr.strip().splitlines()) == 1
     assert not list((tmp_path / "out").glob("*")) or not (tmp_path / "out").exists()
 
 
-def _file(folder: Path, text: str) -> Path:
+def _write_urdf(folder: Path, text: str) -> Path:
     path = folder / "robot.urdf"
     path.write_text(text)
     return path
 
 
-def test_files_of_others_stay_and_old_ones_go(tmp_path: Path) -> None:
+def test_old_results_are_removed_and_other_files_are_kept(tmp_path: Path) -> None:
     out = tmp_path / "out"
     urdf = write_arm(tmp_path)
     assert main(["realize", str(urdf), "--out", str(out)]) == 0
@@ -144,7 +149,7 @@ def test_files_of_others_stay_and_old_ones_go(tmp_path: Path) -> None:
     assert (out / "other.xml").is_file()
 
 
-def test_a_name_that_leads_out_makes_no_file_there(tmp_path: Path) -> None:
+def test_a_robot_name_with_a_path_writes_no_file_outside_the_output(tmp_path: Path) -> None:
     folder = tmp_path / "a/b"
     folder.mkdir(parents=True)
     urdf = write_arm(folder, ARM.replace('name="arm"', 'name="../../../evil"', 1))
@@ -155,7 +160,7 @@ def test_a_name_that_leads_out_makes_no_file_there(tmp_path: Path) -> None:
     assert '<robot name="evil">' in (folder / "out/arm.urdf").read_text()
 
 
-def test_an_asset_that_was_taken_in_is_not_replaced(
+def test_the_asset_of_an_intake_is_not_replaced_by_another(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     urdf = write_arm(tmp_path)
@@ -167,9 +172,7 @@ def test_an_asset_that_was_taken_in_is_not_replaced(
     assert (taken / "manifest.json").read_text() == before
 
 
-def test_the_source_is_never_written_over(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_source_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = write_arm(tmp_path)
     before = urdf.read_bytes()
     assert main(["realize", str(urdf), "--out", str(urdf.parent)]) == 2
@@ -178,7 +181,7 @@ def test_the_source_is_never_written_over(
 
 
 @pytest.mark.parametrize("command", ["realize", "intake", "audit", "init"])
-def test_a_file_in_the_way_of_the_output_is_one_line(
+def test_an_output_path_that_is_a_file_is_refused_with_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     source = tmp_path / "source"
@@ -188,14 +191,14 @@ def test_a_file_in_the_way_of_the_output_is_one_line(
     asset = source if command == "intake" else urdf
     for out in (tmp_path / "file", tmp_path / "file/below"):
         assert main([command, str(asset), "--out", str(out)]) == 2
-        said = capsys.readouterr().err
-        assert said.startswith(f"pytest-twin {command}: ")
-        assert said.count("\n") == 1
-        assert "not a folder that can be written" in said
+        stderr = capsys.readouterr().err
+        assert stderr.startswith(f"pytest-twin {command}: ")
+        assert stderr.count("\n") == 1
+        assert "not a folder that can be written" in stderr
     assert (tmp_path / "file").read_text() == "kept"
 
 
-def test_what_fails_names_no_folder_of_the_work(
+def test_a_failed_result_contains_no_temporary_path(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tube = 'ixx="0.02" iyy="0.02" izz="0.003" ixy="0.0002"'
@@ -211,7 +214,7 @@ def test_what_fails_names_no_folder_of_the_work(
     assert made[0] == made[1]
 
 
-def test_a_moment_of_zero_fails_as_it_fails_the_audit(
+def test_a_principal_moment_of_zero_fails_with_the_message_of_the_audit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "finger"
@@ -228,7 +231,7 @@ def test_a_moment_of_zero_fails_as_it_fails_the_audit(
     assert not flags[0]["critical"]
 
 
-def test_the_command_of_the_log_names_the_packages(tmp_path: Path) -> None:
+def test_the_logged_command_includes_the_packages(tmp_path: Path) -> None:
     urdf = write_arm(tmp_path)
     out = tmp_path / "out"
     words = ["realize", str(urdf), "--out", str(out), "--package", f"arm_meshes={tmp_path}"]
@@ -238,7 +241,7 @@ def test_the_command_of_the_log_names_the_packages(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("role", "audited", "realized"), [("visual", 0, 0), ("collision", 1, 2)])
-def test_a_missing_mesh_means_the_same_to_audit_and_realize(
+def test_audit_and_realize_pass_without_a_visual_and_fail_without_a_collision_mesh(
     tmp_path: Path, role: str, audited: int, realized: int
 ) -> None:
     shape = f'<{role}><geometry><mesh filename="nope.stl"/></geometry></{role}>'

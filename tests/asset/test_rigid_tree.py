@@ -1,4 +1,4 @@
-"""The numpy tree, Pinocchio and MuJoCo on random robots: three computations, one robot."""
+"""The numpy tree, Pinocchio and MuJoCo give the same kinematics and dynamics for random robots."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ from pytest_twin.realization.files.packages import Packages
 from pytest_twin.realization.files.urdf import UrdfFiles
 
 
-def agree(first: Dynamics, second: Dynamics, q: dict[str, float], tolerance: float) -> None:
+def assert_same_dynamics(
+    first: Dynamics, second: Dynamics, q: dict[str, float], tolerance: float
+) -> None:
     one, two = first.poses(q), second.poses(q)
     for frame in one:
         assert one[frame] == pytest.approx(two[frame], abs=tolerance)
@@ -46,13 +48,13 @@ def test_tree_pinocchio_and_written_mjcf_agree(text: str, seed: int) -> None:
         tree = urdf_tree.build(robot)
         generator = np.random.default_rng(seed)
         q = {name: float(generator.uniform(-1, 1)) for name in tree.joints}
-        agree(tree, from_pinocchio.reference(robot), q, 1e-10)
+        assert_same_dynamics(tree, from_pinocchio.reference(robot), q, 1e-10)
         spec = urdf_spec.convert(robot, UrdfFiles(Roots(path.parent), Packages())).spec
         model = mjcf_file.write(spec, path.with_suffix(".xml"), {})
-        agree(tree, from_mujoco.MujocoDynamics(model, robot.root), q, 1e-10)
+        assert_same_dynamics(tree, from_mujoco.MujocoDynamics(model, robot.root), q, 1e-10)
 
 
-def test_written_mjcf_is_the_compiled_spec_to_the_last_digit(tmp_path: Path) -> None:
+def test_written_mjcf_has_the_values_of_the_compiled_spec_in_full_precision(tmp_path: Path) -> None:
     path = tmp_path / "arm.urdf"
     path.write_text(
         '<robot name="r"><link name="a"/>'

@@ -1,4 +1,4 @@
-"""Axes that single precision holds to 1e-9."""
+"""Rotations in single precision that represent a joint axis to within 1e-9."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from pytest_twin.realization.usd_axes import single_precision_frame
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_roll_is_found_that_holds_the_axis(seed: int) -> None:
+def test_a_rotation_about_the_axis_is_found_that_represents_it_in_single_precision(
+    seed: int,
+) -> None:
     axis = np.random.default_rng(seed).normal(size=3)
     axis /= np.linalg.norm(axis)
     token = np.eye(3)[seed % 3]
@@ -22,7 +24,7 @@ def test_a_roll_is_found_that_holds_the_axis(seed: int) -> None:
     assert np.abs(Rotation.from_quat(plain).apply(token) - axis).max() > 1e-9
 
 
-def test_the_axis_opposite_to_the_token() -> None:
+def test_the_axis_may_be_opposite_to_the_token() -> None:
     token = np.array([0.0, 0.0, 1.0])
     frame = single_precision_frame(token, -token)
     assert Rotation.from_quat(frame).apply(token) == pytest.approx(-token, abs=1e-9)
