@@ -1,4 +1,4 @@
-"""A pendulum on a servo: the plant has what the model lacks."""
+"""A pendulum with a servo, whose true plant has effects that the model lacks."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def record(
     force: Callable[[float, float], float] = lambda q, v: 0.0,
     phase: float = 0.0,
 ) -> Path:
-    """A recording of the plant at 100 Hz; ``force`` of position and velocity acts on the joint."""
+    """A recording of the plant at 100 Hz; ``force(position, velocity)`` also acts on the joint."""
     plant = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(plant)
     time, states, commands = [], [], []

@@ -1,4 +1,4 @@
-"""The guard of a residual: every condition that lets the base act alone, and the bound."""
+"""The guard of a residual model: the conditions that block the residual, and its force bound."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def law(position, velocity, command):
     return 2.0 * position, None
 
 
-def running(spec: ResidualSpec = SPEC, law=law) -> Guard:
-    """A guard that has let the residual through at 0.10 s."""
+def running_guard(spec: ResidualSpec = SPEC, law=law) -> Guard:
+    """A guard that has passed the force of the residual at 0.10 s."""
     guard = Guard(spec, law)
     forces = [guard.force(0.01 * k, sample(0.01 * k))[0] for k in range(11)]
     assert forces == [0.0] * 10 + [pytest.approx(0.4)]
@@ -50,10 +50,10 @@ def running(spec: ResidualSpec = SPEC, law=law) -> Guard:
         (sample(0.11, velocity=0.8), "velocity jump"),
     ],
 )
-def test_the_base_acts_alone_until_all_is_well_for_the_hold_off(
+def test_the_residual_is_blocked_until_no_fault_has_occurred_for_the_hold_off_time(
     seen: Sample | None, reason: str
 ) -> None:
-    guard = running()
+    guard = running_guard()
     assert guard.force(0.11, seen)[0] == 0.0
     assert guard.reasons[reason] == 1
     later = [0.12 + 0.01 * k for k in range(1, 14)]
@@ -64,8 +64,8 @@ def test_the_base_acts_alone_until_all_is_well_for_the_hold_off(
     assert forces[-1] == pytest.approx(0.4)
 
 
-def test_the_force_is_bounded_and_a_lasting_saturation_ends_it() -> None:
-    guard = running(law=lambda q, v, c: (np.where(q > 0.5, 1e9, 2.0 * q), None))
+def test_the_force_is_bounded_and_blocked_after_a_long_saturation() -> None:
+    guard = running_guard(law=lambda q, v, c: (np.where(q > 0.5, 1e9, 2.0 * q), None))
     times = 0.11 + 0.01 * np.arange(30)
     forces = np.array([guard.force(t, sample(t, position=0.6))[0] for t in times])
     assert set(forces) == {0.5, 0.0}
@@ -76,23 +76,23 @@ def test_the_force_is_bounded_and_a_lasting_saturation_ends_it() -> None:
 @pytest.mark.parametrize(
     ("deviation", "passes"), [([0.05], True), ([0.2], False), ([np.nan], False), (None, False)]
 )
-def test_a_residual_that_is_not_sure_stays_out(deviation, passes: bool) -> None:
+def test_an_uncertain_residual_is_blocked(deviation, passes: bool) -> None:
     spec = replace(SPEC, uncertainty=0.1)
-    said = None if deviation is None else np.array(deviation)
-    guard = Guard(spec, lambda q, v, c: (q, said))
+    given = None if deviation is None else np.array(deviation)
+    guard = Guard(spec, lambda q, v, c: (q, given))
     forces = [guard.force(0.01 * k, sample(0.01 * k))[0] for k in range(12)]
     assert bool(forces[-1]) is passes
     assert (guard.reasons["uncertain"] > 0) is not passes
 
 
-def test_a_force_that_is_not_finite_never_passes() -> None:
+def test_a_force_that_is_not_finite_is_blocked() -> None:
     guard = Guard(SPEC, lambda q, v, c: (np.array([np.nan]), None))
     assert all(guard.force(0.01 * k, sample(0.01 * k))[0] == 0.0 for k in range(40))
     assert guard.reasons["not finite"] == 40
 
 
-def test_a_restarted_guard_waits_again() -> None:
-    guard = running()
+def test_a_restarted_guard_waits_for_the_hold_off_time_again() -> None:
+    guard = running_guard()
     guard.restart()
     assert guard.force(0.11, sample(0.11))[0] == 0.0
     assert guard.reasons["waiting"] == 11

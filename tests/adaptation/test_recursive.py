@@ -1,4 +1,4 @@
-"""Recursive least squares: it finds what a plant has, keeps its bounds, and falls back."""
+"""Recursive least squares: estimates of friction, their bounds, and the fallback."""
 
 from __future__ import annotations
 
@@ -43,20 +43,20 @@ def setting(tmp_path_factory):
     return realization, trials
 
 
-def test_it_finds_the_friction_of_the_plant(setting) -> None:
+def test_the_friction_of_the_plant_is_estimated(setting) -> None:
     realization, trials = setting
     rows = [row_of(realization, trial) for trial in trials]
     recursion = Recursion(SPEC, base_parameters(SPEC, rows[0].model))
     windows = track(recursion, rows)
     assert recursion.base == pytest.approx([0.05, 0.0])
     assert recursion.value == pytest.approx([0.12, 0.03], rel=0.1)
-    # Nothing is learned before the first window is predicted.
+    # The first window is predicted with the base parameters.
     assert windows[0].updated_rms == windows[0].base_rms
     late = windows[len(windows) // 2 :]
     assert np.mean([w.updated_rms for w in late]) < 0.1 * np.mean([w.base_rms for w in late])
 
 
-def test_the_bounds_hold_where_the_plant_lies_outside(setting) -> None:
+def test_estimates_keep_the_bounds_if_the_plant_is_outside_them(setting) -> None:
     realization, trials = setting
     spec = UpdateSpec("two", {"a.viscous_friction": (0.0, 0.08)}, window=0.5, noise=0.001)
     rows = [row_of(realization, trial) for trial in trials[:1]]
@@ -73,7 +73,7 @@ def test_a_base_outside_the_bounds_is_refused(setting) -> None:
         base_parameters(spec, realization.model)
 
 
-def test_the_fallback_holds_under_every_fault(setting) -> None:
+def test_the_update_passes_the_test_of_every_fault(setting) -> None:
     realization, trials = setting
     document = try_update(SPEC, realization, trials, ShadowPolicy())
     assert {fault["fault"]: fault["holds"] for fault in document["faults"]} == dict.fromkeys(
@@ -86,8 +86,8 @@ def test_the_fallback_holds_under_every_fault(setting) -> None:
     assert all(one["met"] for one in document["metrics"])
 
 
-def test_a_lasting_corruption_ends_in_the_base(setting) -> None:
-    """The encoder's scale is wrong for good: what is learned predicts worse, and is not used."""
+def test_the_base_parameters_are_used_while_the_update_predicts_worse(setting) -> None:
+    """As with a wrong encoder scale: the estimated parameters predict worse and are not used."""
     realization, trials = setting
     rows = [row_of(realization, trial) for trial in trials]
     recursion = Recursion(SPEC, base_parameters(SPEC, rows[0].model))
@@ -99,8 +99,10 @@ def test_a_lasting_corruption_ends_in_the_base(setting) -> None:
     assert not recursion.has_fallback
 
 
-def test_an_update_does_not_hide_a_worse_model(setting, tmp_path: Path) -> None:
-    """Twenty times the damping: the update improves that model, and not what was released."""
+def test_an_update_of_a_worse_model_is_compared_with_the_released_model(
+    setting, tmp_path: Path
+) -> None:
+    """With 20 times the damping, the update improves this model but not on the released one."""
     released, trials = setting
     (tmp_path / "model.xml").write_text(model(damping=1.0))
     worse = load(tmp_path / "model.xml")
@@ -112,13 +114,13 @@ def test_an_update_does_not_hide_a_worse_model(setting, tmp_path: Path) -> None:
     assert changes[1] > 1.0 > changes[0]
     assert not against_release["metrics"][0]["met"]
     assert any("compared with the release's" in note for note in against_release["notes"])
-    # A release that adapts is harder to beat than its model alone.
+    # If the released model adapts too, the candidate compares even worse.
     adapting = try_update(spec, worse, trials[:1], policy, released, spec)
     assert adapting["metrics"][0]["change"] > changes[1]
 
 
-def test_it_follows_a_plant_that_wears_and_warms_up(tmp_path: Path) -> None:
-    """Coulomb friction doubles from recording to recording, viscous friction falls."""
+def test_the_estimate_follows_slowly_changing_friction(tmp_path: Path) -> None:
+    """Over the recordings Coulomb friction doubles and viscous friction falls by 40 %."""
     (tmp_path / "model.xml").write_text(model(damping=0.1, dry=0.02))
     realization = load(tmp_path / "model.xml")
     rows = []

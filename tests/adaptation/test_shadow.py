@@ -1,4 +1,4 @@
-"""A candidate in the shadow of a release, from the command line: tried, promoted, released."""
+"""Command ``shadow``: a candidate is compared with a release, promoted and released."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ STIFFNESS = 0.4
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A released twin, ``home`` of its user, and two recordings of the plant with its spring."""
+    """A released twin, a ``home`` folder, and two recordings of a plant with a spring."""
     base = tmp_path_factory.mktemp("shadow")
     twin = base / "twin"
     (twin / "golden" / "fk").mkdir(parents=True)
@@ -57,9 +57,9 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (twin / "model.xml").write_text(model())
     (twin / "golden" / "fk" / "home.yaml").write_text(FK)
     with pytest.MonkeyPatch.context() as patch:
-        user(patch, base / "home")
+        set_user(patch, base / "home")
         for flag in ("--twin-update", "--twin-release"):
-            assert gate(twin, flag) == 0
+            assert run_gate(twin, flag) == 0
     for number in range(2):
         record(base / f"{number}.mcap", model(), force=lambda q, v: -STIFFNESS * q, phase=number)
     return base
@@ -73,22 +73,22 @@ def place(
     request: pytest.FixtureRequest,
 ) -> Path:
 
-    # The test of the promotion starts the child process; the others are spared its start.
+    # To save time, only the test of the promotion starts a child process.
     if "promoted_then" not in request.node.name:
         monkeypatch.setattr(command, "Sandbox", InProcess)
     shutil.copytree(template, tmp_path / "p")
-    user(monkeypatch, tmp_path / "p" / "home")
+    set_user(monkeypatch, tmp_path / "p" / "home")
     return tmp_path / "p"
 
 
-def user(patch: pytest.MonkeyPatch, home: Path) -> None:
+def set_user(patch: pytest.MonkeyPatch, home: Path) -> None:
     for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME"):
         patch.setenv(name, str(home))
     for name in ("CI", "TWIN_SIGNING_KEY", "PYTEST_ADDOPTS"):
         patch.delenv(name, raising=False)
 
 
-def gate(twin: Path, flag: str) -> int:
+def run_gate(twin: Path, flag: str) -> int:
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", flag]
     return subprocess.run(words, cwd=twin, capture_output=True, check=False, timeout=100).returncode
 
@@ -111,7 +111,7 @@ def onnx_spring(path: Path, stiffness: float = STIFFNESS) -> None:
 
 
 def table_spring(path: Path) -> None:
-    """A table over position, as a diagnosis writes it."""
+    """A table of the spring's torque over position, as a diagnosis writes it."""
     knots = np.linspace(-1.5, 1.5, KNOTS)
     table = {
         "variable": "position",
@@ -123,7 +123,7 @@ def table_spring(path: Path) -> None:
     path.write_text(json.dumps({"schema": 1, "joints": ["a"], "effects": effects}))
 
 
-def run(place: Path, status: int, *more: str) -> dict:
+def run_shadow(place: Path, status: int, *more: str) -> dict:
     out = place / "out.json"
     recordings = [str(place / f"{n}.mcap") for n in range(2)]
     twin = str(place / "twin")
@@ -134,17 +134,19 @@ def run(place: Path, status: int, *more: str) -> dict:
     return document
 
 
-def declare(place: Path, kind: str, file: str) -> None:
+def declare_residual(place: Path, kind: str, file: str) -> None:
     text = RESIDUAL.replace("KIND", kind).replace("FILE", file)
     (place / "twin" / "twin.yaml").write_text(TWIN + text)
 
 
 @pytest.mark.parametrize("kind", ["onnx", "unnamed_laws"])
-def test_a_residual_that_has_the_spring_is_better_and_falls_back(kind: str, place: Path) -> None:
+def test_a_residual_with_the_missing_spring_is_better_and_passes_the_fault_tests(
+    kind: str, place: Path
+) -> None:
     name = "spring.onnx" if kind == "onnx" else "laws.json"
     (onnx_spring if kind == "onnx" else table_spring)(place / "twin" / name)
-    declare(place, kind, name)
-    document = run(place, 0)
+    declare_residual(place, kind, name)
+    document = run_shadow(place, 0)
     by_name = {one["metric"]: one for one in document["metrics"]}
     assert by_name["position_rms"]["change"] < -0.9
     assert [fault["holds"] for fault in document["faults"]] == [True] * 6
@@ -152,16 +154,16 @@ def test_a_residual_that_has_the_spring_is_better_and_falls_back(kind: str, plac
     assert document["acting"]["share"] > 0.8
 
 
-def test_a_residual_is_promoted_then_released_and_never_unnoticed(place: Path) -> None:
+def test_a_residual_is_promoted_then_released_and_later_changes_are_reported(place: Path) -> None:
     twin = place / "twin"
     onnx_spring(twin / "spring.onnx")
-    declare(place, "onnx", "spring.onnx")
+    declare_residual(place, "onnx", "spring.onnx")
     asset = (twin / "model.xml").read_bytes()
     (problem,) = unpromoted(load_twin(twin / "twin.yaml"))
     assert "residual 'spring-1': no shadow run vouches for it" in problem
-    assert gate(twin, "--twin-release") != 0
-    run(place, 0, "--promote")
-    assert gate(twin, "--twin-release") == 0
+    assert run_gate(twin, "--twin-release") != 0
+    run_shadow(place, 0, "--promote")
+    assert run_gate(twin, "--twin-release") == 0
     assert (twin / "releases" / "0002" / "files" / "spring.onnx").is_file()
     assert (twin / "releases" / "0002" / "files" / "shadow" / "spring-1.json").is_file()
     assert (twin / "model.xml").read_bytes() == asset
@@ -174,18 +176,18 @@ def test_a_residual_is_promoted_then_released_and_never_unnoticed(place: Path) -
         assert (twin / name).read_bytes() == (released / name).read_bytes()
 
 
-def test_a_residual_that_is_wrong_is_rejected_and_not_promoted(place: Path) -> None:
+def test_a_residual_with_the_wrong_sign_is_rejected_and_not_promoted(place: Path) -> None:
     onnx_spring(place / "twin" / "spring.onnx", -0.4)
-    declare(place, "onnx", "spring.onnx")
-    document = run(place, 1, "--promote")
+    declare_residual(place, "onnx", "spring.onnx")
+    document = run_shadow(place, 1, "--promote")
     by_name = {one["metric"]: one for one in document["metrics"]}
     assert not by_name["position_rms"]["met"]
     assert not by_name["position_max"]["met"]
     assert not (place / "twin" / "shadow").exists()
 
 
-class Open(Guard):
-    """A guard that lets everything through."""
+class OpenGuard(Guard):
+    """A guard that blocks no force."""
 
     def force(self, now, sample):
         if sample is None or not np.isfinite(sample.velocity).all():
@@ -193,25 +195,27 @@ class Open(Guard):
         return self.law(sample.position, sample.velocity, sample.command)[0]
 
 
-def test_without_its_guard_a_residual_fails_under_every_fault(
+def test_without_a_guard_the_tests_of_all_faults_fail(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(faults, "Guard", Open)
-    monkeypatch.setattr(shadow, "Guard", Open)
+    monkeypatch.setattr(faults, "Guard", OpenGuard)
+    monkeypatch.setattr(shadow, "Guard", OpenGuard)
     table_spring(place / "twin" / "laws.json")
-    declare(place, "unnamed_laws", "laws.json")
+    declare_residual(place, "unnamed_laws", "laws.json")
     base = place / "twin" / "twin.yaml"
     document = shadow.shadow(str(base), str(base), [str(place / "0.mcap")])
     assert [fault["fault"] for fault in document["faults"] if fault["holds"]] == []
 
 
-def test_what_cannot_be_tried_is_one_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_invalid_candidate_or_release_is_refused_with_a_reason(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     twin = place / "twin"
     release, data = str(twin / "releases" / "0001"), str(place / "0.mcap")
     assert cli.main(["shadow", release, str(twin), data, "--promote"]) == 2
     assert "nothing to promote" in capsys.readouterr().err
     (twin / "laws.json").write_text("{}")
-    declare(place, "unnamed_laws", "laws.json")
+    declare_residual(place, "unnamed_laws", "laws.json")
     assert cli.main(["shadow", release, str(twin), data]) == 2
     assert "no tables of a diagnosis" in capsys.readouterr().err
     (twin / "releases" / "0001" / "release.dsse.json").unlink()
