@@ -1,4 +1,4 @@
-"""A planar arm, and records of calibrations and identifications as the commands write them."""
+"""A planar arm with two joints, and records of calibrations and identifications for it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ POSES = [{"shoulder": 0.3, "elbow": -0.7}, {"shoulder": -1.1, "elbow": 1.4}]
 
 
 def jacobian(pose: Mapping[str, float]) -> np.ndarray:
-    """(2, 2) of the tool's x and y by both angles, in closed form."""
+    """Derivative (2, 2) of the tool's x and y by both joint angles, in closed form."""
     one, both = pose["shoulder"], pose["shoulder"] + pose["elbow"]
     return np.array(
         [
@@ -82,11 +82,11 @@ def with_pose(
     covariance: np.ndarray,
     stated: np.ndarray | None = None,
 ) -> dict[str, Any]:
-    """The record with a pose, whose covariance with all else is 0.
+    """The record with an added pose that is uncorrelated with the other unknowns.
 
     Args:
-        covariance: of the unknowns of the fit.
-        stated: of the record, where it is the inverse of what was fitted.
+        covariance: of the fitted pose.
+        stated: covariance of the pose in the record, if that is the inverse of the fitted pose.
     """
     labels = ["x", "y", "z", "rx", "ry", "rz"][: len(covariance)]
     together = record["covariance"]
@@ -116,7 +116,7 @@ def fit_record(
     units: Sequence[str],
     position_rms: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """An identification with parameters that vary on their own."""
+    """An identification with uncorrelated parameters."""
     joints = {"shoulder": {"effort_relative": 0.1}, "elbow": {"effort_relative": 0.1}}
     for joint, value in (position_rms or {}).items():
         joints[joint]["position_rms"] = value
@@ -144,7 +144,7 @@ def make_twin(
     use: str = "[joint_zeros, base_world]",
     arm: str = ARM,
 ) -> Path:
-    """A twin with these records; its ``twin.yaml``."""
+    """Write a twin with these records and return the path of its ``twin.yaml``."""
     folder.mkdir(exist_ok=True)
     (folder / "arm.xml").write_text(arm)
     text = "model: arm.xml\n"
@@ -160,7 +160,7 @@ def make_twin(
 
 
 def declared(poses: Sequence[Mapping[str, float]] = POSES, more: str = "") -> str:
-    """The section ``budget:`` with a frame and poses."""
+    """The section ``budget:`` of ``twin.yaml`` with a frame and poses."""
     return f"budget:\n  frame: tool\n  poses: {json.dumps(list(poses))}\n{more}"
 
 
@@ -171,7 +171,7 @@ def record_motion(
     joints: tuple[str, ...] = ("shoulder", "elbow"),
     velocity: np.ndarray | None = None,
 ) -> None:
-    """A recording with commanded efforts, a sample each 10 ms."""
+    """Write a recording with commanded efforts; the sample period is 10 ms."""
     stamps = 10_000_000 * np.arange(len(position), dtype=np.int64) + 10**18
     series = [
         JointSeries("/joint_states", joints, stamps, stamps, position, velocity, None),

@@ -1,4 +1,4 @@
-"""``pytest-twin budget``: files, exit status, and the words of errors."""
+"""Command ``pytest-twin budget``: written files, exit status and error messages."""
 
 from __future__ import annotations
 
@@ -25,33 +25,35 @@ SMALL = [[1e-6, 0.0], [0.0, 1e-6]]
 
 @pytest.fixture(autouse=True)
 def in_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One test starts the child process; the others are spared its start."""
-    if request.function is not test_page_and_json_are_written:
+    """Run without a child process to save time, except in one test."""
+    if request.function is not test_the_page_and_a_valid_json_file_are_written:
         monkeypatch.setattr(command, "Sandbox", InProcess)
 
 
-def run(twin: Path, status: int = 0) -> Path:
+def run_budget(twin: Path, status: int = 0) -> Path:
     out = twin.parent / "out"
     assert cli.main(["budget", str(twin), "--out", str(out)]) == status
     return out
 
 
-def test_page_and_json_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_and_a_valid_json_file_are_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     fit = fit_record(["elbow.coulomb_friction"], [0.01], ["N*m"])
     more = "  tolerance: {position: 0.01, rotation: 0.02}\n"
     twin = make_twin(tmp_path, [zeros_record(SMALL)], [fit], declared(more=more))
-    out = run(twin)
+    out = run_budget(twin)
     document = json.loads((out / "budget.json").read_text())
     jsonschema.validate(document, load_schema("results/budget.schema.json"))
     page = (out / "budget.html").read_text()
     assert page.count("<img") == 4
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
-    said = capsys.readouterr().out
-    assert re.search(r"total: 0\.\d+ mm, 1\.\d+ mrad \(\d", said)
-    assert "contact and material: not measured; pytest-twin identify" in said
+    output = capsys.readouterr().out
+    assert re.search(r"total: 0\.\d+ mm, 1\.\d+ mrad \(\d", output)
+    assert "contact and material: not measured; pytest-twin identify" in output
 
 
-def test_a_folder_is_a_twin_and_json_goes_to_standard_output(
+def test_a_folder_is_accepted_and_json_can_go_to_standard_output(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make_twin(tmp_path, [zeros_record(SMALL)], budget=declared())
@@ -61,9 +63,11 @@ def test_a_folder_is_a_twin_and_json_goes_to_standard_output(
     assert document["output"]["frame"] == "tool"
 
 
-def test_markup_in_names_stays_text(tmp_path: Path) -> None:
+def test_markup_in_names_is_escaped(tmp_path: Path) -> None:
     record = zeros_record(SMALL, ident="<script>alert(1)</script>")
-    page = (run(make_twin(tmp_path, [record], budget=declared())) / "budget.html").read_text()
+    page = (
+        run_budget(make_twin(tmp_path, [record], budget=declared())) / "budget.html"
+    ).read_text()
     assert "<script>" not in page
     assert "&lt;script&gt;" in page
 
@@ -88,13 +92,13 @@ def test_markup_in_names_stays_text(tmp_path: Path) -> None:
         ("budget: {seconds: 3}\n", "budget.seconds: is not a known field"),
     ],
 )
-def test_what_twin_yaml_must_not_say_is_answered_in_one_line(
+def test_an_invalid_budget_section_is_refused_with_one_line(
     tmp_path: Path, budget: str, line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run(make_twin(tmp_path, budget=budget), 2)
-    (said,) = capsys.readouterr().err.strip().splitlines()
-    assert said.startswith(f"pytest-twin budget: {tmp_path / 'twin.yaml'}:")
-    assert line in said
+    run_budget(make_twin(tmp_path, budget=budget), 2)
+    (output,) = capsys.readouterr().err.strip().splitlines()
+    assert output.startswith(f"pytest-twin budget: {tmp_path / 'twin.yaml'}:")
+    assert line in output
     assert not (tmp_path / "out").exists()
 
 
@@ -109,20 +113,18 @@ def test_what_twin_yaml_must_not_say_is_answered_in_one_line(
         ([[1e-6, "x"], [0.0, 1e-6]], "is not a finite number"),
     ],
 )
-def test_a_covariance_that_is_none_is_refused(
+def test_an_invalid_covariance_is_refused(
     tmp_path: Path, matrix: list, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record = zeros_record(np.eye(2) * 1e-6)
     record["covariance"]["matrix"] = matrix
-    run(make_twin(tmp_path, [record], budget=declared()), 2)
-    (said,) = capsys.readouterr().err.strip().splitlines()
-    assert str(tmp_path / "calibrations0.json") in said
-    assert words in said
+    run_budget(make_twin(tmp_path, [record], budget=declared()), 2)
+    (output,) = capsys.readouterr().err.strip().splitlines()
+    assert str(tmp_path / "calibrations0.json") in output
+    assert words in output
 
 
-def test_a_missing_twin_is_answered_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run(tmp_path / "none.yaml", 2)
-    said = capsys.readouterr().err
-    assert "none.yaml: no such file (expected a twin.yaml, or its folder)" in said
+def test_a_missing_twin_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_budget(tmp_path / "none.yaml", 2)
+    output = capsys.readouterr().err
+    assert "none.yaml: no such file (expected a twin.yaml, or its folder)" in output

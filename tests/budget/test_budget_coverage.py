@@ -1,4 +1,4 @@
-"""The budget against the truth: calibrated cells with known errors, and where the tool is."""
+"""Predicted position error of the tool against the true one, in simulated calibrated cells."""
 
 from __future__ import annotations
 
@@ -23,18 +23,20 @@ _POSES = 12
 
 
 def as_mjcf(chain: SerialChain) -> str:
-    """The chain as bodies, its end as a site."""
+    """MJCF of the chain, with a site at its end."""
 
-    def placed(pose: np.ndarray) -> str:
+    def placement_attributes(pose: np.ndarray) -> str:
         quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
         numbers = (" ".join(f"{v:.17g}" for v in part) for part in (pose[:3, 3], quaternion))
         return 'pos="{}" quat="{}"'.format(*numbers)
 
     text = ""
     for joint, placement in zip(chain.joints, chain.placements, strict=True):
-        text += f'<body {placed(placement)}><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        text += f'<body {placement_attributes(placement)}><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
         text += f'<joint name="{joint}" axis="0 0 1"/>'
-    text += f'<site name="flange" {placed(chain.end)}/>' + "</body>" * len(chain.joints)
+    text += f'<site name="flange" {placement_attributes(chain.end)}/>' + "</body>" * len(
+        chain.joints
+    )
     return f"<mujoco><worldbody>{text}</worldbody></mujoco>"
 
 
@@ -44,8 +46,8 @@ def estimated(record: dict, name: str) -> np.ndarray:
     return rigid(turn.as_matrix(), np.array(transform["xyz"]))
 
 
-def test_the_tool_is_off_as_far_as_the_budget_says(tmp_path: Path) -> None:
-    """Object at the flange, seen by the camera on it, told in the world: error over prediction."""
+def test_the_position_error_of_the_tool_agrees_with_the_budget(tmp_path: Path) -> None:
+    """The world position of an object that the flange camera sees: error divided by prediction."""
     ratios = []
     for seed in range(_CELLS):
         rng = np.random.default_rng(seed)
@@ -63,18 +65,18 @@ def test_the_tool_is_off_as_far_as_the_budget_says(tmp_path: Path) -> None:
             found[chain.joints.index(joint)] = one["value"]
         seen = inverse(cell.mounted)
         true = inverse(cell.world) @ cells.forward(chain, readings + zeros)
-        told = (
+        estimate = (
             estimated(record, "base_world")
             @ cells.forward(chain, readings + found)
             @ estimated(record, "hand_eye")
             @ seen
         )
-        errors = np.linalg.norm((told - true)[:, :3, 3], axis=1)
+        errors = np.linalg.norm((estimate - true)[:, :3, 3], axis=1)
         poses = [dict(zip(chain.joints, row, strict=True)) for row in readings.tolist()]
         budget = declared(poses).replace("frame: tool", "frame: flange")
         twin = make_twin(tmp_path / str(seed), [record], budget=budget, arm=as_mjcf(chain))
         total = budget_of_file(str(twin))["total"]["sampled"]
         ratios.append(np.mean(errors**2) / total["position"] ** 2)
-    # Each ratio is a chi square over its few degrees of freedom; their mean is 1.
+    # Each ratio is chi-square distributed, divided by its degrees of freedom; the mean is 1.
     assert 0.5 < np.mean(ratios) < 1.7, ratios
     assert max(ratios) < 5.0, ratios

@@ -1,4 +1,4 @@
-"""Lines and categories: nothing is counted twice, nothing unmeasured has a number."""
+"""Lines and categories of the budget: each error counts once; unmeasured ones have no number."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from pytest_twin.budget.run import budget_of_file
 SMALL = [[1e-6, 0.0], [0.0, 1e-6]]
 
 
-def test_a_twin_without_records_has_no_number(tmp_path: Path) -> None:
+def test_without_records_all_categories_are_not_measured(tmp_path: Path) -> None:
     found = budget_of_file(str(make_twin(tmp_path)))
     assert [one["category"] for one in found["categories"]] == [one.id for one in CATEGORIES]
     for one in found["categories"]:
@@ -38,12 +38,12 @@ def test_a_twin_without_records_has_no_number(tmp_path: Path) -> None:
         assert one["moves"] is one["beyond"] is one["owner"] is None
         assert one["measured_by"].startswith("pytest-twin ")
     assert found["total"]["linear"] is found["total"]["sampled"] is None
-    # Nothing is declared: both stand-ins are named.
+    # Without a declaration, the defaults for frame and poses are reported.
     assert "end of the longest chain" in found["output"]["frame_source"]
     assert "drawn within the joints' ranges" in found["output"]["poses_source"]
 
 
-def test_two_records_of_different_joints_add_up_as_squares(tmp_path: Path) -> None:
+def test_independent_records_add_up_in_quadrature(tmp_path: Path) -> None:
     records = [
         zeros_record([[4e-6]], ["shoulder"], "first"),
         zeros_record([[1e-6]], ["elbow"], "second"),
@@ -55,7 +55,7 @@ def test_two_records_of_different_joints_add_up_as_squares(tmp_path: Path) -> No
     assert total == pytest.approx(np.hypot(sizes["first"], sizes["second"]), rel=1e-9)
 
 
-def test_of_two_records_of_one_frame_the_newest_counts(tmp_path: Path) -> None:
+def test_of_two_records_of_the_same_frame_only_the_newer_one_counts(tmp_path: Path) -> None:
     covariances = [9e-6 * np.eye(6), 1e-6 * np.eye(6)]
     records = [
         with_pose(
@@ -70,9 +70,9 @@ def test_of_two_records_of_one_frame_the_newest_counts(tmp_path: Path) -> None:
     assert any("eye0" in note and "a newer calibration" in note for note in found["notes"])
 
 
-def test_what_one_record_estimated_together_is_one_line(tmp_path: Path) -> None:
-    """A zero and an offset of the same joint's link: the category of the smaller one says where
-    it is counted."""
+def test_jointly_estimated_parameters_of_a_record_form_one_line(tmp_path: Path) -> None:
+    """A joint zero and an offset of its link: the category of the smaller error refers to the
+    line in which it is counted."""
     record = zeros_record([[1e-6]], ["elbow"])
     record["records"]["geometry"] = {
         "values": {
@@ -95,14 +95,15 @@ def test_what_one_record_estimated_together_is_one_line(tmp_path: Path) -> None:
     assert categories["asset_and_geometry"]["state"] == "counted_elsewhere"
     assert categories["asset_and_geometry"]["counted_in"] == ["zeros"]
     assert categories["asset_and_geometry"]["moves"] is None
-    # x along the upper arm; the zero moves across the forearm: cross term -2 FORE c sin(elbow).
+    # The offset is along the upper arm, the zero moves the tool perpendicular to the forearm:
+    # the cross term is -2 FORE c sin(elbow).
     squares = [
         1e-6 * FORE**2 + 1e-8 - 2 * FORE * 5e-8 * np.sin(pose["elbow"] + 0.01) for pose in POSES
     ]
     assert line["linear"]["position"] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-9)
 
 
-def test_shares_owners_and_goldens_are_those_of_the_twin(tmp_path: Path) -> None:
+def test_shares_owners_and_goldens_are_taken_from_the_twin(tmp_path: Path) -> None:
     more = (
         "  tolerance: {position: 0.002}\n"
         "  owners: {frame_calibration: metrology, timing: controls}\n"
@@ -131,7 +132,7 @@ def test_shares_owners_and_goldens_are_those_of_the_twin(tmp_path: Path) -> None
     )  # fmt: skip
 
 
-def test_held_out_error_beyond_the_covariance_is_unmodelled(tmp_path: Path) -> None:
+def test_held_out_error_above_the_predicted_one_counts_as_unmodelled(tmp_path: Path) -> None:
     record = zeros_record(SMALL, held_out={"distance_rms": 0.003})
     found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
     explained = found["lines"][0]["linear"]["position"]
@@ -143,17 +144,19 @@ def test_held_out_error_beyond_the_covariance_is_unmodelled(tmp_path: Path) -> N
     assert found["total"]["linear"]["position"] == pytest.approx(explained)
 
 
-def test_held_out_errors_of_joints_are_carried_to_the_frame(tmp_path: Path) -> None:
+def test_held_out_errors_of_joints_are_converted_to_errors_of_the_frame(tmp_path: Path) -> None:
     names, units = ["shoulder.viscous_friction"], ["N*m*s/rad"]
     record = fit_record(names, [0.01], units, {"shoulder": 0.004, "elbow": 0.003})
     twin = make_twin(tmp_path, fits=[record], budget=declared([{"shoulder": 0.2}]))
     (one,) = budget_of_file(str(twin))["unmodelled"]
-    # A straight arm: the shoulder has the whole arm as lever, the elbow the forearm.
+    # For a straight arm, the lever of the shoulder is the whole arm, that of the elbow the forearm.
     expected = np.hypot(0.004 * (UPPER + FORE), 0.003 * FORE)
     assert one["held_out"] == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_the_model_lacks_is_named(tmp_path: Path) -> None:
+def test_parameters_without_a_counterpart_in_the_model_are_reported_as_left_out(
+    tmp_path: Path,
+) -> None:
     record = with_pose(
         zeros_record(SMALL), "hand_eye", ("wrist", "camera"), (0, 0, 0), 1e-6 * np.eye(6)
     )
@@ -172,8 +175,10 @@ def test_what_the_model_lacks_is_named(tmp_path: Path) -> None:
     assert states["compliance_and_backlash"]["estimates"][0]["std"] == pytest.approx(1e-3)
 
 
-def test_an_expression_is_found_by_its_joint_or_left_out(tmp_path: Path) -> None:
-    """Symbols count joints from 1: with one that has no effort they would count others."""
+def test_an_expression_of_base_parameters_is_assigned_to_its_joint_or_left_out(
+    tmp_path: Path,
+) -> None:
+    """Symbols number the joints from 1; with a joint without effort they are ambiguous."""
     arm = ARM.replace('axis="0 0 1"', 'axis="0 1 0"')
     record = fit_record(["mx2 + 0.1*m2"], [0.02], ["kg*m"])
     twin = make_twin(tmp_path, fits=[record], budget=declared([{"elbow": 0.0}]), arm=arm)
@@ -188,7 +193,9 @@ def test_an_expression_is_found_by_its_joint_or_left_out(tmp_path: Path) -> None
     assert line["left_out"][0].startswith("mx2 + 0.1*m2: no rule carries it")
 
 
-def test_contacts_and_sensors_stand_in_their_categories_and_move_nothing(tmp_path: Path) -> None:
+def test_contact_and_sensor_parameters_have_a_category_but_cause_no_position_error(
+    tmp_path: Path,
+) -> None:
     contact = fit_record(["cube.contact_friction", "cube.contact_offset"], [0.01, 1e-4], ["1", "m"])
     sensor = fit_record(
         ["wrist.sensor_bias_fx", "wrist.sensor_filter_time"], [0.02, 1e-4], ["N", "s"]
@@ -206,7 +213,7 @@ def test_contacts_and_sensors_stand_in_their_categories_and_move_nothing(tmp_pat
         assert name in {one["name"] for one in own["estimates"]}
         assert {record["id"] for record in own["evidence"]["records"]} & {"table", "wrist"}
         assert own["moves"] is None
-    # One record is one line: its filter is counted with its bias, and in no other line.
+    # One record is one line: filter time and bias are counted together in it.
     assert [line["id"] for line in found["lines"]] == ["table", "wrist"]
     assert states["timing"]["state"] in ("measured", "counted_elsewhere")
     assert states["timing"]["lines"] + states["sensing"]["lines"] == ["wrist"]
@@ -214,7 +221,7 @@ def test_contacts_and_sensors_stand_in_their_categories_and_move_nothing(tmp_pat
 
 
 _HELD = 9.81 * 1.0 * 0.1
-"""Effort that holds the forearm out, N*m: 1 kg at 0.1 m."""
+"""Torque that holds the forearm level, N*m: 1 kg at 0.1 m."""
 
 
 @pytest.mark.parametrize(
@@ -227,10 +234,10 @@ _HELD = 9.81 * 1.0 * 0.1
         ("elbow.controller_gain.stiffness_error", "1", 0.02, _HELD / (100.0 * 1.5**2) * 0.02),
     ],
 )
-def test_gears_and_gains_give_way_to_the_weight_of_the_links(
+def test_errors_of_gears_and_gains_deflect_the_joint_under_the_weight_of_the_links(
     tmp_path: Path, name: str, unit: str, deviation: float, moved: float
 ) -> None:
-    """Closed forms of a forearm that is held out level; the record's value is 0.5."""
+    """Closed-form deflections of a level forearm; the value in the record is 0.5."""
     arm = ARM.replace('axis="0 0 1"', 'axis="0 1 0"').replace(
         '<motor name="m2" joint="elbow"/>', '<position name="m2" joint="elbow" kp="100"/>'
     )
@@ -243,7 +250,9 @@ def test_gears_and_gains_give_way_to_the_weight_of_the_links(
     assert "gears and gains" in line["method"]
 
 
-def test_a_gain_of_a_joint_without_a_servo_moves_nothing_and_says_so(tmp_path: Path) -> None:
+def test_a_controller_gain_of_a_joint_without_servo_is_left_out_with_a_reason(
+    tmp_path: Path,
+) -> None:
     record = fit_record(["elbow.controller_gain"], [0.02], ["1"])
     found = budget_of_file(str(make_twin(tmp_path, fits=[record], budget=declared())))
     (line,) = found["lines"]
@@ -251,8 +260,10 @@ def test_a_gain_of_a_joint_without_a_servo_moves_nothing_and_says_so(tmp_path: P
     assert any("no position servo drives this joint" in words for words in line["left_out"])
 
 
-def test_a_gear_gives_way_to_the_effort_along_a_motion(tmp_path: Path) -> None:
-    """Constant effort on a free joint: the deflection is that effort over the stiffness squared."""
+def test_an_error_of_joint_elasticity_deflects_the_joint_under_the_recorded_effort(
+    tmp_path: Path,
+) -> None:
+    """Constant effort: the deflection per error of the stiffness is effort / stiffness^2."""
     effort, deviation = 0.02, 0.001
     names = ["elbow.joint_elasticity", "elbow.armature"]
     record = fit_record(names, [deviation, 0.0], ["N*m/rad", "kg*m^2"])

@@ -1,4 +1,4 @@
-"""Covariances carried to a frame, against closed forms of a planar arm and against MuJoCo."""
+"""Propagation of covariances to a frame, against closed forms of a planar arm and MuJoCo."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ def expected_rms(covariance: np.ndarray) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def test_joint_zeros_are_those_of_the_closed_form(tmp_path: Path) -> None:
+def test_errors_of_joint_zeros_agree_with_the_closed_form(tmp_path: Path) -> None:
     found = budget_of_file(str(make_twin(tmp_path, [zeros_record(COVARIANCE)], budget=declared())))
     (line,) = found["lines"]
-    # The zeros of the record, 0.01 rad each, turn the whole arm about the base alone.
+    # The record adds 0.01 rad to each joint angle.
     moved = [{"shoulder": p["shoulder"] + 0.01, "elbow": p["elbow"] + 0.01} for p in POSES]
     squares = [np.trace(jacobian(p) @ COVARIANCE @ jacobian(p).T) for p in moved]
     assert line["linear"]["position"] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-9)
     assert line["linear"]["worst_position"] == pytest.approx(np.sqrt(max(squares)), rel=1e-9)
-    # In the plane the angle is the sum of both zeros.
+    # In the plane, the rotation of the tool is the sum of both joint angles.
     assert line["linear"]["rotation"] == pytest.approx(np.sqrt(COVARIANCE.sum()), rel=1e-9)
     assert line["sampled"]["position"] == pytest.approx(line["linear"]["position"], rel=0.03)
     assert line["sampled"]["rotation"] == pytest.approx(line["linear"]["rotation"], rel=0.03)
     assert line["warnings"] == []
 
 
-def test_the_correlation_of_two_zeros_counts(tmp_path: Path) -> None:
+def test_the_correlation_of_two_joint_zeros_is_taken_into_account(tmp_path: Path) -> None:
     alone = np.diag(np.diag(COVARIANCE))
     with_it, without = (
         budget_of_file(str(make_twin(tmp_path / name, [zeros_record(c)], budget=declared())))
@@ -63,7 +63,9 @@ def test_the_correlation_of_two_zeros_counts(tmp_path: Path) -> None:
     assert ratio == pytest.approx(expected_rms(COVARIANCE) / expected_rms(alone), rel=0.01)
 
 
-def test_a_wide_covariance_is_told_from_the_linear_rule(tmp_path: Path) -> None:
+def test_for_a_large_covariance_the_sampled_error_is_exact_and_a_warning_is_given(
+    tmp_path: Path,
+) -> None:
     """E |R(a) p - p|^2 = 2 |p|^2 (1 - exp(-s^2 / 2)) for a normal angle a of deviation s."""
     deviation = 1.5
     record = zeros_record([[deviation**2]], ["elbow"])
@@ -76,25 +78,25 @@ def test_a_wide_covariance_is_told_from_the_linear_rule(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.12)])
-def test_a_camera_on_the_flange_moves_what_it_sees_by_its_lever(
+def test_a_rotation_error_of_a_flange_camera_acts_with_the_distance_of_the_object(
     tmp_path: Path, place: tuple[float, float, float]
 ) -> None:
-    """A rotation of the camera by r moves an object at the tool by r times its distance."""
+    """A rotation error r of the camera displaces an object at the tool by r times its distance."""
     covariance = np.diag([1e-8, 2e-8, 3e-8, 1e-6, 1e-6, 1e-6])
     record = with_pose(
         zeros_record(np.zeros((0, 0)), []), "hand_eye", ("flange", "camera"), place, covariance
     )
     found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
-    # r x lever, r alike about all axes: E |r x d|^2 = 2 s^2 |d|^2.
+    # The rotation error r has the deviation s about each axis: E |r x d|^2 = 2 s^2 |d|^2.
     expected = np.sqrt(6e-8 + 2e-6 * float(np.dot(place, place)))
     assert found["total"]["linear"]["position"] == pytest.approx(expected, rel=1e-9)
     assert found["total"]["sampled"]["position"] == pytest.approx(expected, rel=0.03)
     assert found["total"]["linear"]["rotation"] == pytest.approx(np.sqrt(3e-6), rel=1e-9)
 
 
-def test_a_base_is_moved_about_the_world(tmp_path: Path) -> None:
-    """The record is the base in the world, the fit had the world in the base: same displacement
-    as drawing the record's own covariance."""
+def test_an_error_of_the_base_pose_agrees_with_the_covariance_of_the_record(tmp_path: Path) -> None:
+    """The record states the base in the world, the fit the world in the base. The displacement
+    of the tool must agree with the covariance that the record states."""
     fitted = np.diag([1e-8, 2e-8, 3e-8, 4e-6, 1e-6, 2e-6])
     world_in_base = rigid(np.eye(3), np.array([-0.5, 0.2, 0.1]))
     back, stated = inverse_with_covariance(world_in_base, fitted)
@@ -124,9 +126,9 @@ def test_a_base_is_moved_about_the_world(tmp_path: Path) -> None:
     assert budget_of_file(str(unused))["total"]["linear"] is None
 
 
-def test_a_fixture_that_errs_with_the_robot_is_no_error(tmp_path: Path) -> None:
-    """A zero that turns the forearm and a fixture that turns with it: the tool stays in it.
-    The same fixture on its own errs by its lever."""
+def test_fully_correlated_errors_of_joint_zero_and_fixture_cancel(tmp_path: Path) -> None:
+    """The zero rotates the forearm about the elbow, and the fixture is rotated in the same way:
+    the tool keeps its place in the fixture. Without correlation both errors add up."""
     pose, deviation, place = {"shoulder": 0.3, "elbow": -0.7}, 1e-3, np.array([0.5, 0.3, 0.0])
     elbow = UPPER * np.array([np.cos(0.31), np.sin(0.31), 0.0])
     turned = np.cross([0.0, 0.0, 1.0], place - elbow)
@@ -157,7 +159,7 @@ def test_zeros_of_a_spatial_arm_agree_with_the_jacobian_of_mujoco(tmp_path: Path
     squares, turns = [], []
     for pose in poses:
         for joint, value in pose.items():
-            # What the record adds to each reading.
+            # The record adds 0.01 to each joint position.
             data.joint(joint).qpos[0] = value + 0.01
         mujoco.mj_forward(model, data)
         shift, turn = np.zeros((2, 3, model.nv))
@@ -171,7 +173,7 @@ def test_zeros_of_a_spatial_arm_agree_with_the_jacobian_of_mujoco(tmp_path: Path
 
 
 def spatial_arm(joints: list[str], rng: np.random.Generator) -> str:
-    """An arm with random link poses and axes, a slide among its joints."""
+    """An arm with random link poses and joint axes; one joint is a slide joint."""
     head = tail = ""
     for at, joint in enumerate(joints):
         place, turn, axis = rng.normal(size=(3, 3))
@@ -187,7 +189,7 @@ def spatial_arm(joints: list[str], rng: np.random.Generator) -> str:
     return f"<mujoco><worldbody>{head}{site}{tail}</worldbody></mujoco>"
 
 
-def test_a_time_offset_moves_the_tool_by_its_speed(tmp_path: Path) -> None:
+def test_the_error_of_a_time_offset_is_the_tool_speed_times_the_deviation(tmp_path: Path) -> None:
     """The shoulder turns at 0.8 rad/s with the elbow straight: the tool moves at 0.56 m/s."""
     time = 0.01 * np.arange(200)
     position = np.column_stack([0.8 * time - 0.8, np.zeros(200)])
@@ -210,8 +212,10 @@ def test_a_time_offset_moves_the_tool_by_its_speed(tmp_path: Path) -> None:
     assert any("no speed is known" in note for note in notes)
 
 
-def test_damping_moves_a_joint_as_the_differential_equation_says(tmp_path: Path) -> None:
-    """A constant effort on one hinge: I a = u - b v; derivative of its solution by b."""
+def test_an_error_of_viscous_friction_agrees_with_the_solution_of_the_equation_of_motion(
+    tmp_path: Path,
+) -> None:
+    """Constant effort u on a hinge, I a = u - b v: derivative of the solution by b."""
     inertia = 2 * 0.2**2 + 0.02 + 1 * 0.5**2 + 0.01
     arm = make_locked_arm()
     effort, damping, deviation = 0.4, 0.5, 0.03
@@ -241,17 +245,17 @@ def test_damping_moves_a_joint_as_the_differential_equation_says(tmp_path: Path)
 
 
 @pytest.mark.parametrize("forces", [False, True])
-def test_a_delay_and_an_encoder_zero_that_vary_together_cancel(
+def test_correlated_errors_of_command_delay_and_encoder_bias_cancel(
     tmp_path: Path, forces: bool
 ) -> None:
-    """At constant speed a delay of d is a zero of v d: with opposite signs nothing moves."""
+    """At constant speed v, a delay d acts like an encoder bias v d."""
     speed, deviation = 0.5, 0.004
     time = 0.01 * np.arange(51)
     names = ["shoulder.command_delay", "shoulder.encoder_bias"]
     units = ["s", "rad"]
     deviations = [deviation, speed * deviation]
     if forces:
-        # A parameter that is known for certain has the motion simulated.
+        # A dynamic parameter, here without error, causes the motion to be simulated.
         names, units, deviations = (
             [*names, "shoulder.armature"],
             [*units, "kg*m^2"],
@@ -284,8 +288,10 @@ def test_a_delay_and_an_encoder_zero_that_vary_together_cancel(
     assert sizes == pytest.approx([np.sqrt(2.0) * own, 0.0, 2.0 * own], rel=0.01, abs=1e-5)
 
 
-def test_without_motion_a_first_moment_is_told_by_its_static_effort(tmp_path: Path) -> None:
-    """A link in a vertical plane: the effort of its weight errs by g cos(q) times the moment."""
+def test_without_motion_the_error_of_a_first_moment_is_reported_as_static_effort(
+    tmp_path: Path,
+) -> None:
+    """In a vertical plane the error of the gravity torque is g cos(q) times that of the moment."""
     arm = make_locked_arm().replace('axis="0 0 1"', 'axis="0 1 0"', 1)
     record = fit_record(["shoulder.mx"], [0.02], ["kg*m"])
     del record["held_out"]["elbow"]
@@ -300,7 +306,7 @@ def test_without_motion_a_first_moment_is_told_by_its_static_effort(tmp_path: Pa
 
 
 def make_locked_arm() -> str:
-    """The arm with a straight elbow that does not turn."""
+    """The arm without elbow joint: the forearm is fixed straight to the upper arm."""
     joint = '<joint name="elbow" axis="0 0 1" range="-2 2" limited="true"/>'
     assert joint in ARM
     return ARM.replace(joint, "").replace('<motor name="m2" joint="elbow"/>', "")
