@@ -25,18 +25,16 @@ _POSES = 12
 def as_mjcf(chain: SerialChain) -> str:
     """MJCF of the chain, with a site at its end."""
 
-    def placement_attributes(pose: np.ndarray) -> str:
+    def pose_text(pose: np.ndarray) -> str:
         quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
         numbers = (" ".join(f"{v:.17g}" for v in part) for part in (pose[:3, 3], quaternion))
         return 'pos="{}" quat="{}"'.format(*numbers)
 
     text = ""
     for joint, placement in zip(chain.joints, chain.placements, strict=True):
-        text += f'<body {placement_attributes(placement)}><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        text += f'<body {pose_text(placement)}><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
         text += f'<joint name="{joint}" axis="0 0 1"/>'
-    text += f'<site name="flange" {placement_attributes(chain.end)}/>' + "</body>" * len(
-        chain.joints
-    )
+    text += f'<site name="flange" {pose_text(chain.end)}/>' + "</body>" * len(chain.joints)
     return f"<mujoco><worldbody>{text}</worldbody></mujoco>"
 
 

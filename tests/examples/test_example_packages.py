@@ -1,4 +1,4 @@
-"""The packages in ``examples/``: installed by pip, then used through the commands and pytest."""
+"""The packages in ``examples/`` are installed by pip and used through the commands and pytest."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ URDF = """\
 
 @pytest.fixture(scope="module")
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which pip has installed all examples."""
+    """The folder into which pip has installed all examples."""
     folder = tmp_path_factory.mktemp("examples")
     copies = [shutil.copytree(path, folder / "source" / path.name) for path in PACKAGES]
     site = folder / "site"
@@ -88,7 +88,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Shell:
-    """Runs commands as somebody who has installed the examples."""
+    """Runs commands in an environment in which the examples are installed."""
 
     def __init__(self, site: Path, folder: Path) -> None:
         self.site, self.folder = site, folder
@@ -128,7 +128,7 @@ def shell(packages: Path, tmp_path: Path) -> Shell:
 
 @pytest.fixture
 def arm(shell: Shell) -> Shell:
-    """A twin with a data sheet beside its model, and two goldens that are not recorded."""
+    """A twin with a model, a data sheet and two goldens that are not recorded yet."""
     for name, text in (
         ("arm.xml", ARM),
         ("arm.dh", TABLE),
@@ -140,10 +140,12 @@ def arm(shell: Shell) -> Shell:
     return shell
 
 
-def test_a_golden_kind_and_a_realization_of_packages_pass_the_gate(arm: Shell) -> None:
+def test_a_golden_kind_and_a_model_format_of_packages_can_be_released_and_are_tested_after_changes(
+    arm: Shell,
+) -> None:
     recorded = arm.pytest("--twin-update")
     assert recorded.returncode == 0, recorded.stdout + recorded.stderr
-    # The axis of the elbow is across the forearm: its column of the Jacobian is the shorter one.
+    # The smallest value is the lever of the elbow: the length of the forearm.
     spec = (arm.folder / "golden" / "manipulability.yaml").read_text()
     smallest = next(float(line.split(":")[1]) for line in spec.splitlines() if "smallest:" in line)
     assert smallest == pytest.approx(FORE, abs=1e-9)
@@ -151,7 +153,7 @@ def test_a_golden_kind_and_a_realization_of_packages_pass_the_gate(arm: Shell) -
     assert released.returncode == 0, released.stdout + released.stderr
     assert "3 passed" in released.stdout
 
-    # A mass is no part of kinematics; a length is, and the data sheet's realization alone has it.
+    # Forward kinematics depend on a length and not on a mass, here only in the data sheet.
     arm.write("arm.dh", TABLE.replace("0.2,1.2", "0.2,1.3"))
     assert "3 deselected" in arm.pytest("--twin-release").stdout
     arm.write("arm.dh", TABLE.replace("pan,0.3", "pan,0.31"))
@@ -161,7 +163,7 @@ def test_a_golden_kind_and_a_realization_of_packages_pass_the_gate(arm: Shell) -
     assert "10 mm" in changed.stdout or "0.01 m" in changed.stdout
 
 
-def test_a_new_version_of_a_model_format_is_read_again(arm: Shell) -> None:
+def test_after_an_update_of_a_model_format_package_its_goldens_run_again(arm: Shell) -> None:
     assert arm.pytest("--twin-update").returncode == 0
     assert arm.pytest("--twin-release").returncode == 0
     (info,) = arm.site.glob("twin_dh_table-*.dist-info")
@@ -173,7 +175,7 @@ def test_a_new_version_of_a_model_format_is_read_again(arm: Shell) -> None:
     assert "1 failed, 2 deselected" in arm.pytest("--twin-release").stdout
 
 
-def test_a_model_that_a_package_cannot_read_is_one_line(arm: Shell) -> None:
+def test_a_model_that_a_package_cannot_read_fails_without_traceback(arm: Shell) -> None:
     assert arm.pytest("--twin-update").returncode == 0
     arm.write("arm.dh", "a,b\n1,2\n")
     failed = arm.pytest("-k", "data_sheet")
@@ -184,7 +186,7 @@ def test_a_model_that_a_package_cannot_read_is_one_line(arm: Shell) -> None:
 
 
 @pytest.mark.parametrize(("velocity", "warnings"), [("3.5", 1), ("2.5", 0)])
-def test_an_audit_layer_of_a_package_is_reported(
+def test_findings_of_an_audit_layer_from_a_package_are_reported(
     shell: Shell, velocity: str, warnings: int
 ) -> None:
     shell.write("fast.urdf", URDF.replace("VELOCITY", velocity))
@@ -208,7 +210,7 @@ def test_an_audit_layer_of_a_package_is_reported(
         ("class CellSpeed", "class Speed", "cannot be loaded: AttributeError"),
     ],
 )
-def test_an_audit_layer_that_cannot_be_used_is_one_line(
+def test_an_unusable_audit_layer_of_a_package_is_refused_without_traceback(
     shell: Shell, written: str, instead: str, told: str
 ) -> None:
     module = shell.site / "cell_speed.py"
@@ -222,7 +224,7 @@ def test_an_audit_layer_that_cannot_be_used_is_one_line(
     assert "Traceback" not in done.stderr
 
 
-def test_a_recording_reader_of_a_package_reads_what_the_robot_logged(shell: Shell) -> None:
+def test_a_recording_reader_of_a_package_reads_the_log_of_a_robot(shell: Shell) -> None:
     time = np.arange(50) / 500.0
     columns = {"timestamp": time}
     for scale, name in enumerate(("actual_q", "actual_qd", "target_q", "target_qd"), 1):
@@ -240,7 +242,7 @@ def test_a_recording_reader_of_a_package_reads_what_the_robot_logged(shell: Shel
     np.testing.assert_allclose(np.diff(found["state"].stamp), 2e6, atol=1)
 
 
-def test_an_effect_of_a_package_is_in_the_catalogue(shell: Shell) -> None:
+def test_an_effect_of_a_package_is_listed_in_the_catalogue(shell: Shell) -> None:
     listed = shell.twin("effects")
     assert listed.returncode == 0, listed.stderr
     assert "u = (q - pose) / width" in listed.stdout

@@ -1,4 +1,4 @@
-"""A planar arm with servos and a floor, drawn robots, and what a person approves for them."""
+"""A planar arm with servos and a floor, random robots, and approved limits for them."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ ARM = """\
 
 @dataclass(frozen=True)
 class Excited:
-    """What was designed for the planar arm.
+    """The excitation designed for the planar arm.
 
     Attributes:
-        folder: of the twin; ``out`` in it has the files.
-        found: the motions.
-        document: of ``excitation.json``.
+        folder: folder of the twin; its subfolder ``out`` has the written files.
+        found: designed excitation.
+        document: content of ``excitation.json``.
     """
 
     folder: Path
@@ -50,7 +50,7 @@ class Excited:
 
 
 def approved_for_arm(**changes: Any) -> dict[str, Any]:
-    """``excitation:`` of the planar arm."""
+    """Section ``excitation:`` with the approved limits of the planar arm."""
     joint = {"velocity": 2.0, "acceleration": 6.0, "effort_noise": 0.02}
     section: dict[str, Any] = {
         "approved_by": "A. Engineer",
@@ -71,7 +71,7 @@ def approved_for_arm(**changes: Any) -> dict[str, Any]:
 
 
 def write_twin(folder: Path, section: Any, model: str = ARM, name: str = "arm.xml") -> Path:
-    """A twin's folder with a model and an ``excitation:``."""
+    """Write a model and a ``twin.yaml`` with the section ``excitation:``."""
     (folder / name).write_text(model)
     text = yaml.safe_dump({"model": name, "excitation": section}, sort_keys=False)
     (folder / "twin.yaml").write_text(text)
@@ -79,15 +79,15 @@ def write_twin(folder: Path, section: Any, model: str = ARM, name: str = "arm.xm
 
 
 def loaded(path: Path) -> tuple[Realization, Twin]:
-    """A twin and its realization."""
+    """The realization of a twin, and the twin."""
     twin = load_twin(path)
     return load(twin.realizations["mujoco"].file, twin=twin), twin
 
 
 def write_drawn(folder: Path, robot: DrawnRobot, seed: int) -> Path:
-    """A drawn serial robot with strong drives, and random approved limits within its own.
+    """Write a random serial robot with strong drives and random approved limits within its own.
 
-    Pairs of links that overlap at the start, as drawn ones do, may touch.
+    Pairs of links that overlap at the start are excluded from the clearance.
     """
     random = np.random.default_rng(seed)
     robot = replace(
@@ -118,12 +118,12 @@ def write_drawn(folder: Path, robot: DrawnRobot, seed: int) -> Path:
     path = write_twin(folder, section, robot.urdf, "drawn.urdf")
     if enabled_pairs(realization):
         section["clearance"] = clearance
-        clearance["ignore"] = _overlapping(path, section)
+        clearance["ignore"] = _overlapping_pairs(path, section)
         path = write_twin(folder, section, robot.urdf, "drawn.urdf")
     return path
 
 
-def _overlapping(path: Path, section: dict[str, Any]) -> list[list[str]]:
+def _overlapping_pairs(path: Path, section: dict[str, Any]) -> list[list[str]]:
     from pytest_twin.excitation.reading import read_approved
 
     wide = {**section, "clearance": {"self": 0.1, "environment": 0.1}}
@@ -133,7 +133,9 @@ def _overlapping(path: Path, section: dict[str, Any]) -> list[list[str]]:
     return [list(one.pair) for one in Surroundings(realization, approved).too_near(approved.start)]
 
 
-def touching(realization: Realization, positions: dict[str, np.ndarray]) -> set[frozenset[str]]:
+def pairs_in_contact(
+    realization: Realization, positions: dict[str, np.ndarray]
+) -> set[frozenset[str]]:
     """Pairs of bodies in contact at any of the poses, as MuJoCo's own collision detection says.
 
     Args:

@@ -1,4 +1,4 @@
-"""One excitation of the planar arm, which several files look at."""
+"""One excitation of the planar arm, shared by several test files."""
 
 from __future__ import annotations
 

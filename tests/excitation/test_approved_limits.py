@@ -1,4 +1,4 @@
-"""What a person has to approve: nothing is made up, and what cannot be is refused in words."""
+"""Limits that a person has to approve: missing and impossible ones are refused with a reason."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pytest_twin.excitation.reading import read_approved
 JOINTS = ("lift", "elbow")
 
 
-def changed(field: str, value: Any) -> dict[str, Any]:
-    """What is approved for the arm, with one dotted field set, or taken out where it is None."""
+def changed_limits(field: str, value: Any) -> dict[str, Any]:
+    """The approved limits of the arm with one field changed, or removed if the value is None."""
     section = approved_for_arm()
     at: Any = section
     *tables, last = field.split(".")
@@ -42,21 +42,24 @@ def changed(field: str, value: Any) -> dict[str, Any]:
         "supply.voltage", "supply.current", "stop.category", "stop.reaction", "stop.plan",
     ],
 )  # fmt: skip
-def test_each_line_that_is_missing_is_named(field: str) -> None:
+def test_each_missing_limit_is_reported(field: str) -> None:
     assert missing_lines(approved_for_arm(), JOINTS) == []
-    assert missing_lines(changed(field, None), JOINTS) == [field]
+    assert missing_lines(changed_limits(field, None), JOINTS) == [field]
 
 
-def test_a_whole_joint_and_an_empty_line_count_as_missing() -> None:
+def test_the_limits_of_a_missing_joint_and_incomplete_limits_are_reported() -> None:
     lines = [f"joints.elbow.{n}" for n in ("position", "velocity", "acceleration", "effort")]
-    assert missing_lines(changed("joints.elbow", None), JOINTS) == [*lines, "joints.elbow.start"]
+    assert missing_lines(changed_limits("joints.elbow", None), JOINTS) == [
+        *lines,
+        "joints.elbow.start",
+    ]
     section = approved_for_arm()
     section["joints"]["lift"]["position"] = [None, 1.0]
     assert missing_lines(section, JOINTS) == ["joints.lift.position"]
 
 
-def test_a_joint_that_is_held_needs_no_limits(tmp_path: Path) -> None:
-    section = changed("joints.elbow", None)
+def test_a_joint_held_still_needs_no_limits(tmp_path: Path) -> None:
+    section = changed_limits("joints.elbow", None)
     section["hold"] = ["elbow"]
     assert missing_lines(section, JOINTS) == []
     realization, twin = loaded(write_twin(tmp_path, section))
@@ -70,25 +73,25 @@ def test_without_limits_the_command_prints_a_template_and_writes_nothing(
     model.write_text(ARM)
     out = tmp_path / "out"
     assert cli.main(["excite", str(model), "--out", str(out)]) == 2
-    said, err = capsys.readouterr()
+    words, err = capsys.readouterr()
     (line,) = err.splitlines()
     assert "no motion without approved limits; missing: excitation.approved_by" in line
     assert "excitation.joints.elbow.effort" in line
     assert not out.exists()
-    blank = yaml.safe_load(said)
+    blank = yaml.safe_load(words)
     assert blank["model"] == "arm.xml"
     assert set(blank["excitation"]["joints"]) == {"lift", "elbow"}
     assert blank["excitation"]["joints"]["lift"] == dict.fromkeys(
         ("position", "velocity", "acceleration", "effort", "start")
     )
-    assert re.search(r"position: +# rad, .*the model: -2 to 2", said)
+    assert re.search(r"position: +# rad, .*the model: -2 to 2", words)
 
 
-def test_a_filled_template_is_complete(tmp_path: Path) -> None:
+def test_a_template_is_complete_once_it_is_filled_in(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM)
     text = missing_template(str(tmp_path / "arm.xml"))["template"]
     (tmp_path / "twin.yaml").write_text(text)
-    # An unfilled template is still a twin that every other command can use.
+    # A twin with an unfilled template can still be loaded.
     realization, twin = loaded(tmp_path / "twin.yaml")
     with pytest.raises(TwinError, match=r"missing: excitation\.approved_by"):
         read_approved(realization, twin)
@@ -125,16 +128,16 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("field", "value", "problem", "details"), REFUSED)
-def test_what_cannot_be_is_refused_with_its_line(
+def test_impossible_limits_are_refused_with_line_and_reason(
     tmp_path: Path, field: str, value: Any, problem: str, details: str
 ) -> None:
-    realization, twin = loaded(write_twin(tmp_path, changed(field, value)))
+    realization, twin = loaded(write_twin(tmp_path, changed_limits(field, value)))
     with pytest.raises(TwinError) as caught:
         read_approved(realization, twin)
-    said = str(caught.value)
-    assert re.search(rf"twin\.yaml:\d+: excitation\.{re.escape(field.rpartition('.')[0])}", said)
-    assert problem in said
-    assert details in said
+    words = str(caught.value)
+    assert re.search(rf"twin\.yaml:\d+: excitation\.{re.escape(field.rpartition('.')[0])}", words)
+    assert problem in words
+    assert details in words
 
 
 @pytest.mark.parametrize(
@@ -145,29 +148,29 @@ def test_what_cannot_be_is_refused_with_its_line(
         ("joints.lift.effort_noise", 0), ("margin", 1.5),
     ],
 )  # fmt: skip
-def test_the_schema_refuses_other_values(tmp_path: Path, field: str, value: Any) -> None:
+def test_the_schema_refuses_invalid_values(tmp_path: Path, field: str, value: Any) -> None:
     with pytest.raises(TwinError, match=r"twin\.yaml:\d+: excitation"):
-        loaded(write_twin(tmp_path, changed(field, value)))
+        loaded(write_twin(tmp_path, changed_limits(field, value)))
 
 
-def test_a_start_that_touches_something_names_the_pair(tmp_path: Path) -> None:
+def test_a_start_pose_with_too_little_clearance_is_refused_with_the_pairs(tmp_path: Path) -> None:
     section = approved_for_arm(clearance={"self": 0.01, "environment": 0.5})
     realization, twin = loaded(write_twin(tmp_path, section))
     with pytest.raises(TwinError) as caught:
         excite(realization, twin)
-    said = str(caught.value)
-    assert "the start is not clear: lower and world 0.4257 m" in said
-    assert "upper and world 0.47 m (least 0.525 m)" in said
-    assert "clearance.ignore" in said
+    words = str(caught.value)
+    assert "the start is not clear: lower and world 0.4257 m" in words
+    assert "upper and world 0.47 m (least 0.525 m)" in words
+    assert "clearance.ignore" in words
 
 
-def test_a_start_that_gravity_pulls_down_is_refused(tmp_path: Path) -> None:
-    realization, twin = loaded(write_twin(tmp_path, changed("joints.lift.effort", 1.0)))
+def test_a_start_pose_with_too_large_gravity_torque_is_refused(tmp_path: Path) -> None:
+    realization, twin = loaded(write_twin(tmp_path, changed_limits("joints.lift.effort", 1.0)))
     with pytest.raises(TwinError, match="gravity alone needs more at the start"):
         excite(realization, twin)
 
 
-def test_a_model_without_shapes_needs_a_word_about_it(tmp_path: Path) -> None:
+def test_a_model_without_collision_shapes_needs_clearance_none(tmp_path: Path) -> None:
     bare = ARM.replace('size=".03"', 'size=".03" contype="0" conaffinity="0"')
     bare = bare.replace('<geom name="floor"', '<geom name="floor" contype="0" conaffinity="0"')
     section = approved_for_arm()

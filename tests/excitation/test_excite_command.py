@@ -1,4 +1,4 @@
-"""``pytest-twin excite`` from twin.yaml to files, exit status and words."""
+"""Command ``pytest-twin excite``: written files, exit status and messages."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from pytest_twin.formats.schema import load_schema
 from pytest_twin.report import excitation as page
 
 
-def valid(document: dict[str, Any]) -> bool:
+def is_valid(document: dict[str, Any]) -> bool:
     schema = load_schema("results/excite.schema.json")
     jsonschema.validate(document, schema)
     return set(document) <= set(schema["properties"])
 
 
-def test_a_run_writes_files_report_and_abort_criteria(
+def test_excite_writes_motions_report_and_abort_criteria(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = write_twin(tmp_path, approved_for_arm(mechanisms=["delay"]))
     out = tmp_path / "out"
     assert cli.main(["excite", str(twin), "--out", str(out), "--json", "-"]) == 0
-    said, words = capsys.readouterr()
-    document = json.loads(said)
+    stdout, words = capsys.readouterr()
+    document = json.loads(stdout)
     assert document == json.loads((out / "excitation.json").read_text())
-    assert valid(document)
+    assert is_valid(document)
     assert document["verdict"] == "identifiable"
     for one in document["trajectories"]:
         assert all((out / name).is_file() for name in one["files"])
@@ -45,9 +45,7 @@ def test_a_run_writes_files_report_and_abort_criteria(
     assert "never sends a command to a robot" in (out / "excitation.html").read_text()
 
 
-def test_what_is_not_safe_is_not_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unsafe_motions_are_not_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     section = approved_for_arm(mechanisms=["delay"], supply={"voltage": 0.01, "current": 0.01})
     twin = write_twin(tmp_path, section)
     out = tmp_path / "out"
@@ -60,13 +58,13 @@ def test_what_is_not_safe_is_not_written(
     assert "limit 0.0001 W" in words
     assert "! not identifiable: delay: no safe trajectory identifies it" in words
     document = json.loads((out / "excitation.json").read_text())
-    assert valid(document)
+    assert is_valid(document)
     assert document["verdict"] == "not_identifiable"
     assert document["trajectories"] == []
     assert not earlier.exists()
 
 
-def test_the_page_shows_every_motion(excited: Excited) -> None:
+def test_the_page_shows_every_motion_and_escapes_markup(excited: Excited) -> None:
     few = excited.document["trajectories"][:2] + excited.document["trajectories"][-1:]
     document = {**excited.document, "trajectories": few}
     drawn = {

@@ -1,4 +1,4 @@
-"""Predicted deviations agree with what identification scatters by over simulated noise."""
+"""Predicted standard deviations agree with the scatter of estimates over simulated noise."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def motion_of(found: Excitation, name: str) -> Safe:
     return next(one for one in found.safe if one.motion.name == name)
 
 
-def test_scatter_of_base_parameters_over_noise_is_as_predicted(found: Excitation) -> None:
+def test_the_scatter_of_base_parameters_agrees_with_the_prediction(found: Excitation) -> None:
     motion = motion_of(found, "fourier_fit").motion
     matrix = found.base.matrix(
         found.regressor.matrix(motion.position, motion.velocity, motion.acceleration)
@@ -40,31 +40,31 @@ def test_scatter_of_base_parameters_over_noise_is_as_predicted(found: Excitation
     efforts = (stacked @ truth)[:, None] + noise
     solved = np.linalg.lstsq(stacked * weights[:, None], efforts * weights[:, None], rcond=None)[0]
     std = np.array([predicted[name].std for name in found.base.names])
-    # The deviation of a deviation of 400 runs is 3.5 %.
+    # The relative error of a standard deviation from 400 runs is 3.5 %.
     assert np.abs(solved.std(axis=1) / std - 1.0).max() < 0.15
     inside = np.abs(solved - truth[:, None]) <= 1.96 * std[:, None]
     assert 0.93 < inside.mean() < 0.97
 
 
-def test_scatter_of_a_delay_over_noise_is_as_predicted(found: Excitation) -> None:
+def test_the_scatter_of_a_delay_agrees_with_the_prediction(found: Excitation) -> None:
     one = motion_of(found, "steps_lift_fit")
     position, time = one.response.position[:, 0], one.motion.time
     speed = one.response.velocity[:, 0]
     predicted = delay([one.response], 0, found.approved, found.noise)
     random = np.random.default_rng(5)
     measured = position + found.noise.position[0] * random.standard_normal((_RUNS, len(time)))
-    # Least squares of a small delay: measured = position - delay * speed.
+    # Least-squares estimate of a small delay: measured = position - delay * speed.
     delays = -(measured - position) @ speed / (speed @ speed)
     assert delays.std() / predicted.std == pytest.approx(1.0, abs=0.12)
 
 
-def test_optimal_motion_tells_more_than_random_ones(found: Excitation) -> None:
+def test_the_optimal_motion_is_more_informative_than_random_ones(found: Excitation) -> None:
     design = Design(found.approved, found.regressor, found.base, found.noise.effort)
     best = motion_of(found, "fourier_fit").motion.settings["log_det"]
     assert best > max(design.log_det(design.random(seed)) for seed in range(20))
 
 
-def test_twice_the_noise_is_twice_the_deviation(found: Excitation) -> None:
+def test_the_predicted_deviation_is_proportional_to_the_noise(found: Excitation) -> None:
     motion = motion_of(found, "fourier_fit").motion
     louder = replace(found.noise, effort=2.0 * found.noise.effort)
     before, after = (
@@ -75,7 +75,7 @@ def test_twice_the_noise_is_twice_the_deviation(found: Excitation) -> None:
     assert ratios == pytest.approx([2.0] * len(ratios))
 
 
-def test_poses_at_rest_are_reached_from_both_sides(found: Excitation) -> None:
+def test_poses_at_rest_are_approached_from_both_directions(found: Excitation) -> None:
     motion = motion_of(found, "grid_fit").motion
     still = at_rest(motion, found.approved.rate)
     assert len(still) > 50
@@ -83,11 +83,11 @@ def test_poses_at_rest_are_reached_from_both_sides(found: Excitation) -> None:
     dwells = np.split(still, np.flatnonzero(np.diff(still) > 1) + 1)[1:-1]
     before = [motion.velocity[d[0] - 1 - round(0.1 * found.approved.rate) - 1] for d in dwells]
     signs = np.sign(np.array(before))
-    # Up and down take turns, in every joint.
+    # The direction alternates in every joint.
     assert np.all(signs[0::2][:-1] == -signs[1::2][: len(signs[0::2][:-1])])
 
 
-def test_a_joint_that_may_hardly_move_is_not_identifiable(
+def test_a_joint_with_very_small_limits_is_not_identifiable(
     tmp_path: Path, found: Excitation
 ) -> None:
     assert all(one.is_identifiable for one in found.predicted)

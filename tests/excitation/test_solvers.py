@@ -1,4 +1,4 @@
-"""The D-optimal series by each solver: within the limits, and equally informative."""
+"""D-optimal Fourier series from each solver: within the limits, and equally informative."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from pytest_twin.identification.regressor.regressor import Regressor
 
 
 def designs(twin: Path) -> tuple[Approved, int, dict[str, Design]]:
-    """What is approved, number of base parameters, and for each solver the series' design."""
+    """The approved limits, the number of base parameters, and the design problem per solver."""
     realization, read = loaded(twin)
     approved = read_approved(realization, read)
     regressor = Regressor(realization, approved.names)
@@ -46,7 +46,9 @@ def designs(twin: Path) -> tuple[Approved, int, dict[str, Design]]:
     )
 
 
-def test_ipopt_keeps_the_limits_and_is_as_informative_as_scipy(tmp_path: Path) -> None:
+def test_motions_from_ipopt_keep_the_limits_and_are_as_informative_as_those_from_scipy(
+    tmp_path: Path,
+) -> None:
     pytest.importorskip("casadi")
     twin = write_twin(tmp_path, approved_for_arm(mechanisms=["inertia"]))
     approved, parameters, found = designs(twin)
@@ -61,14 +63,12 @@ def test_ipopt_keeps_the_limits_and_is_as_informative_as_scipy(tmp_path: Path) -
         assert np.all(np.abs(drawn.acceleration) <= approved.acceleration * (1.0 + 1e-9))
         assert optimum.log_det > max(design.log_det(design.random(seed)) for seed in range(20))
         log_det[solver] = optimum.log_det
-    # D-efficiency: the determinant's root by the number of parameters.
+    # D-efficiency: the n-th root of the determinant, where n is the number of parameters.
     gained = log_det["ipopt"] - log_det["scipy"]
     assert math.exp(gained / parameters) >= 0.95
 
 
-def test_the_command_designs_by_the_solver_that_it_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_uses_the_given_solver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("casadi")
     monkeypatch.setattr("pytest_twin.commands.excite.Sandbox", InProcess)
     small = approved_for_arm(
@@ -94,7 +94,7 @@ def test_the_command_designs_by_the_solver_that_it_is_told(
     assert motion["settings"]["log_det"] != pytest.approx(reached["scipy"], rel=1e-9)
 
 
-def test_an_error_of_the_objective_is_raised_and_not_taken_for_a_long_step() -> None:
+def test_ipopt_raises_errors_of_the_objective() -> None:
     pytest.importorskip("casadi")
 
     def objective(free: np.ndarray) -> tuple[float, np.ndarray]:
@@ -106,7 +106,7 @@ def test_an_error_of_the_objective_is_raised_and_not_taken_for_a_long_step() -> 
         minimizer("ipopt")(objective, np.array([3.0, 1.0]), 50, 1e-9)
 
 
-def test_ipopt_finds_the_minimum_of_a_narrow_valley() -> None:
+def test_ipopt_finds_the_minimum_of_the_rosenbrock_function() -> None:
     pytest.importorskip("casadi")
 
     def rosenbrock(free: np.ndarray) -> tuple[float, np.ndarray]:
@@ -119,7 +119,7 @@ def test_ipopt_finds_the_minimum_of_a_narrow_valley() -> None:
     assert found == pytest.approx([1.0, 1.0], abs=1e-4)
 
 
-def test_without_casadi_the_command_to_install_it_is_named(
+def test_without_casadi_the_error_gives_the_command_to_install_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
@@ -127,6 +127,6 @@ def test_without_casadi_the_command_to_install_it_is_named(
     path = write_twin(tmp_path, approved_for_arm(mechanisms=["inertia"]))
     with pytest.raises(SpecError) as caught:
         excite(*loaded(path), solver="ipopt")
-    said = str(caught.value)
-    assert "casadi, which is not installed" in said
-    assert "pip install 'pytest-twin[ipopt]'" in said
+    message = str(caught.value)
+    assert "casadi, which is not installed" in message
+    assert "pip install 'pytest-twin[ipopt]'" in message

@@ -1,4 +1,4 @@
-"""Every motion that is written keeps all limits, evaluated from its files alone."""
+"""Written motions keep all limits; the tests compute this from the written files only."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from approved_arms import Excited, approved_for_arm, loaded, touching, write_drawn, write_twin
+from approved_arms import (
+    Excited,
+    approved_for_arm,
+    loaded,
+    pairs_in_contact,
+    write_drawn,
+    write_twin,
+)
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
@@ -30,7 +37,7 @@ def read_csv(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return values[:, 0], {joint: values[:, at + 1] for at, joint in enumerate(joints)}
 
 
-def written(document: dict[str, Any], out: Path, suffix: str) -> list[Path]:
+def written_files(document: dict[str, Any], out: Path, suffix: str) -> list[Path]:
     return [
         out / name
         for one in document["trajectories"]
@@ -39,8 +46,8 @@ def written(document: dict[str, Any], out: Path, suffix: str) -> list[Path]:
     ]
 
 
-def breaks(path: Path, section: dict[str, Any]) -> list[str]:
-    """What a CSV breaks of what was approved, by differences of its numbers."""
+def violations(path: Path, section: dict[str, Any]) -> list[str]:
+    """Approved limits that the commands of a CSV file violate, by finite differences."""
     time, positions = read_csv(path)
     found = []
     steps = np.diff(time)
@@ -68,25 +75,27 @@ def breaks(path: Path, section: dict[str, Any]) -> list[str]:
     return found
 
 
-def test_commands_of_an_arm_keep_the_limits(excited: Excited) -> None:
-    files = written(excited.document, excited.folder / "out", ".csv")
+def test_all_motions_of_an_arm_keep_the_limits(excited: Excited) -> None:
+    files = written_files(excited.document, excited.folder / "out", ".csv")
     assert len(files) == len(excited.document["trajectories"]) == 16
-    assert {file.name: breaks(file, approved_for_arm()) for file in files} == {
+    assert {file.name: violations(file, approved_for_arm()) for file in files} == {
         file.name: [] for file in files
     }
 
 
-def test_the_check_of_the_test_sees_a_broken_limit(excited: Excited) -> None:
+def test_violations_of_limits_are_found_by_this_check(excited: Excited) -> None:
     section = approved_for_arm()
     for key in ("velocity", "acceleration"):
         section["joints"]["lift"][key] /= 3.0
     file = next(
-        f for f in written(excited.document, excited.folder / "out", ".csv") if "fourier" in f.name
+        f
+        for f in written_files(excited.document, excited.folder / "out", ".csv")
+        if "fourier" in f.name
     )
-    assert {"lift: velocity", "lift: acceleration"} <= set(breaks(file, section))
+    assert {"lift: velocity", "lift: acceleration"} <= set(violations(file, section))
 
 
-def test_all_forms_hold_the_same_commands(excited: Excited) -> None:
+def test_all_file_formats_have_the_same_commands(excited: Excited) -> None:
     out = excited.folder / "out"
     for one in excited.document["trajectories"][:6]:
         table, mcap, trajectory = (out / name for name in one["files"])
@@ -111,8 +120,8 @@ def test_all_forms_hold_the_same_commands(excited: Excited) -> None:
         assert np.abs(speed - differences)[1:-1].max() < 0.12
 
 
-def test_recordings_say_what_they_are_for(excited: Excited) -> None:
-    for file in written(excited.document, excited.folder / "out", ".mcap"):
+def test_mcap_files_state_their_role(excited: Excited) -> None:
+    for file in written_files(excited.document, excited.folder / "out", ".mcap"):
         metadata = read_recording(file).metadata
         role = "held_out" if "held_out" in file.name else "fit"
         assert metadata["role"] == role
@@ -120,33 +129,35 @@ def test_recordings_say_what_they_are_for(excited: Excited) -> None:
 
 
 def test_fit_and_held_out_motions_differ(excited: Excited) -> None:
-    by_name = {f.stem: f for f in written(excited.document, excited.folder / "out", ".csv")}
+    by_name = {f.stem: f for f in written_files(excited.document, excited.folder / "out", ".csv")}
     for name, file in by_name.items():
         if name.endswith("_fit"):
             other = by_name[name.removesuffix("_fit") + "_held_out"]
             assert file.read_bytes() != other.read_bytes()
 
 
-def test_one_seed_gives_one_excitation(tmp_path: Path) -> None:
+def test_the_excitation_is_reproducible_for_a_seed(tmp_path: Path) -> None:
     path = write_twin(tmp_path, approved_for_arm(mechanisms=["delay", "gravity"]))
     texts = []
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         found = excite_file(str(path), str(tmp_path / name), 3)
-        texts.append([f.read_bytes() for f in written(found["document"], tmp_path / name, "")])
+        texts.append(
+            [f.read_bytes() for f in written_files(found["document"], tmp_path / name, "")]
+        )
     assert texts[0] == texts[1]
 
 
-def test_limits_and_commands_are_what_the_encoders_read(tmp_path: Path) -> None:
+def test_limits_and_commands_are_in_encoder_coordinates(tmp_path: Path) -> None:
     section = approved_for_arm(mechanisms=["delay", "gravity"])
     path = write_twin(tmp_path, section)
     with path.open("a") as stream:
         stream.write("calibration: {id: c, joints: {lift: {sign: -1, offset: 0.5}}}\n")
     (tmp_path / "out").mkdir()
     found = excite_file(str(path), str(tmp_path / "out"), 1)
-    files = written(found["document"], tmp_path / "out", ".csv")
+    files = written_files(found["document"], tmp_path / "out", ".csv")
     assert len(files) == 6
-    assert [breaks(file, section) for file in files] == [[]] * 6
+    assert [violations(file, section) for file in files] == [[]] * 6
     outside = found["abort"]["abort_when"]["joints"]["lift"]["position_outside"]
     assert outside == pytest.approx([-1.2, 1.2])
 
@@ -162,7 +173,7 @@ def test_limits_and_commands_are_what_the_encoders_read(tmp_path: Path) -> None:
     robot=robots(links=(2, 4), kinds=MOVING, branching=False, mimics=False, meshes=False),
     seed=st.integers(0, 1000),
 )
-def test_motions_of_drawn_robots_keep_limits_and_touch_nothing(robot: Any, seed: int) -> None:
+def test_motions_of_random_robots_keep_limits_and_cause_no_contact(robot: Any, seed: int) -> None:
     with tempfile.TemporaryDirectory() as name:
         path = write_drawn(Path(name), robot, seed)
         section = yaml.safe_load(path.read_text())["excitation"]
@@ -172,13 +183,13 @@ def test_motions_of_drawn_robots_keep_limits_and_touch_nothing(robot: Any, seed:
         assert document["trajectories"]
         realization, _ = loaded(path)
         clearance = section["clearance"]
-        # A base and the link that turns on it overlap where the joint is.
+        # The base and the first link overlap at their joint.
         allowed = {frozenset({"link0", "link1"})}
         if clearance != "none":
             allowed |= {frozenset(pair) for pair in clearance["ignore"]}
-        for file in written(document, out, ".csv"):
-            assert breaks(file, section) == [], file.name
+        for file in written_files(document, out, ".csv"):
+            assert violations(file, section) == [], file.name
             _, positions = read_csv(file)
             few = {joint: values[::5] for joint, values in positions.items()}
             if clearance != "none":
-                assert touching(realization, few) <= allowed, file.name
+                assert pairs_in_contact(realization, few) <= allowed, file.name

@@ -1,4 +1,4 @@
-"""An arm with known spread of its parameters: twins, records, and recordings of true robots."""
+"""An arm with a known distribution of its parameters: twins, records and simulated recordings."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ STD = np.array([0.25, 0.08, 0.02, 0.12, 0.05, 0.01, 0.006, 0.002])
 
 
 def covariance(scale: float = 1.0, correlation: float = -0.6) -> np.ndarray:
-    """Viscous and Coulomb friction of a joint, and moment and inertia of the link, go together."""
+    """Correlated pairs: viscous and Coulomb friction of each joint, first moment and inertia."""
     matrix = np.eye(len(NAMES))
     for a, b, rho in ((0, 1, correlation), (3, 4, correlation), (6, 7, 0.8)):
         matrix[a, b] = matrix[b, a] = rho
@@ -84,7 +84,7 @@ def make_twin(
     more: str = "",
     arm: str = ARM,
 ) -> Path:
-    """A twin with these records; its ``twin.yaml``."""
+    """Write a twin with these records and return the path of its ``twin.yaml``."""
     folder.mkdir(exist_ok=True)
     (folder / "arm.xml").write_text(arm)
     text = "model: arm.xml\ncommand_between: held\n"
@@ -98,7 +98,7 @@ def make_twin(
 
 
 def true_arm(values: np.ndarray) -> mujoco.MjModel:
-    """The arm with these values of ``NAMES``; mass stays, so that the moment moves the centre."""
+    """The arm with these values of ``NAMES``; with constant mass, the moment shifts the centre."""
     model = mujoco.MjModel.from_xml_string(ARM)
     for joint in range(2):
         for k, field in enumerate(FIELDS):
@@ -120,10 +120,10 @@ def record_motion(
     role: str | None = "final",
     bias: float = 0.0,
 ) -> Path:
-    """A recording of a robot under a random smooth command.
+    """Write a recording of a simulated robot under a random smooth command.
 
     Args:
-        bias: N*m that pushes the elbow all the time, of which the model knows nothing.
+        bias: constant torque on the elbow, N*m, that the twin does not model.
     """  # fmt: skip
     data = mujoco.MjData(model)
     every = round(1.0 / RATE / model.opt.timestep)

@@ -1,4 +1,4 @@
-"""Ranges that somebody gave, beside what was measured."""
+"""Comparison of given randomization ranges with the measured ones."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ class Events:
 """
 
 
-def against(folder: Path, given: Path, more: str = "") -> dict[str, Any]:
+def comparison(folder: Path, given: Path, more: str = "") -> dict[str, Any]:
     twin = make_twin(folder, [record(covariance())], more)
     found = ranges_of_file(str(twin), {"against": str(given)})["against"]
     assert isinstance(found, dict)
     return {**found, "by": {one["parameter"]: one for one in found["entries"]}}
 
 
-def test_events_of_isaac_lab_are_read_and_not_run(tmp_path: Path) -> None:
+def test_ranges_are_read_from_isaac_lab_events_without_running_the_file(tmp_path: Path) -> None:
     marker = tmp_path / "marker"
     given = tmp_path / "events.py"
     given.write_text(ISAAC.format(marker=marker))
-    found = against(tmp_path / "twin", given)
+    found = comparison(tmp_path / "twin", given)
     assert not marker.exists()
     assert set(found["by"]) == {"elbow.coulomb_friction", "elbow.viscous_friction", "fore.mass"}
     dry = found["by"]["elbow.coulomb_friction"]
@@ -58,7 +58,9 @@ def test_events_of_isaac_lab_are_read_and_not_run(tmp_path: Path) -> None:
     assert any(line.startswith("elbow.armature, measured 0.03") for line in found["not_given"])
 
 
-def test_what_was_measured_at_40_degrees_is_named(tmp_path: Path) -> None:
+def test_a_measured_value_outside_the_given_range_is_reported_with_its_temperature(
+    tmp_path: Path,
+) -> None:
     folder = tmp_path / "twin"
     folder.mkdir()
     for name, value in (("cold", 0.18), ("warm", 0.32)):
@@ -69,7 +71,7 @@ def test_what_was_measured_at_40_degrees_is_named(tmp_path: Path) -> None:
     more += "  - {file: warm.json, temperature: 40}\n"
     given = tmp_path / "given.yaml"
     given.write_text("elbow.coulomb_friction: [0.15, 0.25]\nelbow.colour: [1, 2]\n")
-    found = against(folder, given, more)
+    found = comparison(folder, given, more)
     words = found["by"]["elbow.coulomb_friction"]["words"]
     assert " % of it, and what was measured at 40 deg C (0.32 N*m)" in words
     assert "at 20 deg C" not in words
@@ -77,21 +79,21 @@ def test_what_was_measured_at_40_degrees_is_named(tmp_path: Path) -> None:
     assert found["not_read"] == ["elbow.colour: nothing measured it"]
 
 
-def test_a_gaussian_and_a_scale_become_ranges(tmp_path: Path) -> None:
+def test_a_gaussian_distribution_of_a_scale_is_converted_to_a_range(tmp_path: Path) -> None:
     given = tmp_path / "events.yaml"
     given.write_text(
         "events:\n  a:\n    func: mjlab.envs.mdp.dr:joint_damping\n    params:\n"
         "      asset_cfg: {joint_names: [elbow]}\n      ranges: [1.0, 0.1]\n"
         "      operation: scale\n      distribution: gaussian\n"
     )
-    (entry,) = against(tmp_path / "twin", given)["entries"]
+    (entry,) = comparison(tmp_path / "twin", given)["entries"]
     assert entry["given"] == pytest.approx([0.5 - 0.098, 0.5 + 0.098], abs=1e-3)
 
 
-def test_its_own_ranges_are_as_wide_as_what_was_measured(tmp_path: Path) -> None:
+def test_the_written_ranges_compare_as_equally_wide(tmp_path: Path) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
     (tmp_path / "ranges.json").write_text(json.dumps(ranges_of_file(str(twin))))
-    found = against(tmp_path, tmp_path / "ranges.json")
+    found = comparison(tmp_path, tmp_path / "ranges.json")
     assert all(one["times"] == pytest.approx(1.0) for one in found["entries"])
     assert found["not_given"] == []
 
@@ -109,9 +111,11 @@ def test_its_own_ranges_are_as_wide_as_what_was_measured(tmp_path: Path) -> None
          "'(a|aa)*b'}}}\n", "a pattern of names that is too complex to evaluate safely"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_compared_is_said(tmp_path: Path, name: str, text: str, words: str) -> None:
+def test_a_file_that_cannot_be_compared_is_refused_with_a_reason(
+    tmp_path: Path, name: str, text: str, words: str
+) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(FormatError) as error:
-        against(tmp_path / "twin", tmp_path / name)
+        comparison(tmp_path / "twin", tmp_path / name)
     assert words in str(error.value)
     assert str(tmp_path / name) in str(error.value)

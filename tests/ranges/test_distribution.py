@@ -1,4 +1,4 @@
-"""Draws: laws, correlation, sources; spread over trials; widening; agreement with the replay."""
+"""Distributions of drawn robots, their sources and widening, and the simulation of the robots."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from pytest_twin.twin import load_twin
 
 
 @pytest.mark.parametrize(("mean", "std"), [(1.0, 0.1), (0.3, 0.3), (-0.2, 0.4), (0.0, 1.0)])
-def test_a_positive_coordinate_has_the_truncated_normal_law(mean: float, std: float) -> None:
+def test_a_positive_coordinate_has_a_truncated_normal_distribution(mean: float, std: float) -> None:
     one = Coordinate("x", "N*m", mean, std, "positive")
     drawn = one.values(np.random.default_rng(0).standard_normal(20_000))
     law = stats.truncnorm(-mean / std, np.inf, loc=mean, scale=std)
@@ -49,7 +49,7 @@ def test_a_positive_coordinate_has_the_truncated_normal_law(mean: float, std: fl
     assert one.interval(0.95) == pytest.approx(law.ppf([0.025, 0.975]), rel=1e-6)
 
 
-def test_the_envelope_holds_the_share_of_further_traces_that_it_states() -> None:
+def test_the_envelope_contains_the_stated_share_of_new_traces() -> None:
     rng = np.random.default_rng(0)
     found = envelope(rng.standard_normal((63, 400, 2)), 0.9)
     assert inside(rng.standard_normal((200, 400, 2)), found).mean() == pytest.approx(0.9, abs=0.005)
@@ -57,7 +57,7 @@ def test_the_envelope_holds_the_share_of_further_traces_that_it_states() -> None
     assert coverage_interval(1.0, 10.0)[0] == pytest.approx(0.025 ** (1 / 10), abs=1e-6)
 
 
-def test_a_robot_at_the_means_moves_as_the_replay_of_the_twin(tmp_path: Path) -> None:
+def test_a_robot_with_mean_parameters_moves_like_the_replay_of_the_twin(tmp_path: Path) -> None:
     twin = load_twin(make_twin(tmp_path, [record(covariance())]))
     record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
     robot = load(twin.first_realization.file, twin=twin)
@@ -71,8 +71,8 @@ def test_a_robot_at_the_means_moves_as_the_replay_of_the_twin(tmp_path: Path) ->
     assert np.abs(traces.robots[0] - replayed).max() < 2e-6
 
 
-def test_a_drawn_robot_moves_as_the_model_with_its_values(tmp_path: Path) -> None:
-    """Of another model, compiled from its own file: mass, centre, inertia, friction, armature."""
+def test_a_drawn_robot_moves_like_a_compiled_model_with_its_values(tmp_path: Path) -> None:
+    """The model is compiled with the drawn mass, centre, inertia, friction and armature."""
     twin = load_twin(make_twin(tmp_path, [record(covariance())]))
     record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
     robot = load(twin.first_realization.file, twin=twin)
@@ -106,7 +106,9 @@ def test_a_drawn_robot_moves_as_the_model_with_its_values(tmp_path: Path) -> Non
     assert np.abs(traces.robots[0] - other).max() > 1e-3
 
 
-def test_spread_over_trials_keeps_friction_with_temperature(tmp_path: Path) -> None:
+def test_the_spread_over_trials_includes_the_correlation_of_friction_and_temperature(
+    tmp_path: Path,
+) -> None:
     rng = np.random.default_rng(2)
     more = "ranges:\n  trials:\n"
     for k in range(8):
@@ -123,14 +125,14 @@ def test_spread_over_trials_keeps_friction_with_temperature(tmp_path: Path) -> N
     assert found.distribution.correlation[friction, temperature] > 0.97
     kinds = [s.kind for s in found.distribution.coordinates[friction].sources]
     assert kinds == ["covariance", "trials"]
-    # Student's t of eight groups, and the spread of 0.01 N*m a degree over 21 degrees.
+    # Student's t for eight groups; friction rises by 0.01 N*m per degree over 21 degrees.
     spread = np.std(0.01 * 3 * np.arange(8), ddof=1)
     factor = stats.t.ppf(0.975, 7) / 1.96 * np.sqrt(1 + 1 / 8)
     assert found.distribution.std[friction] == pytest.approx(spread * factor, rel=0.05)
 
 
-def test_held_out_recordings_widen_the_ranges_and_say_so(tmp_path: Path) -> None:
-    """A record that claims a fifth of the true deviation, and a robot two deviations off."""
+def test_held_out_recordings_widen_too_narrow_ranges(tmp_path: Path) -> None:
+    """The record states a fifth of the true deviation; the robot is two true deviations off."""
     twin = make_twin(tmp_path, [record(covariance(0.2))])
     (tmp_path / "recordings").mkdir()
     rng = np.random.default_rng(4)
@@ -145,7 +147,9 @@ def test_held_out_recordings_widen_the_ranges_and_say_so(tmp_path: Path) -> None
     assert found["verdict"] == "useful"
 
 
-def test_tolerances_add_to_the_record_and_scale_a_whole_body(tmp_path: Path) -> None:
+def test_tolerances_add_to_the_record_and_a_mass_tolerance_scales_the_inertia(
+    tmp_path: Path,
+) -> None:
     more = "ranges:\n  tolerance:\n  - {parameter: elbow.armature, absolute: 0.03}\n"
     more += "  - {parameter: fore.mass, relative: 0.1}\n"
     twin = load_twin(make_twin(tmp_path, [record(covariance(0.01))], more))
@@ -175,7 +179,9 @@ def test_tolerances_add_to_the_record_and_scale_a_whole_body(tmp_path: Path) -> 
         ("{parameter: elbow.command_delay, relative: 0.1}", "a share of a value that is zero"),
     ],
 )
-def test_a_tolerance_of_nothing_is_refused(tmp_path: Path, line: str, words: str) -> None:
+def test_a_tolerance_of_an_unknown_parameter_is_refused(
+    tmp_path: Path, line: str, words: str
+) -> None:
     more = f"ranges:\n  tolerance:\n  - {line}\n"
     twin = load_twin(make_twin(tmp_path, [record(covariance())], more))
     with pytest.raises(Exception, match=words) as error:
@@ -183,10 +189,10 @@ def test_a_tolerance_of_nothing_is_refused(tmp_path: Path, line: str, words: str
     assert "ranges.tolerance.0" in str(error.value)
 
 
-def test_robots_drawn_from_the_record_lie_in_the_envelope_at_the_stated_share(
+def test_recordings_of_robots_drawn_from_the_record_lie_in_the_envelope_at_the_stated_share(
     tmp_path: Path,
 ) -> None:
-    """Robots of MuJoCo's own, each with two final recordings; 95 % stated."""
+    """Independently simulated robots with two final recordings each; the stated share is 95 %."""
     rng = np.random.default_rng(11)
     twin = load_twin(make_twin(tmp_path, [record(covariance())]))
     robot = load(twin.first_realization.file, twin=twin)
@@ -201,6 +207,6 @@ def test_robots_drawn_from_the_record_lie_in_the_envelope_at_the_stated_share(
         noise = dict.fromkeys(("shoulder", "elbow"), NOISE)
         envelopes = predicted(fleet.simulate(final, draws), noise, 0.95, 0)
         coverages.append(assessed(envelopes, 0.95)["coverage"])
-        # Every step of every robot counts, and no other.
+        # The number of simulated steps is that of all robots together.
         assert fleet.steps == pytest.approx(2 * 64 * 1.5 / TIMESTEP, rel=0.01)
     assert 0.90 <= np.mean(coverages) <= 0.99, coverages

@@ -1,4 +1,4 @@
-"""Recordings with the role ``final`` guide nothing."""
+"""Recordings with the role ``final`` are used only for the final check."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ def recordings(tmp_path: Path) -> list[Path]:
     ]
 
 
-def test_a_diagnosis_leaves_them_out_and_says_so(recordings: list[Path]) -> None:
+def test_a_diagnosis_leaves_final_recordings_out_with_a_note(recordings: list[Path]) -> None:
     structure = load(recordings[0].parent / "arm.xml").structure
     found = read_trials(recordings, [], DEFAULT_TOPICS, structure)
     assert {t.path.name for t in (*found.fit, *found.held_out)} == {"a.mcap", "b.mcap"}
-    (said,) = [note for note in found.notes if "c.mcap" in note]
-    assert said.startswith("left out: ")
-    assert WORDS.format("a diagnosis") in said
+    (note_text,) = [note for note in found.notes if "c.mcap" in note]
+    assert note_text.startswith("left out: ")
+    assert WORDS.format("a diagnosis") in note_text
     with pytest.raises(RecordingError, match="a final recording guides nothing"):
         read_trials(recordings[2:], [], DEFAULT_TOPICS, structure)
 
 
-def test_an_identification_leaves_them_out_even_where_they_are_named_as_held_out(
+def test_an_identification_leaves_final_recordings_out_even_as_held_out(
     recordings: list[Path],
 ) -> None:
     robot = load(recordings[0].parent / "arm.xml")
@@ -62,7 +62,7 @@ def test_an_identification_leaves_them_out_even_where_they_are_named_as_held_out
     assert any(WORDS.format("an identification") in note for note in found.notes)
 
 
-def test_no_golden_replays_them(recordings: list[Path]) -> None:
+def test_a_golden_with_a_final_recording_is_refused(recordings: list[Path]) -> None:
     twin = load_twin(recordings[0].parent / "twin.yaml")
     golden = Golden(
         "golden/replay/final",
@@ -79,13 +79,13 @@ def test_no_golden_replays_them(recordings: list[Path]) -> None:
         recording_of(golden, twin)
 
 
-def test_show_and_replay_still_read_them(recordings: list[Path]) -> None:
+def test_the_replay_command_accepts_a_final_recording(recordings: list[Path]) -> None:
     folder = recordings[0].parent
     out = str(folder / "predicted.mcap")
     assert cli.main(["replay", str(folder / "twin.yaml"), str(recordings[2]), "--out", out]) == 0
 
 
-def test_an_error_budget_refuses_them(
+def test_an_error_budget_refuses_final_recordings(
     recordings: list[Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = recordings[0].parent
@@ -95,7 +95,7 @@ def test_an_error_budget_refuses_them(
     assert WORDS.format("an error budget") in capsys.readouterr().err
 
 
-def test_a_converted_recording_stays_final(recordings: list[Path]) -> None:
+def test_a_converted_final_recording_is_still_final(recordings: list[Path]) -> None:
     out = recordings[0].parent / "converted.mcap"
     assert cli.main(["convert", str(recordings[2]), "--out", str(out)]) == 0
     structure = load(out.parent / "arm.xml").structure
@@ -103,7 +103,7 @@ def test_a_converted_recording_stays_final(recordings: list[Path]) -> None:
         read_trials([out], [], DEFAULT_TOPICS, structure)
 
 
-def test_a_contact_identification_refuses_them(tmp_path: Path) -> None:
+def test_a_contact_identification_refuses_final_recordings(tmp_path: Path) -> None:
     poses = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], (5, 1))
     stamps = 10_000_000 * np.arange(5) + 10**18
     toss = sensor_bags.write(

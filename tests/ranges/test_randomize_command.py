@@ -1,4 +1,4 @@
-"""``pytest-twin randomize``: files, exit status, and the words of errors."""
+"""Command ``pytest-twin randomize``: written files, exit status and error messages."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from pytest_twin.formats.schema import load_schema
 
 @pytest.fixture(autouse=True)
 def in_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One test starts the child process; the others are spared its start."""
+    """Run without a child process to save time, except in one test."""
     if request.function is not test_final_recordings_in_the_folder_are_found_and_checked:
         monkeypatch.setattr(command, "Sandbox", InProcess)
 
 
-def run(twin: Path, status: int, *words: str) -> Path:
+def run_randomize(twin: Path, status: int, *words: str) -> Path:
     out = twin.parent / "out"
     assert cli.main(["randomize", str(twin), "--out", str(out), *words]) == status
     return out
 
 
-def final(twin: Path, values: np.ndarray, name: str = "final.mcap", **changes: Any) -> Path:
+def record_final(twin: Path, values: np.ndarray, name: str = "final.mcap", **changes: Any) -> Path:
     folder = twin.parent / "recordings"
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng(3)
@@ -45,54 +45,54 @@ def test_final_recordings_in_the_folder_are_found_and_checked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
-    final(twin, np.random.default_rng(1).multivariate_normal(MEANS, covariance()))
-    out = run(twin, 0, "--draws", "64")
+    record_final(twin, np.random.default_rng(1).multivariate_normal(MEANS, covariance()))
+    out = run_randomize(twin, 0, "--draws", "64")
     document = json.loads((out / "ranges.json").read_text())
     jsonschema.validate(document, load_schema("results/randomize.schema.json"))
     assert document["check"]["recordings"] == ["final.mcap"]
-    said = capsys.readouterr().out
-    assert "the final recordings lie in the predicted envelope" in said
-    assert "elbow: coverage " in said
+    output = capsys.readouterr().out
+    assert "the final recordings lie in the predicted envelope" in output
+    assert "elbow: coverage " in output
 
 
-def test_without_final_recordings_nothing_is_claimed(
+def test_without_final_recordings_the_verdict_is_not_checked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = run(make_twin(tmp_path, [record(covariance())]), 1)
+    out = run_randomize(make_twin(tmp_path, [record(covariance())]), 1)
     assert json.loads((out / "ranges.json").read_text())["verdict"] == "not_checked"
     assert "to do: record motions of the task that guide nothing" in capsys.readouterr().out
 
 
-def test_a_robot_that_the_ranges_exclude_is_found(
+def test_a_robot_outside_the_ranges_fails_the_check(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
-    final(twin, MEANS, bias=2.0)
-    run(twin, 1, "--draws", "64")
+    record_final(twin, MEANS, bias=2.0)
+    run_randomize(twin, 1, "--draws", "64")
     assert "the final recordings leave the predicted envelope" in capsys.readouterr().out
 
 
-def test_ranges_far_wider_than_the_deviations_are_not_useful(
+def test_ranges_much_wider_than_the_observed_deviations_fail_the_check(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
-    final(twin, MEANS)
-    run(twin, 1, "--draws", "128")
+    record_final(twin, MEANS)
+    run_randomize(twin, 1, "--draws", "128")
     assert "wider than the final recordings need" in capsys.readouterr().out
 
 
-def refused(twin: Path, capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    run(twin, 2, *words)
-    (said,) = capsys.readouterr().err.strip().splitlines()
+def error_line(twin: Path, capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    run_randomize(twin, 2, *words)
+    (output,) = capsys.readouterr().err.strip().splitlines()
     assert not (twin.parent / "out").exists()
-    return said
+    return output
 
 
 def test_a_twin_without_records_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = refused(make_twin(tmp_path, []), capsys)
-    assert "fit: no record says how uncertain this twin is (expected identification.json" in said
+    output = error_line(make_twin(tmp_path, []), capsys)
+    assert "fit: no record says how uncertain this twin is (expected identification.json" in output
 
 
 @pytest.mark.parametrize(
@@ -105,12 +105,12 @@ def test_a_twin_without_records_is_refused(
         (np.zeros((7, 8)), "covariance: not 8 rows"),
     ],
 )
-def test_a_covariance_that_is_none_is_refused(
+def test_an_invalid_covariance_is_refused(
     tmp_path: Path, matrix: np.ndarray, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one = record(covariance())
     one["covariance"]["matrix"] = matrix.tolist()
-    assert words in refused(make_twin(tmp_path, [one]), capsys)
+    assert words in error_line(make_twin(tmp_path, [one]), capsys)
 
 
 def test_a_record_without_covariance_is_refused(
@@ -118,60 +118,60 @@ def test_a_record_without_covariance_is_refused(
 ) -> None:
     one = record(covariance())
     one["covariance"] = {"names": [], "matrix": []}
-    said = refused(make_twin(tmp_path, [one]), capsys)
-    assert "covariance: it holds no covariance (expected a record of pytest-twin identify" in said
+    output = error_line(make_twin(tmp_path, [one]), capsys)
+    assert "covariance: it holds no covariance (expected a record of pytest-twin identify" in output
 
 
-def test_a_singular_covariance_is_none_the_worse(tmp_path: Path) -> None:
+def test_a_singular_covariance_is_accepted(tmp_path: Path) -> None:
     direction = np.sqrt(np.diag(covariance()))
-    out = run(make_twin(tmp_path, [record(np.outer(direction, direction))]), 1)
+    out = run_randomize(make_twin(tmp_path, [record(np.outer(direction, direction))]), 1)
     document = json.loads((out / "ranges.json").read_text())
     assert np.linalg.matrix_rank(np.array(document["correlation"]), tol=1e-9) == 1
 
 
-def test_a_final_recording_that_a_record_was_made_from_is_refused(
+def test_a_final_recording_used_by_a_record_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
-    path = final(twin, MEANS)
+    path = record_final(twin, MEANS)
     from pytest_twin.formats.digest import file_sha256
 
     used = {"fit_7.mcap": {"sha256": file_sha256(path)}}
     make_twin(tmp_path, [record(covariance(), inputs=used)])
-    said = refused(twin, capsys)
-    assert f"{path}: a final recording that guided something: 'fitted' was made from it" in said
+    output = error_line(twin, capsys)
+    assert f"{path}: a final recording that guided something: 'fitted' was made from it" in output
 
 
 def test_a_recording_of_another_role_is_not_final(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
-    path = final(twin, MEANS, role="fit")
-    said = refused(twin, capsys, "--final", str(path))
-    assert "role: its own metadata give it another role than 'final' (got 'fit'" in said
+    path = record_final(twin, MEANS, role="fit")
+    output = error_line(twin, capsys, "--final", str(path))
+    assert "role: its own metadata give it another role than 'final' (got 'fit'" in output
 
 
-def test_more_robots_than_memory_holds_are_refused(
+def test_more_robots_than_fit_in_memory_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
-    final(twin, MEANS)
-    said = refused(twin, capsys, "--draws", "100000000")
-    assert "draws: the traces of so many robots do not fit in memory" in said
+    record_final(twin, MEANS)
+    output = error_line(twin, capsys, "--draws", "100000000")
+    assert "draws: the traces of so many robots do not fit in memory" in output
 
 
-def test_a_held_out_recording_may_be_named_as_final(tmp_path: Path) -> None:
+def test_a_held_out_recording_given_by_the_final_option_counts_as_final(tmp_path: Path) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
-    path = final(twin, MEANS, role="held_out").rename(tmp_path / "named.mcap")
-    out = run(twin, 0, "--final", str(path), "--draws", "64")
+    path = record_final(twin, MEANS, role="held_out").rename(tmp_path / "named.mcap")
+    out = run_randomize(twin, 0, "--final", str(path), "--draws", "64")
     notes = json.loads((out / "ranges.json").read_text())["notes"]
     assert any(note.startswith("named.mcap counts as final, as it is named") for note in notes)
 
 
-def test_a_recording_is_not_final_and_held_out_at_once(
+def test_a_recording_given_as_final_and_held_out_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
-    path = str(final(twin, MEANS, role="held_out"))
-    said = refused(twin, capsys, "--final", path, "--held-out", path)
-    assert "it is held out too, and may widen the ranges" in said
+    path = str(record_final(twin, MEANS, role="held_out"))
+    output = error_line(twin, capsys, "--final", path, "--held-out", path)
+    assert "it is held out too, and may widen the ranges" in output

@@ -1,4 +1,4 @@
-"""The sampler and the configurations that are written beside ``ranges.json``."""
+"""The sampler and the simulator configurations written next to ``ranges.json``."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from pytest_twin.ranges.run import ranges_of_file
 APART = "import sys; sys.modules['pytest_twin'] = sys.modules['scipy'] = None\n"
 
 
-def written(folder: Path, matrix: np.ndarray, more: str = "") -> Path:
-    """``ranges.json`` of the arm and the files beside it."""
+def write_ranges(folder: Path, matrix: np.ndarray, more: str = "") -> Path:
+    """Write ``ranges.json`` of the arm and the files next to it."""
     twin = make_twin(folder, [record(matrix)], more)
     (folder / "ranges.json").write_text(json.dumps(ranges_of_file(str(twin))))
     write_files(folder)
     return folder
 
 
-def sampled(folder: Path, count: int = 10_000) -> dict[str, np.ndarray]:
-    """Robots of the sampler, which runs where neither this package nor scipy can be imported."""
+def sample_robots(folder: Path, count: int = 10_000) -> dict[str, np.ndarray]:
+    """Robots drawn by the sampler in a process that can import neither this package nor scipy."""
     code = APART + (
         "import numpy as np; from sampler import Ranges; ranges = Ranges.load()\n"
         f"robots = ranges.draw({count}, seed=1)\n"
@@ -43,14 +43,14 @@ def sampled(folder: Path, count: int = 10_000) -> dict[str, np.ndarray]:
         return dict(found)
 
 
-def assert_possible(robots: dict[str, np.ndarray]) -> None:
-    """No robot of these that cannot be built."""
+def assert_physically_possible(robots: dict[str, np.ndarray]) -> None:
+    """Parameters are finite and positive, and moments of inertia fulfil the triangle inequality."""
     for name, values in robots.items():
         assert np.isfinite(values).all(), name
         if name.endswith(("friction", "armature", "mass", "delay")):
             assert (values > 0.0).all(), name
         if name.endswith(".inertia"):
-            # Moments about the centre of mass: positive, and none beyond the sum of the others.
+            # Moments about the centre of mass are positive, and none exceeds the sum of the others.
             moments = np.linalg.eigvalsh(values)
             assert (moments > 0.0).all()
             assert (moments[:, 2] <= (moments[:, 0] + moments[:, 1]) * (1.0 + 1e-9)).all()
@@ -60,11 +60,11 @@ def assert_possible(robots: dict[str, np.ndarray]) -> None:
             assert (high <= low + middle).all()
 
 
-def test_no_impossible_robot_among_10_000(tmp_path: Path) -> None:
-    robots = sampled(written(tmp_path, covariance()))
+def test_10_000_drawn_robots_are_physically_possible_and_follow_the_record(tmp_path: Path) -> None:
+    robots = sample_robots(write_ranges(tmp_path, covariance()))
     assert len(robots["fore.mass"]) == 10_000
-    assert_possible(robots)
-    # As far as they say: the friction of the record, with its correlation.
+    assert_physically_possible(robots)
+    # The friction has the mean, deviation and correlation of the record.
     friction = robots["shoulder.viscous_friction"], robots["shoulder.coulomb_friction"]
     assert np.corrcoef(friction)[0, 1] == pytest.approx(-0.6, abs=0.03)
     for at, name in enumerate(NAMES[:6]):
@@ -72,33 +72,37 @@ def test_no_impossible_robot_among_10_000(tmp_path: Path) -> None:
         assert robots[name].std() == pytest.approx(STD[at], rel=0.05)
 
 
-def test_no_impossible_robot_where_deviations_exceed_the_values(tmp_path: Path) -> None:
+def test_drawn_robots_are_physically_possible_even_if_deviations_exceed_the_values(
+    tmp_path: Path,
+) -> None:
     more = "ranges:\n  tolerance:\n  - {parameter: fore.mass, relative: 2}\n"
     more += "  - {parameter: elbow.command_delay, absolute: 0.02}\n"
-    robots = sampled(written(tmp_path, covariance(15.0), more))
+    robots = sample_robots(write_ranges(tmp_path, covariance(15.0), more))
     assert robots["elbow.viscous_friction"].std() > 0.5
     assert np.quantile(robots["fore.mass"], 0.95) > 3.0
-    assert_possible(robots)
+    assert_physically_possible(robots)
 
 
-def test_moment_and_inertia_of_the_link_keep_the_record_s_covariance(tmp_path: Path) -> None:
-    """Base parameters of drawn bodies: through the whole chain of coordinates."""
+def test_first_moment_and_inertia_of_drawn_links_have_the_covariance_of_the_record(
+    tmp_path: Path,
+) -> None:
+    """The base parameters are computed from the mass, centre and inertia of the drawn bodies."""
     small = covariance(0.2)
-    robots = sampled(written(tmp_path, small))
+    robots = sample_robots(write_ranges(tmp_path, small))
     upper, fore = (
         {k: robots[f"{body}.{k}"] for k in ("mass", "com", "inertia")} for body in ("upper", "fore")
     )
     moment = fore["mass"] * fore["com"][:, 0]
     own = fore["inertia"][:, 1, 1] + fore["mass"] * (fore["com"][:, [0, 2]] ** 2).sum(axis=1)
-    # What the second link's mass does to the first joint, the first link takes back.
+    # The first link compensates the effect of the second link's mass on the first joint.
     rest = upper["mass"] * upper["com"][:, 0] + 0.4 * fore["mass"]
     found = np.cov(np.stack([moment, own]))
     assert found == pytest.approx(small[6:, 6:], rel=0.1)
-    # To first order: what is left are squares of a deviation of 1 %.
+    # It compensates to first order; the remainder is quadratic in a deviation of 1 %.
     assert rest.std() < 0.05 * moment.std()
 
 
-def test_the_files_parse_and_import_only_what_they_say(tmp_path: Path) -> None:
+def test_the_written_files_import_only_their_allowed_packages(tmp_path: Path) -> None:
     write_files(tmp_path)
     allowed = {
         "sampler.py": {"numpy"},
@@ -121,8 +125,8 @@ def test_the_files_parse_and_import_only_what_they_say(tmp_path: Path) -> None:
         assert imported - set(sys.stdlib_module_names) == allowed[name]
 
 
-def test_mjx_takes_the_randomization(tmp_path: Path) -> None:
-    """Where MJX is installed: a batch of models, each stepped once."""
+def test_mjx_steps_a_batch_of_randomized_models(tmp_path: Path) -> None:
+    """If MJX is installed, a batch of four models is stepped once."""
     pytest.importorskip("jax")
     pytest.importorskip("mujoco.mjx")
     code = APART + (
@@ -133,5 +137,5 @@ def test_mjx_takes_the_randomization(tmp_path: Path) -> None:
         "step = jax.vmap(lambda m: mjx.step(m, data).qpos, in_axes=(axes,))\n"
         "assert step(batch).shape == (4, 2)\n"
     )
-    folder = written(tmp_path, covariance())
+    folder = write_ranges(tmp_path, covariance())
     subprocess.run([sys.executable, "-c", code], cwd=folder, check=True, timeout=300)
