@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from audit_with import CLEAN, changed, line_of, robots, write_clean
+from audited import CLEAN, changed, line_of, robots, write_clean
 
 from pytest_twin.asset.urdf_elements import ENTRIES
 from pytest_twin.audit.read import read
