@@ -1,4 +1,4 @@
-"""A two-link arm whose parameters are known, and recordings of its effort by MuJoCo."""
+"""A two-link arm with known parameters, and efforts simulated by MuJoCo."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def write_model(folder: Path, name: str = "model.xml", **changes: float) -> Path
     return path
 
 
-def real(folder: Path, **changes: float) -> Realization:
+def true_arm(folder: Path, **changes: float) -> Realization:
     return load(write_model(folder, "real.xml", **{**REAL, **changes}))
 
 
-def record(
+def simulated_effort(
     realization: Realization,
     seed: int,
     seconds: float = 20.0,
@@ -54,7 +54,7 @@ def record(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Time (n,), positions (n, 2) and efforts (n, 2) along a random Fourier series.
 
-    ``about``: mean of the shoulder, rad; at pi / 2 the arm hangs.
+    ``about``: mean angle of the shoulder, rad; at pi / 2 the arm hangs down.
     """
     random = np.random.default_rng(seed)
     time = np.arange(round(seconds * rate)) / rate
@@ -86,7 +86,7 @@ def closed_loop(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Time (n,), measured positions, efforts and position commands (n, 2) of a servo at 200 Hz.
 
-    The encoder's noise (rad) is in the band of the motion, below 3 Hz, and the servo follows it.
+    The encoder noise (rad) lies below 3 Hz, as the motion does, and acts on the servo.
     """
     random = np.random.default_rng(seed)
     tick, inner, stiff, damped = 0.005, 5, np.array([200.0, 67.0]), np.array([20.0, 6.7])

@@ -1,4 +1,4 @@
-"""An arm of three joints with a tool behind its wrist, in MuJoCo and in Pinocchio."""
+"""An arm with three joints and a tool at the wrist, as a MuJoCo and a Pinocchio model."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def pinocchio_arm() -> pin.Model:
     return model
 
 
-def moved(seed: int, seconds: float = 16.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def random_motion(seed: int, seconds: float = 16.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, PERIOD)
     q, v, a = np.zeros((3, len(time), 3))

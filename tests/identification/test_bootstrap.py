@@ -1,4 +1,4 @@
-"""The block bootstrap holds where residuals are correlated and where blocks differ."""
+"""Confidence intervals of the block bootstrap for correlated residuals."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pytest_twin.identification.effort.least_squares import Linear, solve
 TRUE = np.array([2.0, -0.7])
 
 
-def line(seed: int, recordings: int, rows: int, correlated: float) -> Linear:
-    """One joint and two parameters; noise of standard deviation 1, correlated over samples."""
+def linear_problem(seed: int, recordings: int, rows: int, correlated: float) -> Linear:
+    """One joint and two parameters; the noise has unit variance and is correlated in time."""
     random = np.random.default_rng(seed)
     count = recordings * rows
     matrix = np.stack([np.ones(count), np.sin(np.arange(count) / 7.0)], axis=1)[:, None]
@@ -27,18 +27,20 @@ def line(seed: int, recordings: int, rows: int, correlated: float) -> Linear:
 
 @pytest.mark.parametrize(("recordings", "rows"), [(2, 600), (15, 80)])
 @pytest.mark.parametrize("correlated", [0.0, 0.8])
-def test_the_interval_covers_the_truth(recordings: int, rows: int, correlated: float) -> None:
+def test_the_95_percent_interval_contains_the_true_value_in_95_percent_of_runs(
+    recordings: int, rows: int, correlated: float
+) -> None:
     inside = []
     for seed in range(60):
-        problem = line(seed, recordings, rows, correlated)
+        problem = linear_problem(seed, recordings, rows, correlated)
         low, high = bootstrap(problem, solve(problem)).interval.T
         inside.append((low <= TRUE) & (high >= TRUE))
-    # 120 intervals of 95 %: three standard errors are 6 %, and 15 blocks are few.
+    # For 120 intervals three standard errors are 6 %; 15 blocks make the intervals less accurate.
     assert 0.87 <= np.mean(inside) <= 0.995
 
 
-def test_an_interval_that_is_too_narrow_is_named() -> None:
-    problem = line(1, 2, 600, 0.9)
+def test_a_too_narrow_interval_is_reported() -> None:
+    problem = linear_problem(1, 2, 600, 0.9)
     fitted = solve(problem)
     narrow = bootstrap(problem, type(fitted)(**{
         **{name: getattr(fitted, name) for name in fitted.__dataclass_fields__},
@@ -48,6 +50,6 @@ def test_an_interval_that_is_too_narrow_is_named() -> None:
     assert not bootstrap(problem, fitted).wider.any()
 
 
-def test_many_recordings_are_blocks_and_few_are_cut() -> None:
+def test_blocks_are_recordings_or_parts_of_them_if_there_are_few() -> None:
     assert len(np.unique(block_of((50,) * 12))) == 12
     assert len(np.unique(block_of((500, 500)))) == 20

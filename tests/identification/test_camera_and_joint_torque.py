@@ -1,4 +1,4 @@
-"""Cameras that are late, joint torque sensors, and readings that a replay predicts."""
+"""Identification of camera delay and joint torque sensor, and their readings in a replay."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ PERIOD = 0.004
 DELAY, FRAME, LOST = 0.042, 1.0 / 30.0, 0.05
 SCALE, BIAS, SLOW = 1.06, -0.25, 0.008
 DRIVES = "".join(f'<position joint="{j}" kp="80" kv="8"/>' for j in JOINTS)
-# Armature, friction and damping are on the motor's side of a joint torque sensor.
+# Armature, friction and damping act on the motor side and do not load the joint torque sensor.
 DRIVEN = ARM.replace("<joint name", '<joint armature="0.2" damping="0.5" frictionloss="0.3" name')
 DRIVEN = DRIVEN.replace("</mujoco>", f"<actuator>{DRIVES}</actuator></mujoco>")
 
 
 def simulated(seed: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
-    """Commands, positions, velocities and accelerations, one row each 4 ms."""
+    """Commands, positions, velocities and accelerations with a sample period of 4 ms."""
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(DRIVEN)
     data = mujoco.MjData(model)
@@ -65,7 +65,7 @@ def simulated(seed: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
 
 
 def true_load(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Load of the second joint by the links beyond it: Pinocchio's recursion."""
+    """Torque on the second joint from the links it carries, by Pinocchio's inverse dynamics."""
     model = pinocchio_arm()
     tool = pin.Inertia(MASS, COM, INERTIA)
     model.appendBodyToJoint(3, tool, pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0])))
@@ -73,19 +73,19 @@ def true_load(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     return np.array([pin.rnea(model, data, *row)[1] for row in zip(q, v, a, strict=True)])
 
 
-def wrist_turns(q: np.ndarray) -> Rotation:
+def wrist_rotations(q: np.ndarray) -> Rotation:
     return Rotation.from_euler("ZYX", q)
 
 
 def camera_poses(
     time: np.ndarray, q: np.ndarray, on_hand: bool, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps (s) and poses (n, 7) of a target in a late camera."""
+    """Time stamps (s) and poses (n, 7) of a target from a camera with delay."""
     shown = np.arange(time[0] + 0.1, time[-1] - 0.1, FRAME)
     shown = shown[rng.random(len(shown)) > LOST]
     angles = np.column_stack([np.interp(shown, time, column) for column in q.T])
     mounted, placed = Rotation.random(2, rng=rng)
-    seen = placed * wrist_turns(angles) * mounted
+    seen = placed * wrist_rotations(angles) * mounted
     if on_hand:
         seen = seen.inv()
     seen = seen * Rotation.from_rotvec(0.002 * rng.normal(size=(len(shown), 3)))
@@ -93,8 +93,8 @@ def camera_poses(
     return stamps, np.hstack([np.ones((len(shown), 3)), seen.as_quat()])
 
 
-def record(path: Path, seed: int, role: str) -> None:
-    """A bag with commands, states with the sensor's torque as effort, and a late camera."""
+def write_bag(path: Path, seed: int, role: str) -> None:
+    """Write a bag with commands, camera poses, and the sensor's torque as joint effort."""
     rng = np.random.default_rng(50 + seed)
     command, q, v, a = simulated(seed)
     load = true_load(q, v, a)
@@ -105,7 +105,7 @@ def record(path: Path, seed: int, role: str) -> None:
     time = PERIOD * np.arange(len(q))
     stamps, poses = camera_poses(time, q, True, rng)
 
-    def ns(seconds: float) -> int:
+    def nanoseconds(seconds: float) -> int:
         return START + round(1e9 * seconds)
 
     with path.open("wb") as stream:
@@ -119,31 +119,35 @@ def record(path: Path, seed: int, role: str) -> None:
         pose = writer.register_schema(sensor_bags.POSE, "ros2msg", b"")
         camera = writer.register_channel("/camera", "cdr", pose)
         for row, at in enumerate(time):
-            sec, nanosec = divmod(ns(at), 1_000_000_000)
+            sec, nanosec = divmod(nanoseconds(at), 1_000_000_000)
             header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": ""}
-            said = {"header": header, "name": JOINTS}
-            state = {**said, "position": q[row].tolist(), "effort": effort[row].tolist()}
+            header_and_names = {"header": header, "name": JOINTS}
+            state = {
+                **header_and_names,
+                "position": q[row].tolist(),
+                "effort": effort[row].tolist(),
+            }
             for topic, message in (
                 ("/joint_states", state),
-                ("/joint_commands", {**said, "position": command[row].tolist()}),
+                ("/joint_commands", {**header_and_names, "position": command[row].tolist()}),
             ):
                 data = json.dumps(message).encode()
-                writer.add_message(topics[topic], ns(at), data, ns(at))
+                writer.add_message(topics[topic], nanoseconds(at), data, nanoseconds(at))
         for at, values in zip(stamps, poses, strict=True):
-            made = sensor_bags.message(sensor_bags.POSE, ns(at), values)
+            made = sensor_bags.message(sensor_bags.POSE, nanoseconds(at), values)
             data = bytes(sensor_bags.STORE.serialize_cdr(made, sensor_bags.POSE))
-            writer.add_message(camera, ns(at), data, ns(at))
+            writer.add_message(camera, nanoseconds(at), data, nanoseconds(at))
         writer.add_metadata("trial", {"role": role, "command_between": "held"})
         writer.finish()
 
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recordings of an arm, and what ``identify`` made of its two sensors."""
+    """Folder with recordings of an arm and the identification of its two sensors."""
     folder = tmp_path_factory.mktemp("arm")
     (folder / "arm.xml").write_text(DRIVEN)
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
-        record(folder / f"{seed}.mcap", seed, role)
+        write_bag(folder / f"{seed}.mcap", seed, role)
     files = [str(folder / f"{seed}.mcap") for seed in (1, 2, 3)]
     status = cli.main(
         ["identify", str(folder / "arm.xml"), *files, "--out", str(folder / "sensors"),
@@ -157,7 +161,9 @@ def identified(arm: Path) -> dict[str, Any]:
     return json.loads((arm / "sensors/identification.json").read_text())
 
 
-def test_a_joint_torque_sensor_is_found_behind_friction_and_armature(arm: Path) -> None:
+def test_a_joint_torque_sensor_is_identified_despite_friction_and_armature_of_the_drive(
+    arm: Path,
+) -> None:
     found = identified(arm)["parameters"]
     for name, truth in (("scale_torque", SCALE), ("bias_torque", BIAS), ("filter_time", SLOW)):
         one = found[f"elbow.sensor_{name}"]
@@ -167,7 +173,7 @@ def test_a_joint_torque_sensor_is_found_behind_friction_and_armature(arm: Path) 
     assert found["elbow.sensor_filter_time"]["value"] == pytest.approx(SLOW, abs=0.002)
 
 
-def test_a_late_camera_is_found_without_its_calibration(arm: Path) -> None:
+def test_the_delay_of_a_camera_is_identified_without_its_calibration(arm: Path) -> None:
     document = identified(arm)
     delay = document["parameters"]["eye.sensor_delay"]
     assert delay["value"] == pytest.approx(DELAY, abs=0.002)
@@ -181,7 +187,7 @@ def test_a_late_camera_is_found_without_its_calibration(arm: Path) -> None:
     assert held["sensor_rms"]["turn"] < 0.2 * held["sensor_rms_nominal"]["turn"]
 
 
-def test_a_replay_passes_its_motion_through_the_sensors_of_the_twin(arm: Path) -> None:
+def test_a_replay_predicts_the_readings_of_the_identified_sensors(arm: Path) -> None:
     (arm / "twin.yaml").write_text(
         "model: arm.xml\nfit:\n  - {file: sensors/identification.json}\n"
     )
@@ -196,7 +202,7 @@ def test_a_replay_passes_its_motion_through_the_sensors_of_the_twin(arm: Path) -
 
 
 def golden_of(arm: Path, sensors: str, step: float = 0.0) -> tuple[Golden, Realization]:
-    """A replay golden that bounds sensors, in a twin whose encoders have this step."""
+    """A replay golden with tolerances for sensors, in a twin with this encoder resolution."""
     document = identified(arm)
     if step:
         document["encoder_steps"] = dict.fromkeys(JOINTS, step)
@@ -213,20 +219,20 @@ def golden_of(arm: Path, sensors: str, step: float = 0.0) -> tuple[Golden, Reali
     return load_golden(path, twin), load(arm / "arm.xml", twin=twin)
 
 
-def measured(golden: Golden, robot: Realization) -> list[Measure]:
+def measures_of(golden: Golden, robot: Realization) -> list[Measure]:
     check = check_of("replay")
     return check.compare(golden, check.observe(golden, robot, lambda fraction: None), None)
 
 
-def test_a_replay_golden_holds_sensors_to_their_tolerances(arm: Path) -> None:
+def test_a_replay_golden_tests_sensor_readings_against_their_tolerances(arm: Path) -> None:
     bounds = "{elbow: {torque_rms: 0.1 N*m}, eye: {angle_rms: 10 mrad}}"
     golden, robot = golden_of(arm, bounds)
-    found = {m.subject: m for m in measured(golden, robot) if ", " in m.subject}
+    found = {m.subject: m for m in measures_of(golden, robot) if ", " in m.subject}
     assert set(found) == {"elbow, torque", "eye, turn"}
     assert all(m.passed for m in found.values())
     assert "sensor:elbow" in check_of("replay").depends(golden, robot.structure)
     tight = "{elbow: {torque_rms: 0.0001 N*m}}"
-    assert not all(m.passed for m in measured(*golden_of(arm, tight)) if ", " in m.subject)
+    assert not all(m.passed for m in measures_of(*golden_of(arm, tight)) if ", " in m.subject)
 
 
 @pytest.mark.parametrize(
@@ -236,24 +242,26 @@ def test_a_replay_golden_holds_sensors_to_their_tolerances(arm: Path) -> None:
         ("{elbow: {force_rms: 1 N}}", "no channel of elbow has this unit"),
     ],
 )
-def test_a_sensor_golden_that_bounds_nothing_is_refused(
+def test_a_tolerance_for_an_unknown_sensor_or_channel_is_refused(
     arm: Path, sensors: str, words: str
 ) -> None:
     with pytest.raises(SpecError) as error:
-        measured(*golden_of(arm, sensors))
+        measures_of(*golden_of(arm, sensors))
     assert words in str(error.value)
 
 
-def test_a_replay_golden_rounds_positions_as_encoders_do(arm: Path) -> None:
+def test_a_replay_golden_rounds_positions_to_the_encoder_resolution(arm: Path) -> None:
     bounds = "{elbow: {torque_rms: 0.1 N*m}}"
-    smooth = {m.subject: m.error for m in measured(*golden_of(arm, bounds))}
-    coarse = {m.subject: m.error for m in measured(*golden_of(arm, bounds, step=0.2))}
+    smooth = {m.subject: m.error for m in measures_of(*golden_of(arm, bounds))}
+    coarse = {m.subject: m.error for m in measures_of(*golden_of(arm, bounds, step=0.2))}
     for joint in JOINTS:
         assert coarse[joint] > smooth[joint] + 0.01
     assert coarse["elbow, torque"] == smooth["elbow, torque"]
 
 
-def test_intervals_of_a_delay_hold_and_both_mounts_are_told() -> None:
+def test_intervals_of_a_camera_delay_contain_the_true_value_and_both_mountings_are_recognized() -> (
+    None
+):
     time = PERIOD * np.arange(2500)
     inside, mounts = [], []
     for seed in range(8):
@@ -264,7 +272,7 @@ def test_intervals_of_a_delay_hold_and_both_mounts_are_told() -> None:
         keep = (stamps > 0.4) & (stamps < time[-1] - 0.4)
         found = delay_of(
             [CameraTrial(Path("a.mcap"), stamps[keep], Rotation.from_quat(poses[keep, 3:]),
-                         Slerp(time, wrist_turns(q)))]
+                         Slerp(time, wrist_rotations(q)))]
         )  # fmt: skip
         inside.append(abs(found.timing.delay - DELAY) < 2.05 * found.deviation)
         mounts.append(found.mount == ("hand" if seed % 2 else "world"))
@@ -272,13 +280,13 @@ def test_intervals_of_a_delay_hold_and_both_mounts_are_told() -> None:
     assert sum(inside) >= 6
 
 
-def test_a_target_that_does_not_move_with_the_hand_is_refused() -> None:
+def test_a_target_that_does_not_rotate_with_the_hand_is_refused() -> None:
     rng = np.random.default_rng(0)
     time = PERIOD * np.arange(2500)
     q = 0.5 * np.sin(np.outer(time, [1.0, 2.0, 3.0]))
     seen = Rotation.from_rotvec(np.cumsum(0.01 * rng.normal(size=(300, 3)), axis=0))
     trial = CameraTrial(
-        Path("a.mcap"), 0.4 + FRAME * np.arange(270), seen[:270], Slerp(time, wrist_turns(q))
+        Path("a.mcap"), 0.4 + FRAME * np.arange(270), seen[:270], Slerp(time, wrist_rotations(q))
     )
     with pytest.raises(RecordingError, match="the target does not turn as the frame does"):
         delay_of([trial])

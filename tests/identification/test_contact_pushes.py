@@ -1,4 +1,4 @@
-"""Contact parameters from recordings in which an object was pushed and pressed."""
+"""Identification of contact parameters from recordings of pushing and pressing an object."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ def box(friction: float, half: float, timestep: float = 0.004, surface: str = ""
 
 
 def force_at(time: float, seed: int) -> np.ndarray:
-    """A push along the surface that starts the box, keeps it sliding and lets it go; N."""
+    """Force, N, along the surface that accelerates the box, keeps it sliding and then ends."""
     angle = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi)
     share = np.interp(time, [0.05, 0.15, 0.25, 0.3, 0.5, 0.52], [0.0, 1.6, 1.6, 1.0, 1.0, 0.0])
     return FRICTION * MASS * 9.81 * share * np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
 def press_at(time: float, seed: int) -> np.ndarray:
-    """Two levels of a force straight down, in multiples of the box's weight; N."""
+    """Downward force, N, at two levels that are multiples of the weight of the box."""
     first, second = ((2, 5), (4, 1), (1, 6), (3, 6))[seed]
     levels = [0.0, first, first, second, second, 0.0]
     share = np.interp(time, [0.1, 0.12, 0.35, 0.37, 0.5, 0.52], levels)
     return np.array([0.0, 0.0, -MASS * 9.81 * share])
 
 
-def record(
+def record_box(
     path: Path,
     seed: int,
     frame: str,
     acting: Callable[[float, int], np.ndarray] = force_at,
     surface: str = "",
 ) -> None:
-    """Poses at 100 Hz and the force at 500 Hz over 0.7 s, of a box that was stepped at 0.25 ms."""
+    """Write poses at 100 Hz and forces at 500 Hz of a box simulated with a 0.25 ms step."""
     rng = np.random.default_rng(100 + seed)
     model = mujoco.MjModel.from_xml_string(box(FRICTION, HALF + OFFSET, 0.00025, surface))
     data = mujoco.MjData(model)
@@ -97,7 +97,7 @@ def pushed(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, dict[str, Any
     folder = tmp_path_factory.mktemp("pushes")
     (folder / "box.xml").write_text(box(0.8, HALF))
     for seed in range(4):
-        record(folder / f"{seed}.mcap", seed, "cube" if seed % 2 else "world")
+        record_box(folder / f"{seed}.mcap", seed, "cube" if seed % 2 else "world")
     files = [str(folder / f"{seed}.mcap") for seed in range(4)]
     status = cli.main(
         ["identify", str(folder / "box.xml"), *files[:3], "--held-out", files[3],
@@ -106,7 +106,7 @@ def pushed(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, dict[str, Any
     return status, json.loads((folder / "contact/identification.json").read_text())
 
 
-def test_pushes_tell_the_friction_and_how_high_the_box_stands(pushed: Any) -> None:
+def test_pushes_identify_friction_and_contact_offset(pushed: Any) -> None:
     status, document = pushed
     assert status == 0
     friction = document["parameters"]["cube.contact_friction"]
@@ -116,18 +116,18 @@ def test_pushes_tell_the_friction_and_how_high_the_box_stands(pushed: Any) -> No
     assert held["toss_position"] < 0.3 * held["toss_position_nominal"]
 
 
-def test_what_pushes_do_not_tell_has_no_number(pushed: Any) -> None:
+def test_contact_damping_is_reported_as_unobservable_from_pushes(pushed: Any) -> None:
     _, document = pushed
     assert "cube.contact_damping" not in document["parameters"]
     assert any("contact_damping" in one["expression"] for one in document["unobservable"])
 
 
-def test_presses_tell_stiffness_and_height_and_no_friction(tmp_path: Path) -> None:
+def test_presses_identify_stiffness_and_contact_offset_but_not_friction(tmp_path: Path) -> None:
     stiffness = 150.0
     (tmp_path / "box.xml").write_text(box(0.8, HALF))
     files = [tmp_path / f"{seed}.mcap" for seed in range(4)]
     for seed, path in enumerate(files):
-        record(path, seed, "world", press_at, f'solref="-{stiffness} -15"')
+        record_box(path, seed, "world", press_at, f'solref="-{stiffness} -15"')
     status = cli.main(
         ["identify", str(tmp_path / "box.xml"), *map(str, files[:3]), "--held-out", str(files[3]),
          "--pose-topic", "/object", "--wrench-topic", "/push", "--out", str(tmp_path / "contact")]
@@ -146,7 +146,7 @@ def test_presses_tell_stiffness_and_height_and_no_friction(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(1e5, 30.0), (1e5, 200.0), (1e5, 500.0)])
-def test_the_restitution_is_that_of_a_ball_in_the_simulator(
+def test_the_computed_restitution_agrees_with_a_simulated_ball(
     stiffness: float, damping: float
 ) -> None:
     model = mujoco.MjModel.from_xml_string(
@@ -161,8 +161,8 @@ def test_the_restitution_is_that_of_a_ball_in_the_simulator(
     assert restitution(stiffness, damping) == pytest.approx(data.qvel[2], abs=0.01)
 
 
-def test_a_push_beside_the_centre_of_mass_turns_the_object() -> None:
-    """Closed form: a force on a body in free space, a lever away from its centre of mass."""
+def test_an_eccentric_push_rotates_the_object_as_in_the_closed_form() -> None:
+    """A force acts on a free body with a lever arm to its centre of mass."""
     model = mujoco.MjModel.from_xml_string(
         """<mujoco><option gravity="0 0 0" timestep="0.001"/><worldbody><geom type="plane"
         size="1 1 1"/><body name="bar" pos="0 0 5"><freejoint/><inertial pos="0.1 0 0" mass="2"

@@ -1,4 +1,4 @@
-"""Contact parameters from tosses: what is recovered, what is refused, what goes into a twin."""
+"""Identification of contact parameters from tosses of an object, and their use in a twin."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def model_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def tossed(model: mujoco.MjModel, seed: int, samples: int = 90) -> np.ndarray:
-    """(samples, 13) a toss, stepped one by one at an eighth of the step."""
+def simulated_toss(model: mujoco.MjModel, seed: int, samples: int = 90) -> np.ndarray:
+    """Positions and velocities (samples, 13) of a simulated toss, with a very small time step."""
     rng = np.random.default_rng(seed)
     fine = mujoco.MjModel.from_xml_string(CUBE) if model is None else model
     fine.opt.timestep = 1.0 / RATE / 32.0
@@ -71,7 +71,7 @@ def tossed(model: mujoco.MjModel, seed: int, samples: int = 90) -> np.ndarray:
 
 def tosses_of(model_path: Path, seeds: range) -> list[np.ndarray]:
     contact = contact_of(model_path)
-    return [tossed(contact.at(TRUE), seed) for seed in seeds]
+    return [simulated_toss(contact.at(TRUE), seed) for seed in seeds]
 
 
 def contact_of(model_path: Path):  # type: ignore[no-untyped-def]
@@ -84,7 +84,7 @@ def as_toss(table: np.ndarray, name: str) -> Toss:
     return Toss(name, Path("sim.npz"), time, table[:, :7], table[:, 7:])
 
 
-def test_the_true_parameters_predict_better_than_others(model_path: Path) -> None:
+def test_the_true_parameters_have_the_smallest_prediction_error(model_path: Path) -> None:
     contact = contact_of(model_path)
     rows = [whole(as_toss(t, "t")) for t in tosses_of(model_path, range(20, 26))]
     models = [contact.at({**TRUE, **change}) for change in ({}, {FRICTION: 0.6}, {OFFSET: -0.004})]
@@ -95,7 +95,7 @@ def test_the_true_parameters_predict_better_than_others(model_path: Path) -> Non
     assert best < 0.5 * small
 
 
-def test_units_of_a_file_without_units_are_found(model_path: Path) -> None:
+def test_missing_units_of_length_and_time_are_estimated_from_free_fall(model_path: Path) -> None:
     unit, rate = 0.0524, 148.0
     tracks = []
     for seed in range(6):
@@ -118,7 +118,7 @@ def test_units_of_a_file_without_units_are_found(model_path: Path) -> None:
     assert any("--length-unit" in note for note in units.notes)
 
 
-def test_tosses_that_do_not_begin_in_the_air_need_their_unit() -> None:
+def test_without_free_fall_the_units_cannot_be_estimated() -> None:
     still = PoseTrack(
         "0", Path("t.npz"), np.arange(20.0), np.zeros((20, 3)), np.tile([1.0, 0, 0, 0], (20, 1)),
         np.ones((20, 3)), np.zeros((20, 3)), has_times=False,
@@ -134,7 +134,7 @@ def test_a_model_without_a_free_body_is_refused(tmp_path: Path) -> None:
         free_body(load(path))
 
 
-def test_both_forms_of_a_contact_reference_mean_the_same() -> None:
+def test_both_forms_of_solref_give_the_same_contact() -> None:
     model = mujoco.MjModel.from_xml_string(CUBE)
     stiffness, damping = direct(model, 1)
     most = model.geom_solimp[1, 1]
@@ -147,15 +147,15 @@ def test_both_forms_of_a_contact_reference_mean_the_same() -> None:
     assert falls[1] == pytest.approx(falls[0], abs=1e-9)
 
 
-def test_a_turn_of_either_sign_of_a_quaternion_is_measured() -> None:
+def test_the_rotation_error_does_not_depend_on_the_sign_of_a_quaternion() -> None:
     half = 0.3
     one = np.array([[0, 0, 0, np.cos(half), np.sin(half), 0, 0]])
     other = np.array([[0, 0, 0, -1.0, 0, 0, 0]])
     assert rotation_errors(one, other)[0] == pytest.approx(2.0 * half)
 
 
-def test_a_direction_in_which_the_error_is_flat_is_not_told() -> None:
-    # Each toss: (a - b - e)^2 with a noise e of its own; a + b is not told.
+def test_a_parameter_direction_without_effect_on_the_error_is_unobservable() -> None:
+    # The error of a toss is (a - b - e)^2 with noise e; it does not depend on a + b.
     rng = np.random.default_rng(0)
     noise = 0.02 * rng.normal(size=60)
     coefficients = np.array([
@@ -167,7 +167,7 @@ def test_a_direction_in_which_the_error_is_flat_is_not_told() -> None:
     assert abs(found.untold[0] @ np.array([1.0, 1.0])) == pytest.approx(np.sqrt(2.0), abs=0.05)
 
 
-def test_chance_alone_makes_no_prediction_worse() -> None:
+def test_a_random_difference_of_errors_is_not_taken_for_a_worse_prediction() -> None:
     rng = np.random.default_rng(1)
     one = rng.uniform(0.0, 1.0, 100)
     assert as_good(one, one + 0.1 * rng.normal(size=100) - 0.005)
@@ -196,7 +196,9 @@ def identified(model_path: Path, tmp_path_factory: pytest.TempPathFactory) -> tu
     return folder, document
 
 
-def test_parameters_are_recovered_from_tosses_at_a_finer_step(identified: Any) -> None:
+def test_parameters_are_identified_from_tosses_simulated_with_a_smaller_time_step(
+    identified: Any,
+) -> None:
     _, document = identified
     values = {name.split(".")[1]: one["value"] for name, one in document["parameters"].items()}
     assert document["verdict"] == "accepted"
@@ -204,7 +206,7 @@ def test_parameters_are_recovered_from_tosses_at_a_finer_step(identified: Any) -
     assert values[OFFSET] == pytest.approx(TRUE[OFFSET], abs=0.001)
     held = document["held_out"]["cube"]
     assert held["toss_position"] < 0.5 * held["toss_position_nominal"]
-    # What the tosses do not tell is named and has no interval.
+    # Unobservable parameters are reported without an interval.
     fixed = {name.split(".")[1] for name in document["contact"]["held"]}
     assert set(values) | fixed == set(TRUE)
     assert "cube.contact_rolling_friction" in {
@@ -212,7 +214,9 @@ def test_parameters_are_recovered_from_tosses_at_a_finer_step(identified: Any) -
     }
 
 
-def test_the_record_states_the_simulation_and_its_spread(identified: Any) -> None:
+def test_the_record_states_the_solver_and_the_spread_over_other_solver_settings(
+    identified: Any,
+) -> None:
     contact = identified[1]["contact"]
     assert contact["solver"]["timestep"] == 0.002
     assert contact["solver"]["integrator"] == "EULER"
@@ -223,7 +227,7 @@ def test_the_record_states_the_simulation_and_its_spread(identified: Any) -> Non
     assert "timestep 1 ms" in identification.render(identified[1])
 
 
-def test_a_record_of_a_contact_goes_into_a_twin(identified: Any, tmp_path: Path) -> None:
+def test_a_twin_applies_the_identified_contact_parameters(identified: Any, tmp_path: Path) -> None:
     folder, document = identified
     (tmp_path / "cube.xml").write_text(CUBE)
     (tmp_path / "record.json").write_text(json.dumps(document))

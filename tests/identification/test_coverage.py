@@ -1,4 +1,4 @@
-"""A sample of benchmarks/identification/coverage_of_intervals.py: the truth is in the intervals."""
+"""Short form of benchmarks/identification/coverage_of_intervals.py."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "identification"
 
 
-def test_intervals_hold_the_true_parameters(
+def test_intervals_contain_the_true_parameters(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(BENCHMARK))

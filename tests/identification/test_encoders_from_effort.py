@@ -1,11 +1,11 @@
-"""The effort tells zero and scale of an encoder, and the record says where it does not."""
+"""Identification of encoder bias and scale from effort, and reports of undetermined ones."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-from arms import JOINTS, real, record, write_model
+from arms import JOINTS, simulated_effort, true_arm, write_model
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.measured import Measured, MeasuredSet
@@ -15,10 +15,10 @@ from pytest_twin.signals import NO_SIGNALS
 
 
 def identified(folder: Path, bias: list[float], scale: list[float]) -> EffortResult:
-    """Two recordings and one that is held out, by encoders that read (1 + scale) q + bias."""
+    """Result for two recordings and a held-out one; the encoders measure (1 + scale) q + bias."""
     runs = []
     for seed in (1, 2, 3):
-        time, q, effort = record(real(folder), seed)
+        time, q, effort = simulated_effort(true_arm(folder), seed)
         runs.append(
             Measured(
                 folder / f"{seed}.csv", 0.0, JOINTS, time, q * (1 + np.array(scale)) + bias, None,
@@ -30,7 +30,7 @@ def identified(folder: Path, bias: list[float], scale: list[float]) -> EffortRes
     )
 
 
-def test_a_zero_and_a_scale_are_found_and_taken_out(tmp_path: Path) -> None:
+def test_encoder_bias_and_scale_are_identified_and_corrected(tmp_path: Path) -> None:
     result = identified(tmp_path, [0.08, 0.0], [0.0, 0.05])
     (stage,) = (one for one in result.stages if one.name == "encoder")
     assert stage.state == "accepted"
@@ -42,17 +42,19 @@ def test_a_zero_and_a_scale_are_found_and_taken_out(tmp_path: Path) -> None:
     assert stage.held_out.after < 0.5 * stage.held_out.before
 
 
-def test_the_zero_of_the_last_joint_is_undetermined(tmp_path: Path) -> None:
+def test_the_encoder_bias_of_the_last_joint_is_reported_as_undetermined(tmp_path: Path) -> None:
     result = identified(tmp_path, [0.0, 0.1], [0.0, 0.0])
     assert ("elbow", "encoder_bias") in result.encoders.undetermined
     document = effort_document(result, result.stages)
-    (said,) = (one for one in document["unobservable"] if one["expression"] == "elbow.encoder_bias")
-    assert said["motion"] == (
+    (entry,) = (
+        one for one in document["unobservable"] if one["expression"] == "elbow.encoder_bias"
+    )
+    assert entry["motion"] == (
         "hold a known payload (payloads: in twin.yaml) in poses all over the range of elbow"
     )
 
 
-def test_a_sound_encoder_has_zero_within_its_interval(tmp_path: Path) -> None:
+def test_the_intervals_of_an_encoder_without_error_contain_zero(tmp_path: Path) -> None:
     result = identified(tmp_path, [0.0, 0.0], [0.0, 0.0])
     assert {one.kind for one in result.encoders.readings} == {"encoder_bias", "encoder_scale"}
     assert all(abs(one.value) <= 1.3 * one.half_width for one in result.encoders.readings)

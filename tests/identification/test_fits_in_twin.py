@@ -1,4 +1,4 @@
-"""Records of identifications in a twin, and goldens that re-check them."""
+"""Use of identification records in a twin, and goldens that test them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import JOINTS, REAL, TRUE, real, record, write_mcap, write_model, write_recording
+from arms import (
+    JOINTS,
+    REAL,
+    TRUE,
+    simulated_effort,
+    true_arm,
+    write_mcap,
+    write_model,
+    write_recording,
+)
 
 from pytest_twin.checks import check_of
 from pytest_twin.checks.base import Measure, NothingToProposeError
@@ -42,9 +51,9 @@ tolerance: {position: 1 um, orientation: 1e-6 rad}
 def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("cell")
     write_model(root)
-    robot = real(root)
+    robot = true_arm(root)
     for name, seed in (("one", 1), ("two", 2), ("check", 3)):
-        write_recording(root / f"{name}.csv", *record(robot, seed))
+        write_recording(root / f"{name}.csv", *simulated_effort(robot, seed))
     (root / "out").mkdir()
     document = identify_files(
         {
@@ -69,7 +78,7 @@ def cell(identified: Path, tmp_path: Path) -> Path:
     return tmp_path / "cell"
 
 
-def measured(root: Path) -> list[Measure]:
+def measures_of(root: Path) -> list[Measure]:
     twin = load_twin(root / "twin.yaml")
     golden = load_golden(root / "golden" / "effort.yaml", twin)
     check = check_of("identification")
@@ -77,7 +86,7 @@ def measured(root: Path) -> list[Measure]:
     return check.compare(golden, check.observe(golden, robot, lambda fraction: None), None)
 
 
-def stock(root: Path) -> Stock:
+def stock_of(root: Path) -> Stock:
     twin = load_twin(root / "twin.yaml")
     goldens = [load_golden(path, twin) for path in sorted((root / "golden").glob("*.yaml"))]
     robot = load(root / "model.xml", twin=twin)
@@ -90,13 +99,13 @@ def stock(root: Path) -> Stock:
     return take_stock(twin, goldens, {"mujoco": Model(robot.parts, robot.structure)}, surroundings)
 
 
-def stale(before: Stock, after: Stock) -> set[str]:
+def stale_goldens(before: Stock, after: Stock) -> set[str]:
     passed = dict.fromkeys(before.rests_on, True)
     release = Baseline(1, before.parts, passed, before.rests_on)
     return {key for key, why in staleness(after, release).items() if why}
 
 
-def test_the_twin_has_what_was_identified(cell: Path) -> None:
+def test_the_twin_has_the_identified_parameters(cell: Path) -> None:
     twin = load_twin(cell / "twin.yaml")
     assert twin.fit is not None
     assert twin.fit.id == "october"
@@ -107,7 +116,7 @@ def test_the_twin_has_what_was_identified(cell: Path) -> None:
     assert cell / "record.json" in twin.files
 
 
-def test_a_single_table_still_is_a_fit(cell: Path) -> None:
+def test_the_fit_can_be_a_single_table(cell: Path) -> None:
     (cell / "twin.yaml").write_text(
         "model: model.xml\nfit: {id: by-hand, joint: {elbow: {damping: 0.9}}}\n"
     )
@@ -117,7 +126,7 @@ def test_a_single_table_still_is_a_fit(cell: Path) -> None:
     assert not twin.fits
 
 
-def test_a_later_entry_goes_before_an_earlier_one(cell: Path) -> None:
+def test_a_later_fit_overrides_an_earlier_one(cell: Path) -> None:
     (cell / "twin.yaml").write_text(
         "model: model.xml\nfit:\n  - {file: record.json}\n"
         "  - {id: by-hand, joint: {elbow: {damping: 0.9}}}\n"
@@ -130,7 +139,7 @@ def test_a_later_entry_goes_before_an_earlier_one(cell: Path) -> None:
     assert model.dof_damping[0] == pytest.approx(1.5, abs=0.1)
 
 
-def test_a_superseded_record_no_longer_holds(cell: Path) -> None:
+def test_a_superseded_record_is_not_applied(cell: Path) -> None:
     (cell / "twin.yaml").write_text(
         "model: model.xml\nfit:\n  - {file: record.json}\n"
         "  - {id: by-hand, joint: {elbow: {damping: 0.9}}}\n"
@@ -154,9 +163,7 @@ def test_a_superseded_record_no_longer_holds(cell: Path) -> None:
         ({"schema": 2}, "a field is missing or unusable: 'schema'"),
     ],
 )
-def test_a_record_that_cannot_be_used_is_refused(
-    cell: Path, change: dict[str, object], words: str
-) -> None:
+def test_an_invalid_record_is_refused(cell: Path, change: dict[str, object], words: str) -> None:
     document = json.loads((cell / "record.json").read_text())
     (cell / "record.json").write_text(json.dumps(document | change))
     with pytest.raises(TwinError) as error:
@@ -165,8 +172,8 @@ def test_a_record_that_cannot_be_used_is_refused(
     assert "record.json" in str(error.value) or "twin.yaml:2" in str(error.value)
 
 
-def test_the_robot_that_was_identified_passes(cell: Path) -> None:
-    found = measured(cell)
+def test_the_golden_passes_for_the_identified_robot(cell: Path) -> None:
+    found = measures_of(cell)
     assert {m.name for m in found} == {"effort", "torque"}
     assert all(m.passed for m in found)
     assert [m.subject for m in found if m.name == "effort"] == [
@@ -177,39 +184,39 @@ def test_the_robot_that_was_identified_passes(cell: Path) -> None:
             assert m.error == pytest.approx(m.golden, rel=0.1)
 
 
-def test_a_robot_without_its_fit_fails(cell: Path) -> None:
+def test_the_golden_fails_if_a_fitted_value_is_overridden(cell: Path) -> None:
     (cell / "twin.yaml").write_text(
         "model: model.xml\nfit: [{file: record.json}, {id: less, joint: {elbow: {damping: 0}}}]\n"
     )
-    assert not all(m.passed for m in measured(cell))
+    assert not all(m.passed for m in measures_of(cell))
 
 
-def test_a_recording_that_was_fitted_is_refused(cell: Path) -> None:
+def test_a_golden_with_a_recording_used_for_fitting_is_refused(cell: Path) -> None:
     spec = cell / "golden" / "effort.yaml"
     spec.write_text(spec.read_text().replace("check.csv", "one.csv"))
     with pytest.raises(SpecError, match="a recording that october was fitted on"):
-        measured(cell)
+        measures_of(cell)
 
 
-def test_a_changed_recording_is_refused(cell: Path) -> None:
+def test_a_golden_with_a_changed_recording_is_refused(cell: Path) -> None:
     (cell / "check.csv").write_text((cell / "check.csv").read_text() + "\n")
     with pytest.raises(SpecError, match="not a file that october was made from"):
-        measured(cell)
+        measures_of(cell)
 
 
-def test_a_new_record_makes_the_goldens_stale_that_feel_it(cell: Path) -> None:
-    before = stock(cell)
+def test_a_changed_record_makes_only_the_goldens_stale_that_depend_on_it(cell: Path) -> None:
+    before = stock_of(cell)
     document = json.loads((cell / "record.json").read_text())
     document["fit"]["joint"]["elbow"]["damping"] += 0.01
     (cell / "record.json").write_text(json.dumps(document))
-    assert stale(before, stock(cell)) == {"golden/effort@mujoco"}
+    assert stale_goldens(before, stock_of(cell)) == {"golden/effort@mujoco"}
     document["parameters"]["elbow.viscous_friction"]["value"] += 0.01
     (cell / "record.json").write_text(json.dumps(document))
-    assert stale(before, stock(cell)) == {"golden/effort@mujoco"}
+    assert stale_goldens(before, stock_of(cell)) == {"golden/effort@mujoco"}
 
 
-def with_errors(folder: Path, bias: float, late: float, payload: str) -> Path:
-    """A twin with an accepted record of encoders and efforts that err, and its golden."""
+def write_twin_with_errors(folder: Path, bias: float, late: float, payload: str) -> Path:
+    """Write a twin with a golden and an accepted record of an encoder bias and an effort delay."""
     write_model(folder)
     (folder / "twin.yaml").write_text(
         "model: model.xml\npayloads: {kg3: {lower: {mass: 3, com: [0.4, 0, 0.1]}}}\n"
@@ -218,7 +225,7 @@ def with_errors(folder: Path, bias: float, late: float, payload: str) -> Path:
     (folder / "real.xml").write_text(TRUE.format(**REAL))
     robot = load(folder / "real.xml", twin=twin)
     for name, seed in (("one", 1), ("two", 2), ("check", 3)):
-        time, q, effort = record(robot.variant(payload=payload), seed)
+        time, q, effort = simulated_effort(robot.variant(payload=payload), seed)
         acted = [np.interp(time - late, time, column) for column in effort.T]
         write_mcap(
             folder / f"{name}.mcap", time, q + np.array([bias, 0.0]), np.array(acted).T, payload
@@ -243,34 +250,38 @@ def with_errors(folder: Path, bias: float, late: float, payload: str) -> Path:
 
 
 @pytest.fixture(scope="module")
-def erring(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return with_errors(tmp_path_factory.mktemp("erring"), 0.08, 0.012, "kg3")
+def twin_with_errors(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_twin_with_errors(tmp_path_factory.mktemp("twin_with_errors"), 0.08, 0.012, "kg3")
 
 
-def test_a_golden_repeats_delay_payload_and_encoders_of_its_record(erring: Path) -> None:
-    document = json.loads((erring / "record.json").read_text())
+def test_a_golden_applies_delay_payload_and_encoder_correction_of_its_record(
+    twin_with_errors: Path,
+) -> None:
+    document = json.loads((twin_with_errors / "record.json").read_text())
     assert document["parameters"]["robot.effort_delay"]["value"] == pytest.approx(0.012, abs=0.003)
-    found = [m for m in measured(erring) if m.name == "effort"]
+    found = [m for m in measures_of(twin_with_errors) if m.name == "effort"]
     assert found
     for one in found:
         assert one.passed
-        # 12 ms of delay alone make 0.01 to 0.04.
+        # An uncorrected delay of 12 ms would cause a difference of 0.01 to 0.04.
         assert one.error == pytest.approx(one.golden, abs=0.002)
 
 
-def test_the_twin_has_the_encoder_that_was_identified(erring: Path) -> None:
-    twin = load_twin(erring / "twin.yaml")
+def test_the_twin_has_the_identified_encoder_correction(twin_with_errors: Path) -> None:
+    twin = load_twin(twin_with_errors / "twin.yaml")
     assert twin.calibration is not None
     assert twin.calibrated is None
     assert twin.calibration.id == "october"
     assert twin.calibration.joints["shoulder"].offset == pytest.approx(-0.08, abs=0.015)
-    written = load_twin(erring / "out" / "realization" / "twin.yaml")
+    written = load_twin(twin_with_errors / "out" / "realization" / "twin.yaml")
     assert written.calibration is not None
     assert written.calibration.joints == twin.calibration.joints
 
 
-def test_a_later_calibration_replaces_an_identified_encoder(erring: Path, tmp_path: Path) -> None:
-    shutil.copytree(erring, tmp_path / "cell")
+def test_a_calibration_replaces_an_identified_encoder_correction(
+    twin_with_errors: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(twin_with_errors, tmp_path / "cell")
     path = tmp_path / "cell" / "twin.yaml"
     path.write_text(
         path.read_text() + "calibration: {id: laser, joints: {shoulder: {offset: -0.07}}}\n"
@@ -281,14 +292,16 @@ def test_a_later_calibration_replaces_an_identified_encoder(erring: Path, tmp_pa
     assert twin.calibration.joints["shoulder"].offset == -0.07
 
 
-def test_an_identified_encoder_is_a_part_that_goldens_depend_on(erring: Path) -> None:
-    assert "calibration:shoulder" in stock(erring).parts
-    assert "calibration:shoulder" in stock(erring).rests_on["golden/effort@mujoco"]
+def test_a_golden_depends_on_the_identified_encoder_correction(twin_with_errors: Path) -> None:
+    assert "calibration:shoulder" in stock_of(twin_with_errors).parts
+    assert "calibration:shoulder" in stock_of(twin_with_errors).rests_on["golden/effort@mujoco"]
 
 
-def test_a_second_record_states_what_the_first_one_corrected(erring: Path, tmp_path: Path) -> None:
-    """Identified again with the first record in the twin, nothing is left to correct."""
-    shutil.copytree(erring, tmp_path / "cell")
+def test_a_second_record_keeps_the_encoder_correction_of_the_first_one(
+    twin_with_errors: Path, tmp_path: Path
+) -> None:
+    """An identification of the corrected twin finds no further encoder error."""
+    shutil.copytree(twin_with_errors, tmp_path / "cell")
     cell = tmp_path / "cell"
     (cell / "again").mkdir()
     document = identify_files(
@@ -315,16 +328,16 @@ def test_a_second_record_states_what_the_first_one_corrected(erring: Path, tmp_p
     twin = load_twin(cell / "twin.yaml")
     assert twin.calibration is not None
     assert twin.calibration.id == "november"
-    assert twin.calibration.joints == load_twin(erring / "twin.yaml").calibration.joints
+    assert twin.calibration.joints == load_twin(twin_with_errors / "twin.yaml").calibration.joints
 
 
-def test_nothing_is_proposed_for_a_new_twin(cell: Path) -> None:
+def test_without_an_identification_no_golden_is_proposed(cell: Path) -> None:
     with pytest.raises(NothingToProposeError, match="it needs an accepted identification"):
         check_of("identification").first(load(cell / "model.xml"))
 
 
-def test_the_page_shows_signals_and_encoders(erring: Path) -> None:
-    document = json.loads((erring / "record.json").read_text())
+def test_the_page_shows_signals_and_encoders(twin_with_errors: Path) -> None:
+    document = json.loads((twin_with_errors / "record.json").read_text())
     shoulder = document["signals"]["shoulder"]
     shoulder["effort"] |= {"quantity": "current", "constant": 0.09, "filter": "low-pass, 200 Hz"}
     rows = signal_rows(document)

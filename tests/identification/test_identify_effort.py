@@ -1,4 +1,4 @@
-"""Identification from measured effort, on an arm whose parameters are known."""
+"""Identification from measured effort, for an arm with known parameters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from arms import JOINTS, REAL, real, record, write_model, write_recording
+from arms import JOINTS, REAL, simulated_effort, true_arm, write_model, write_recording
 
 from pytest_twin import cli
 from pytest_twin.formats.schema import load_schema
@@ -17,12 +17,12 @@ from pytest_twin.realization import load
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The nominal model, two recordings to fit and one that is held out."""
+    """The nominal model, two recordings for the fit and a held-out one."""
     folder = tmp_path_factory.mktemp("cell")
     write_model(folder)
-    robot = real(folder)
+    robot = true_arm(folder)
     for name, seed in (("one", 1), ("two", 2), ("check", 3)):
-        write_recording(folder / f"{name}.csv", *record(robot, seed))
+        write_recording(folder / f"{name}.csv", *simulated_effort(robot, seed))
     return folder
 
 
@@ -36,7 +36,7 @@ def found(cell: Path) -> dict:
     return json.loads((cell / "identified/identification.json").read_text())
 
 
-def test_the_document_is_as_its_schema_says(found: dict) -> None:
+def test_the_document_is_valid_and_the_result_is_accepted(found: dict) -> None:
     jsonschema.validate(found, load_schema("results/identify.schema.json"))
     assert found["verdict"] == "accepted"
     assert [s["stage"] for s in found["stages"] if s["state"] == "accepted"] == [
@@ -59,7 +59,7 @@ def test_the_true_parameters_lie_in_their_intervals(found: dict) -> None:
         assert high - low < 0.2 * abs(value), name
 
 
-def test_held_out_effort_is_predicted_to_the_noise(found: dict) -> None:
+def test_held_out_effort_is_predicted_to_within_the_noise(found: dict) -> None:
     for joint in JOINTS:
         error = found["held_out"][joint]
         assert error["effort_rms"] < 0.1
@@ -67,7 +67,7 @@ def test_held_out_effort_is_predicted_to_the_noise(found: dict) -> None:
         assert error["effort_unit"] == "N*m"
 
 
-def test_the_fitted_model_has_what_was_found(cell: Path, found: dict) -> None:
+def test_the_fitted_model_has_the_true_parameters(cell: Path, found: dict) -> None:
     fitted = load(cell / "identified/realization/model.xml").model
     assert fitted.dof_damping == pytest.approx([REAL["damping"], REAL["elbow"]], abs=0.1)
     assert fitted.dof_frictionloss == pytest.approx([REAL["friction"], 0.3], abs=0.1)
@@ -76,7 +76,7 @@ def test_the_fitted_model_has_what_was_found(cell: Path, found: dict) -> None:
     assert found["physical"]["consistent"]
 
 
-def test_the_covariance_belongs_to_the_intervals(found: dict) -> None:
+def test_the_covariance_agrees_with_the_intervals(found: dict) -> None:
     names, matrix = found["covariance"]["names"], np.array(found["covariance"]["matrix"])
     assert np.linalg.eigvalsh(matrix).min() > 0
     for at, name in enumerate(names):
@@ -84,13 +84,13 @@ def test_the_covariance_belongs_to_the_intervals(found: dict) -> None:
         assert 1.96 * np.sqrt(matrix[at, at]) == pytest.approx((high - low) / 2, rel=1e-3)
 
 
-def test_the_page_names_every_stage(cell: Path, found: dict) -> None:
+def test_the_page_gives_the_reason_of_every_stage(cell: Path, found: dict) -> None:
     page = (cell / "identified/identification.html").read_text()
     for stage in found["stages"]:
         assert stage["why"].replace("'", "&#39;") in page
 
 
-def test_one_recording_alone_is_not_accepted(
+def test_without_held_out_recording_the_result_is_not_accepted(
     cell: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["identify", str(cell / "model.xml"), str(cell / "one.csv"), "--out"]

@@ -1,4 +1,4 @@
-"""Identification from commands and positions alone, on a pendulum whose parameters are known."""
+"""Identification from commands and positions only, for a pendulum with known parameters."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ NOMINAL = {"damping": 0.05, "friction": 0.0, "kp": 10.0}
 REAL = {"damping": 0.35, "friction": 0.15, "kp": 8.0}
 
 
-def record(path: Path, seed: int) -> Path:
-    """Position commands and what the real pendulum does."""
+def write_trial(path: Path, seed: int) -> Path:
+    """Write the position commands and measured positions of the real pendulum."""
     model = mujoco.MjModel.from_xml_string(MODEL.format(**REAL))
     data = mujoco.MjData(model)
     random = np.random.default_rng(seed)
@@ -52,14 +52,14 @@ def record(path: Path, seed: int) -> Path:
 def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     folder = tmp_path_factory.mktemp("cell")
     (folder / "model.xml").write_text(MODEL.format(**NOMINAL))
-    paths = [str(record(folder / f"{name}.csv", seed)) for name, seed in
+    paths = [str(write_trial(folder / f"{name}.csv", seed)) for name, seed in
              (("one", 1), ("two", 2), ("check", 3))]  # fmt: skip
     words = ["identify", str(folder / "model.xml"), *paths[:2], "--held-out", paths[2]]
     cli.main([*words, "--command-between", "held", "--out", str(folder / "identified")])
     return folder, json.loads((folder / "identified/identification.json").read_text())
 
 
-def test_the_document_is_as_its_schema_says(found: tuple[Path, dict]) -> None:
+def test_the_document_is_valid_and_has_all_stages(found: tuple[Path, dict]) -> None:
     jsonschema.validate(found[1], load_schema("results/identify.schema.json"))
     assert found[1]["way"] == "commands and positions"
     assert [one["stage"] for one in found[1]["stages"]] == [
@@ -67,7 +67,7 @@ def test_the_document_is_as_its_schema_says(found: tuple[Path, dict]) -> None:
     ]  # fmt: skip
 
 
-def test_friction_and_gain_are_found(found: tuple[Path, dict]) -> None:
+def test_friction_and_controller_gain_are_identified(found: tuple[Path, dict]) -> None:
     parameters = found[1]["parameters"]
     assert parameters["swing.viscous_friction"]["value"] == pytest.approx(0.3, abs=0.1)
     gain = parameters["swing.controller_gain.stiffness_error"]
@@ -80,10 +80,12 @@ def test_held_out_positions_are_predicted(found: tuple[Path, dict]) -> None:
     assert error["position_unit"] == "rad"
 
 
-def test_the_folder_replays(found: tuple[Path, dict], tmp_path: Path) -> None:
+def test_the_written_twin_replays_with_the_stated_held_out_error(
+    found: tuple[Path, dict], tmp_path: Path
+) -> None:
     folder, document = found
     words = ["replay", str(folder / "identified"), str(folder / "check.csv")]
     assert cli.main([*words, "--command-between", "held", "--out", str(tmp_path / "p.mcap")]) == 0
-    said = json.loads((tmp_path / "p.json").read_text())
+    summary = json.loads((tmp_path / "p.json").read_text())
     error = document["held_out"]["swing"]["position_rms"]
-    assert said["joints"]["swing"]["rms"] == pytest.approx(error, rel=0.3, abs=1e-3)
+    assert summary["joints"]["swing"]["rms"] == pytest.approx(error, rel=0.3, abs=1e-3)

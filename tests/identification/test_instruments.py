@@ -1,4 +1,4 @@
-"""Noise of the encoder biases least squares; instrumental variables find the concealed truth."""
+"""Encoder noise in closed loop biases least squares, but not instrumental variables."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import JOINTS, closed_loop, real, write_model
+from arms import JOINTS, closed_loop, true_arm, write_model
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.measured import Measured, MeasuredSet
@@ -17,8 +17,8 @@ from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS
 
 
-def measured(folder: Path, seed: int, noise: float) -> Measured:
-    time, position, effort, command = closed_loop(real(folder), seed, noise)
+def simulated_recording(folder: Path, seed: int, noise: float) -> Measured:
+    time, position, effort, command = closed_loop(true_arm(folder), seed, noise)
     return Measured(
         folder / f"{seed}.csv", 0.0, JOINTS, time, position, None, effort,
         np.zeros(2, dtype=bool), np.full(2, np.inf), {}, command=command,
@@ -34,7 +34,7 @@ def identified(folder: Path, recordings: list[Measured]) -> EffortResult:
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Measured]]:
     folder = tmp_path_factory.mktemp("noisy")
-    return folder, [measured(folder, seed, 3e-3) for seed in (1, 2, 3)]
+    return folder, [simulated_recording(folder, seed, 3e-3) for seed in (1, 2, 3)]
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_least_squares_is_biased_and_instrumental_variables_are_not(
     estimate = found.estimate
     assert estimate.estimator == "instrumental variables"
     assert "noise of the positions biases least squares" in estimate.why
-    true = found.base.values(Regressor(real(noisy[0]), JOINTS).prior)[found.fitted.kept]
+    true = found.base.values(Regressor(true_arm(noisy[0]), JOINTS).prior)[found.fitted.kept]
     ours, theirs = found.fitted.solution, estimate.squares
     assert (np.abs(ours.values - true) <= ours.half_width).all()
     inertia = found.base.expressions.index("Iyy1 + Ia1 + 0.25*m2")
@@ -57,7 +57,7 @@ def test_least_squares_is_biased_and_instrumental_variables_are_not(
     assert abs(ours.values[at] - true[at]) < 0.15 * true[at]
 
 
-def test_the_document_says_what_each_figure_rests_on(found: EffortResult) -> None:
+def test_the_document_states_the_estimator_of_each_parameter(found: EffortResult) -> None:
     document = effort_document(found, found.stages)
     assert document["estimator"]["name"] == "instrumental variables"
     assert document["estimator"]["endogeneity"]["probability"] < 0.01
@@ -67,14 +67,16 @@ def test_the_document_says_what_each_figure_rests_on(found: EffortResult) -> Non
         assert one["least_squares"] == found.estimate.squares.values[k], i
 
 
-def test_without_commands_there_is_no_instrument(noisy: tuple[Path, list[Measured]]) -> None:
+def test_without_commands_least_squares_is_used_as_there_is_no_instrument(
+    noisy: tuple[Path, list[Measured]],
+) -> None:
     folder, recordings = noisy
     result = identified(folder, [replace(one, command=None) for one in recordings])
     assert result.estimate.estimator == "weighted least squares"
     assert result.estimate.why == "no instrument: not every joint has position commands"
 
 
-def test_without_noise_least_squares_stays(tmp_path: Path) -> None:
-    result = identified(tmp_path, [measured(tmp_path, seed, 1e-6) for seed in (1, 2, 3)])
+def test_without_encoder_noise_least_squares_is_used(tmp_path: Path) -> None:
+    result = identified(tmp_path, [simulated_recording(tmp_path, seed, 1e-6) for seed in (1, 2, 3)])
     assert result.estimate.estimator == "weighted least squares"
     assert result.estimate.test is not None

@@ -1,4 +1,4 @@
-"""Signals on either side of the gears become joint positions and joint efforts."""
+"""Conversion of motor-side and joint-side signals to joint positions and joint efforts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import real, record, write_model, write_recording
+from arms import simulated_effort, true_arm, write_model, write_recording
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.identification.measured import Measured, read_measured
@@ -16,19 +16,21 @@ from pytest_twin.signals import Signals
 from pytest_twin.twin import DEFAULT_TOPICS, load_twin
 
 
-def measured(folder: Path, position: np.ndarray, effort: np.ndarray, signals: dict) -> Measured:
+def measured_signals(
+    folder: Path, position: np.ndarray, effort: np.ndarray, signals: dict
+) -> Measured:
     path = write_recording(folder / "run.csv", np.arange(len(position)) / 100.0, position, effort)
     robot = load(write_model(folder))
     (one,) = read_measured(path, robot, DEFAULT_TOPICS, NO_OPTIONS, Signals.from_json(signals))
     return one
 
 
-def test_motor_signals_become_those_of_joints(tmp_path: Path) -> None:
-    _, q, effort = record(real(tmp_path), 1, seconds=2.0, rate=100.0)
-    # The elbow's motor turns with both joints; its torque acts on both (virtual work).
+def test_motor_signals_are_converted_to_joint_signals(tmp_path: Path) -> None:
+    _, q, effort = simulated_effort(true_arm(tmp_path), 1, seconds=2.0, rate=100.0)
+    # The elbow motor moves with both joints, so its torque acts on both (virtual work).
     motor_q = np.column_stack([50.0 * q[:, 0], -30.0 * (q[:, 1] - 0.2 + q[:, 0])])
     motor_t = np.column_stack([(effort[:, 0] - effort[:, 1]) / 50.0, effort[:, 1] / -30.0])
-    one = measured(
+    one = measured_signals(
         tmp_path, motor_q, motor_t,
         {
             "default": {"position": {"side": "motor"}, "effort": {"side": "motor"}},
@@ -42,41 +44,45 @@ def test_motor_signals_become_those_of_joints(tmp_path: Path) -> None:
     np.testing.assert_allclose(one.effort, effort, atol=1e-6)
 
 
-def test_degrees_become_rad(tmp_path: Path) -> None:
-    _, q, effort = record(real(tmp_path), 1, seconds=2.0, rate=100.0)
-    one = measured(tmp_path, np.degrees(q), effort, {"default": {"position": {"unit": "deg"}}})
+def test_degrees_are_converted_to_radians(tmp_path: Path) -> None:
+    _, q, effort = simulated_effort(true_arm(tmp_path), 1, seconds=2.0, rate=100.0)
+    one = measured_signals(
+        tmp_path, np.degrees(q), effort, {"default": {"position": {"unit": "deg"}}}
+    )
     np.testing.assert_allclose(one.position, q, atol=1e-7)
 
 
-def test_a_current_is_no_torque(tmp_path: Path) -> None:
-    _, q, effort = record(real(tmp_path), 1, seconds=2.0, rate=100.0)
+def test_a_current_is_converted_to_torque_only_with_a_torque_constant(tmp_path: Path) -> None:
+    _, q, effort = simulated_effort(true_arm(tmp_path), 1, seconds=2.0, rate=100.0)
     current = {"default": {"effort": {"quantity": "current"}}}
-    one = measured(tmp_path, q, effort, current)
+    one = measured_signals(tmp_path, q, effort, current)
     assert one.unscaled.all()
     assert "effort is a current of unknown torque constant" in one.notes[0]
     known = {"default": {"effort": {"quantity": "current", "constant": 0.5}}}
-    one = measured(tmp_path, q, 2.0 * effort, known)
+    one = measured_signals(tmp_path, q, 2.0 * effort, known)
     np.testing.assert_allclose(one.effort, effort, atol=1e-6)
     assert not one.unscaled.any()
 
 
-def test_an_amount_without_a_sign_is_not_used(tmp_path: Path) -> None:
-    _, q, effort = record(real(tmp_path), 1, seconds=10.0, rate=100.0, about=np.pi / 2)
-    one = measured(tmp_path, q, np.abs(effort), {})
+def test_an_effort_without_sign_is_not_used(tmp_path: Path) -> None:
+    _, q, effort = simulated_effort(
+        true_arm(tmp_path), 1, seconds=10.0, rate=100.0, about=np.pi / 2
+    )
+    one = measured_signals(tmp_path, q, np.abs(effort), {})
     assert np.isnan(one.effort).all()
     assert "effort never changes its sign: an amount and no torque" in one.notes[0]
 
 
-def test_zero_throughout_is_no_sensor(tmp_path: Path) -> None:
-    _, q, effort = record(real(tmp_path), 1, seconds=2.0, rate=100.0)
+def test_an_effort_that_is_always_zero_is_treated_as_unknown(tmp_path: Path) -> None:
+    _, q, effort = simulated_effort(true_arm(tmp_path), 1, seconds=2.0, rate=100.0)
     effort[:, 1] = 0.0
-    one = measured(tmp_path, q, effort, {})
+    one = measured_signals(tmp_path, q, effort, {})
     assert np.isnan(one.effort[:, 1]).all()
     assert "elbow: effort reads 0 throughout: no sensor, its effort is unknown" in one.notes
 
 
-def test_a_hole_cuts_a_recording(tmp_path: Path) -> None:
-    time, q, effort = record(real(tmp_path), 1, seconds=4.0, rate=100.0)
+def test_a_gap_divides_a_recording_into_two(tmp_path: Path) -> None:
+    time, q, effort = simulated_effort(true_arm(tmp_path), 1, seconds=4.0, rate=100.0)
     time[200:] += 1.0
     path = write_recording(tmp_path / "run.csv", time, q, effort)
     parts = read_measured(path, load(write_model(tmp_path)), DEFAULT_TOPICS, NO_OPTIONS, Signals())
@@ -85,12 +91,12 @@ def test_a_hole_cuts_a_recording(tmp_path: Path) -> None:
 
 
 def test_too_few_states_are_refused(tmp_path: Path) -> None:
-    _, q, effort = record(real(tmp_path), 1, seconds=0.2, rate=100.0)
+    _, q, effort = simulated_effort(true_arm(tmp_path), 1, seconds=0.2, rate=100.0)
     with pytest.raises(RecordingError, match=r"too few states to differentiate \(got 20; expected"):
-        measured(tmp_path, q, effort, {})
+        measured_signals(tmp_path, q, effort, {})
 
 
-def test_a_twin_states_its_signals(tmp_path: Path) -> None:
+def test_signals_are_read_from_the_twin_file(tmp_path: Path) -> None:
     write_model(tmp_path)
     text = (
         "model: model.xml\nsignals:\n  default: {effort: {quantity: current, rate: 500}}\n"

@@ -1,4 +1,4 @@
-"""The paired comparison of two models: how often it claims a gain that is none, and one that is."""
+"""Rates of false and true detections of the paired comparison of two models."""
 
 from __future__ import annotations
 
@@ -10,28 +10,29 @@ from pytest_twin.identification.paired import paired
 LENGTHS = (400, 600)
 
 
-def correlated(random: np.random.Generator) -> np.ndarray:
-    """(1000, 2) errors that are correlated over about ten samples."""
+def correlated_errors(random: np.random.Generator) -> np.ndarray:
+    """Errors (1000, 2) that are correlated over about ten samples."""
     return signal.lfilter([0.1], [1.0, -0.9], random.standard_normal((1000, 2)), axis=0)
 
 
-def test_models_that_predict_alike_seldom_differ() -> None:
+def test_equally_good_models_seldom_differ_significantly() -> None:
     random = np.random.default_rng(0)
     claimed = [
-        paired(correlated(random), correlated(random), LENGTHS).is_significant for _ in range(300)
+        paired(correlated_errors(random), correlated_errors(random), LENGTHS).is_significant
+        for _ in range(300)
     ]
     assert np.mean(claimed) < 0.09
 
 
-def test_a_gain_below_the_noise_of_either_error_is_found() -> None:
+def test_an_improvement_smaller_than_the_noise_is_detected() -> None:
     random = np.random.default_rng(1)
-    noise = correlated(random)
+    noise = correlated_errors(random)
     bias = 0.5 * noise.std() * np.sin(np.arange(1000) / 20.0)[:, None]
     assert paired(noise + bias, noise, LENGTHS).is_significant
     assert not paired(noise, noise + bias, LENGTHS).is_significant
 
 
-def test_a_model_that_diverges_is_worse() -> None:
+def test_a_diverging_model_is_significantly_worse() -> None:
     error = np.ones((1000, 2))
     assert paired(np.full_like(error, np.nan), error, LENGTHS).is_significant
     assert not paired(error, np.full_like(error, np.inf), LENGTHS).is_significant

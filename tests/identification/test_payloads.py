@@ -1,4 +1,4 @@
-"""Known payloads: they are taken off the efforts, and tell the efforts' scale."""
+"""Known payloads are subtracted from the efforts, and their changes identify the effort scale."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import JOINTS, REAL, TRUE, record, write_model
+from arms import JOINTS, REAL, TRUE, simulated_effort, write_model
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.measured import Measured, MeasuredSet
@@ -18,7 +18,7 @@ TWIN = "model: model.xml\npayloads: {kg3: {lower: {mass: 3, com: [0.4, 0, 0.1]}}
 
 
 def identified(folder: Path, scale: list[float], payloads: list[str | None]) -> EffortResult:
-    """Recordings with and without payload, the last held out, efforts times a scale."""
+    """Result for recordings with these payloads, the last one held out, and scaled efforts."""
     write_model(folder)
     (folder / "real.xml").write_text(TRUE.format(**REAL))
     (folder / "twin.yaml").write_text(TWIN)
@@ -26,7 +26,7 @@ def identified(folder: Path, scale: list[float], payloads: list[str | None]) -> 
     robot = load(folder / "real.xml", twin=twin)
     found = []
     for seed, payload in enumerate(payloads):
-        time, q, effort = record(robot.variant(payload=payload), seed)
+        time, q, effort = simulated_effort(robot.variant(payload=payload), seed)
         metadata = {} if payload is None else {"payload": payload}
         found.append(Measured(
             folder / f"{seed}.csv", 0.0, JOINTS, time, q, None, effort * np.array(scale),
@@ -36,14 +36,14 @@ def identified(folder: Path, scale: list[float], payloads: list[str | None]) -> 
     return identify_effort(load(folder / "model.xml", twin=twin), measured, NO_SIGNALS)
 
 
-def test_a_known_payload_is_no_part_of_the_robot(tmp_path: Path) -> None:
+def test_a_known_payload_does_not_change_the_parameters_of_the_robot(tmp_path: Path) -> None:
     result = identified(tmp_path, [1.0, 1.0], ["kg3", "kg3", None])
     values = dict(zip(result.base.expressions, result.fitted.values, strict=True))
     assert values["mx2"] == pytest.approx(0.4, rel=0.05)
     assert max(error.rms for error in result.errors.values()) < 0.1
 
 
-def test_two_payloads_tell_the_scale_of_each_joint(tmp_path: Path) -> None:
+def test_two_payloads_identify_the_effort_scale_of_each_joint(tmp_path: Path) -> None:
     result = identified(tmp_path, [1.25, 0.9], ["kg3", None, None])
     for joint, true in zip(JOINTS, (1.25, 0.9), strict=True):
         scale = result.scales[joint]
@@ -56,11 +56,11 @@ def test_two_payloads_tell_the_scale_of_each_joint(tmp_path: Path) -> None:
     assert values["fv1"] == pytest.approx(REAL["damping"], rel=0.05)
 
 
-def test_one_payload_throughout_tells_no_scale(tmp_path: Path) -> None:
+def test_with_only_one_payload_no_effort_scale_is_identified(tmp_path: Path) -> None:
     assert identified(tmp_path, [1.25, 0.9], ["kg3", "kg3", "kg3"]).scales == {}
 
 
-def test_a_right_scale_is_left_alone(tmp_path: Path) -> None:
+def test_a_correct_effort_scale_is_not_significant(tmp_path: Path) -> None:
     result = identified(tmp_path, [1.0, 1.0], ["kg3", None, None])
     assert not any(scale.is_significant for scale in result.scales.values())
     assert result.scales["elbow"].value == pytest.approx(1.0, abs=0.05)

@@ -1,4 +1,4 @@
-"""Coordinates of a link in which every value is a real body."""
+"""Coordinates of a link in which every value is a physically possible body."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def link() -> _Link:
     return _Link(0, np.array([STATED[name] for name in INERTIAL]))
 
 
-def test_no_deviation_is_the_stated_link() -> None:
+def test_zero_deviation_gives_the_stated_parameters() -> None:
     found = dict(zip(INERTIAL, link().parameters(np.zeros(10)), strict=True))
     assert found == pytest.approx(STATED)
 
 
-def test_the_derivative_is_that_of_the_parameters() -> None:
+def test_the_derivative_agrees_with_finite_differences() -> None:
     random = np.random.default_rng(2)
     for x in 0.5 * random.standard_normal((5, 10)):
         step = 1e-6
@@ -32,7 +32,7 @@ def test_the_derivative_is_that_of_the_parameters() -> None:
         np.testing.assert_allclose(link().slope(x), differences, rtol=1e-6, atol=1e-8)
 
 
-def test_every_deviation_is_a_body() -> None:
+def test_every_deviation_gives_a_physically_possible_body() -> None:
     random = np.random.default_rng(3)
     for x in 3.0 * random.standard_normal((50, 10)):
         own = dict(zip(INERTIAL, link().parameters(x), strict=True))

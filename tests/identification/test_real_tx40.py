@@ -14,7 +14,7 @@ from pytest_twin import cli
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "identification"
 
 
-def test_published_values_lie_in_the_joint_intervals(
+def test_published_base_parameters_of_the_tx40_are_reproduced_within_their_uncertainty(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(BENCHMARK))

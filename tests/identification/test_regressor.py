@@ -1,4 +1,4 @@
-"""The regressor against MuJoCo's inverse dynamics, base parameters against the textbook."""
+"""The regressor agrees with MuJoCo's inverse dynamics, base parameters with the textbook."""
 
 from __future__ import annotations
 
@@ -46,18 +46,18 @@ def check_effort(realization: Realization) -> None:
     q, v, a = motion(len(realization.joints))
     dry = np.array([c.kind == "coulomb_friction" for c in regressor.columns])
     ours = regressor.matrix(q, v, a) @ np.where(dry, 0.0, regressor.prior)
-    # Dry friction is a constraint of MuJoCo's.
+    # MuJoCo models dry friction as a constraint.
     theirs = needed_effort(realization.model, q, v, a, dry=False)
     np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-7 * np.abs(theirs).max())
 
 
-def test_two_links_have_mujocos_effort(tmp_path):
+def test_efforts_of_two_links_agree_with_mujoco(tmp_path):
     check_effort(model_of(TWO_LINKS, tmp_path))
 
 
 @given(robot=robots(links=(2, 5), mimics=False, meshes=False))
 @settings(max_examples=15, deadline=None)
-def test_random_robots_have_mujocos_effort(robot, tmp_path_factory):
+def test_efforts_of_random_robots_agree_with_mujoco(robot, tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
     for form in ("urdf", "mjcf"):
         check_effort(load(robot.write(folder, form)))
@@ -72,8 +72,8 @@ def test_dry_friction_opposes_the_motion(tmp_path):
     assert regressor.prior[at] == 0.1
 
 
-def test_two_links_have_the_textbooks_base_parameters(tmp_path):
-    """Khalil and Dombre (2002), ch. 9: the second joint's axis is parallel to the first one's."""
+def test_base_parameters_of_two_links_agree_with_the_textbook(tmp_path):
+    """Khalil and Dombre (2002), ch. 9, for two parallel joint axes."""
     regressor = Regressor(model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"])
     base = structural_base(regressor)
     assert base.expressions == (
@@ -99,7 +99,7 @@ def test_two_links_have_the_textbooks_base_parameters(tmp_path):
 
 @given(robot=robots(links=(2, 6), mimics=False, meshes=False))
 @settings(max_examples=10, deadline=None)
-def test_base_parameters_predict_what_all_parameters_predict(robot, tmp_path_factory):
+def test_base_parameters_predict_the_same_effort_as_all_parameters(robot, tmp_path_factory):
     realization = load(robot.write(tmp_path_factory.mktemp("robot")))
     regressor = Regressor(realization, realization.joints)
     base = structural_base(regressor)
@@ -111,7 +111,7 @@ def test_base_parameters_predict_what_all_parameters_predict(robot, tmp_path_fac
     assert np.linalg.matrix_rank(reduced / np.linalg.norm(reduced, axis=0)) == len(base)
 
 
-def test_a_motion_that_moves_one_joint_determines_fewer(tmp_path):
+def test_a_motion_of_one_joint_determines_fewer_base_parameters(tmp_path):
     regressor = Regressor(model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"])
     q, v, a = motion(2)
     for moved in (q, v, a):
@@ -135,7 +135,7 @@ def test_a_shared_motor_couples_two_joints(tmp_path):
         Regressor(model_of(TWO_LINKS, tmp_path), ["elbow"], [SharedMotor("elbow", "wrist")])
 
 
-def test_predicted_covariance_is_that_of_repeated_fits(tmp_path):
+def test_predicted_deviations_agree_with_repeated_fits(tmp_path):
     regressor = Regressor(model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"])
     base = structural_base(regressor)
     matrix = base.matrix(regressor.matrix(*motion(2, 100)))

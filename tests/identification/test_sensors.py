@@ -1,4 +1,4 @@
-"""A force-torque sensor and an IMU of an arm whose true signals Pinocchio computed."""
+"""Identification of a force-torque sensor and an IMU; Pinocchio computes the true signals."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from pytest_twin.sensors.imu import noise_of
 sys.path.append(str(Path(__file__).parents[1] / "formats"))
 sys.path.append(str(Path(__file__).parent))
 import sensor_bags
-from sensor_arm import ARM, COM, INERTIA, MASS, PERIOD, START, moved, pinocchio_arm
+from sensor_arm import ARM, COM, INERTIA, MASS, PERIOD, START, pinocchio_arm, random_motion
 
 
 def true_signals(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Wrench of the tool on the wrist, and inertial signals there."""
+    """The wrench that the tool exerts on the wrist, and the inertial signals there."""
     model = pinocchio_arm()
     data = model.createData()
     offset = pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
@@ -47,10 +47,10 @@ def true_signals(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarra
     return wrench, inertial
 
 
-def write(
+def write_trial(
     path: Path, q: np.ndarray, readings: np.ndarray, kind: str, metadata: dict[str, str]
 ) -> None:
-    """Joint states in JSON and readings in CDR, side by side."""
+    """Write joint states as JSON and sensor readings as CDR to one file."""
     stamps = START + np.round(np.arange(len(q)) * PERIOD * 1e9).astype(np.int64)
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -71,7 +71,7 @@ def write(
         writer.finish()
 
 
-def drawn_sensor(seed: int) -> ForceTorqueSensor:
+def random_sensor(seed: int) -> ForceTorqueSensor:
     rng = np.random.default_rng(100 + seed)
     scale = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
     mixing = 0.03 * rng.normal(size=(6, 6)) * np.outer(scale, 1.0 / scale)
@@ -81,12 +81,12 @@ def drawn_sensor(seed: int) -> ForceTorqueSensor:
 
 
 def identified(folder: Path, kind: str, readings: Any, first_motion: int = 0) -> dict[str, Any]:
-    """Two recordings to fit and one held out; ``readings`` makes them of the true signals."""
+    """Result for two recordings and a held-out one; ``readings`` converts the true signals."""
     (folder / "arm.xml").write_text(ARM)
     (folder / "out").mkdir()
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
-        q, v, a = moved(first_motion + seed)
-        write(folder / f"{seed}.mcap", q, readings(true_signals(q, v, a), seed), kind,
+        q, v, a = random_motion(first_motion + seed)
+        write_trial(folder / f"{seed}.mcap", q, readings(true_signals(q, v, a), seed), kind,
               {"role": role})  # fmt: skip
     return identify_files(
         {
@@ -100,8 +100,10 @@ def identified(folder: Path, kind: str, readings: Any, first_motion: int = 0) ->
     )
 
 
-def test_a_force_torque_sensor_is_found_and_its_intervals_hold(tmp_path: Path) -> None:
-    sensor = drawn_sensor(0)
+def test_a_force_torque_sensor_is_identified_and_its_intervals_contain_the_true_values(
+    tmp_path: Path,
+) -> None:
+    sensor = random_sensor(0)
     noise = np.array([0.05, 0.05, 0.05, 0.003, 0.003, 0.003])
 
     def readings(true: Any, seed: int) -> np.ndarray:
@@ -132,7 +134,7 @@ def test_a_force_torque_sensor_is_found_and_its_intervals_hold(tmp_path: Path) -
     assert "ideal sensor" in identification.render(found)
 
 
-def test_an_imu_is_found(tmp_path: Path) -> None:
+def test_bias_and_scale_of_an_imu_are_identified(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     turned = Rotation.from_rotvec([0.02, -0.03, 0.01]).as_matrix()
     matrix = np.block([[1.02 * turned, np.zeros((3, 3))], [np.zeros((3, 3)), 0.97 * turned]])
@@ -150,7 +152,7 @@ def test_an_imu_is_found(tmp_path: Path) -> None:
         )
 
 
-def test_white_noise_has_the_density_that_was_drawn() -> None:
+def test_the_density_of_white_noise_is_identified() -> None:
     pytest.importorskip("allantools", reason="the extra 'sensors' is not installed")
     rng = np.random.default_rng(0)
     rate, density = 200.0, 0.003
@@ -160,7 +162,7 @@ def test_white_noise_has_the_density_that_was_drawn() -> None:
         assert one.density_std < 0.1 * density
 
 
-def test_the_step_of_an_encoder_is_found_and_a_smooth_signal_has_none() -> None:
+def test_the_resolution_of_an_encoder_is_identified_and_a_smooth_signal_has_none() -> None:
     step = 2.0 * np.pi / 4096
     angle = np.sin(np.linspace(0.0, 9.0, 4000))
     found = encoder_of(Encoder(step).measured(angle))
@@ -169,7 +171,7 @@ def test_the_step_of_an_encoder_is_found_and_a_smooth_signal_has_none() -> None:
     assert encoder_of(angle) is None
 
 
-def test_sensors_stand_under_sensing_and_their_filter_under_timing() -> None:
+def test_sensor_parameters_belong_to_sensing_and_filters_and_delays_to_timing() -> None:
     assert category_of_parameter("wrist.sensor_bias_fx") == "sensing"
     assert category_of_parameter("wrist.sensor_filter_time") == "timing"
     assert category_of_parameter("elbow.sensor_delay") == "timing"

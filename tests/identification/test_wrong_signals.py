@@ -1,4 +1,4 @@
-"""Mistakes of the input are recognised, said with their mend, and never applied."""
+"""Suspected mistakes of the input are reported with a remedy and not corrected automatically."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import JOINTS, REAL, real, record, write_model, write_recording
+from arms import JOINTS, REAL, simulated_effort, true_arm, write_model, write_recording
 from scipy import signal
 
 from pytest_twin.errors import RecordingError
@@ -20,7 +20,7 @@ from pytest_twin.signals import NO_SIGNALS, Signals
 
 
 def measured(folder: Path, seed: int, seconds: float = 20.0) -> Measured:
-    time, q, effort = record(real(folder), seed, seconds=seconds)
+    time, q, effort = simulated_effort(true_arm(folder), seed, seconds=seconds)
     return Measured(
         folder / f"{seed}.csv", 0.0, JOINTS, time, q, None, effort,
         np.zeros(2, dtype=bool), np.full(2, np.inf), {},
@@ -28,13 +28,13 @@ def measured(folder: Path, seed: int, seconds: float = 20.0) -> Measured:
 
 
 def identified_from_two(folder: Path, change) -> EffortResult:
-    """The result for three recordings that were changed alike, the last one held out."""
+    """The result for three recordings with the same change; the last one is held out."""
     *fit, held = (change(measured(folder, seed)) for seed in (1, 2, 3))
     return identify_effort(load(write_model(folder)), MeasuredSet((*fit,), (held,)), NO_SIGNALS)
 
 
 def identified(folder: Path, change, signals: Signals = NO_SIGNALS) -> EffortResult:
-    """The result for two recordings that were changed alike, and the second held out."""
+    """The result for two recordings with the same change; the second one is held out."""
     fit, held = (change(measured(folder, seed)) for seed in (1, 2))
     return identify_effort(load(write_model(folder)), MeasuredSet((fit,), (held,)), signals)
 
@@ -43,18 +43,20 @@ def scaled(factors: list[float]):
     return lambda one: replace(one, effort=one.effort * np.array(factors))
 
 
-def test_a_sound_recording_has_no_suspect(tmp_path: Path) -> None:
+def test_a_correct_recording_causes_no_suspicion(tmp_path: Path) -> None:
     assert identified(tmp_path, lambda one: one).suspected == ()
 
 
-def test_a_wrong_sign_of_one_motor_is_named(tmp_path: Path) -> None:
+def test_a_wrong_effort_sign_of_one_motor_is_reported(tmp_path: Path) -> None:
     (suspect,) = identified(tmp_path, scaled([1.0, -1.0])).suspected
     assert suspect.what.startswith("elbow: the effort helps the motion")
     assert "its sign is wrong" in suspect.what
     assert suspect.is_fatal
 
 
-def test_no_encoder_and_no_delay_pass_for_a_wrong_sign(tmp_path: Path) -> None:
+def test_with_a_suspected_wrong_sign_delay_and_encoder_error_are_not_estimated(
+    tmp_path: Path,
+) -> None:
     result = identified_from_two(tmp_path, scaled([1.0, -1.0]))
     assert [one.is_fatal for one in result.suspected] == [True]
     for stage in result.stages[:2]:
@@ -64,7 +66,7 @@ def test_no_encoder_and_no_delay_pass_for_a_wrong_sign(tmp_path: Path) -> None:
         )
 
 
-def test_joints_that_hardly_move_identify_nothing_and_it_is_said(tmp_path: Path) -> None:
+def test_for_joints_that_hardly_move_the_missing_motions_are_reported(tmp_path: Path) -> None:
     def hardly_moved(one: Measured) -> Measured:
         random = np.random.default_rng(int(one.effort[0, 0] * 1e6) % 1000)
         turn = 0.02 * np.sin(0.5 * one.time)[:, None] * np.array([1.0, 0.0])
@@ -86,16 +88,16 @@ def test_joints_that_hardly_move_identify_nothing_and_it_is_said(tmp_path: Path)
     )
 
 
-def test_degrees_are_named_where_the_model_has_no_range(tmp_path: Path) -> None:
+def test_positions_in_degrees_are_reported_even_without_joint_ranges(tmp_path: Path) -> None:
     result = identified(tmp_path, lambda one: replace(one, position=np.degrees(one.position)))
     assert {one.mend for one in result.suspected if "degrees" in one.what} == {
         f"signals: joints: {joint}: position: {{unit: deg}}" for joint in JOINTS
     }
 
 
-def test_an_amount_without_commands_says_why_neither_can_be_used(tmp_path: Path) -> None:
+def test_unsigned_effort_without_commands_is_refused_with_a_reason(tmp_path: Path) -> None:
     write_model(tmp_path)
-    time, q, effort = record(real(tmp_path), 1, about=np.pi / 2)
+    time, q, effort = simulated_effort(true_arm(tmp_path), 1, about=np.pi / 2)
     write_recording(tmp_path / "one.csv", time, q, np.abs(effort))
     (tmp_path / "out").mkdir()
     with pytest.raises(RecordingError) as error:
@@ -110,7 +112,7 @@ def test_an_amount_without_commands_says_why_neither_can_be_used(tmp_path: Path)
     assert "(expected commands in the file" in str(error.value)
 
 
-def test_a_gear_that_is_not_applied_is_named(tmp_path: Path) -> None:
+def test_a_gear_ratio_not_applied_to_the_effort_is_reported(tmp_path: Path) -> None:
     signals = Signals.from_json({"joints": {"elbow": {"gear": 50.0}}})
     (suspect,) = identified(tmp_path, scaled([1.0, 0.02]), signals).suspected
     assert "elbow: the effort is 0.0" in suspect.what
@@ -118,13 +120,13 @@ def test_a_gear_that_is_not_applied_is_named(tmp_path: Path) -> None:
     assert suspect.mend == "signals: joints: elbow: side of position and effort, and gear"
 
 
-def test_an_inverted_gear_is_named(tmp_path: Path) -> None:
+def test_a_gear_ratio_applied_in_the_wrong_direction_is_reported(tmp_path: Path) -> None:
     signals = Signals.from_json({"joints": {"shoulder": {"gear": 50.0}}})
     (suspect,) = identified(tmp_path, scaled([2500.0, 1.0]), signals).suspected
     assert suspect.what.endswith("the gear ratio 50 is applied the wrong way round")
 
 
-def test_friction_that_falls_over_the_run_is_said(tmp_path: Path) -> None:
+def test_friction_that_decreases_during_a_recording_is_reported(tmp_path: Path) -> None:
     def warming(one: Measured) -> Measured:
         way = np.sign(np.gradient(one.position[:, 0]))
         fall = 0.4 * (0.5 - one.time / one.time[-1])
@@ -138,7 +140,7 @@ def test_friction_that_falls_over_the_run_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("late", [0.012, -0.008])
-def test_a_delay_of_the_efforts_is_found_and_taken_out(tmp_path: Path, late: float) -> None:
+def test_a_delay_of_the_efforts_is_identified_and_corrected(tmp_path: Path, late: float) -> None:
     def delayed(one: Measured) -> Measured:
         columns = [np.interp(one.time - late, one.time, column) for column in one.effort.T]
         return replace(one, effort=np.column_stack(columns))
@@ -152,7 +154,7 @@ def test_a_delay_of_the_efforts_is_found_and_taken_out(tmp_path: Path, late: flo
 
 
 def low_passed(order: int, cutoff: float):
-    """Efforts behind a filter in the drive, Hz."""
+    """A change that low-pass filters the efforts, as a filter in the drive does; cutoff in Hz."""
 
     def filtered(one: Measured) -> Measured:
         b, a = signal.butter(order, cutoff, fs=one.rate)
@@ -163,7 +165,7 @@ def low_passed(order: int, cutoff: float):
     return filtered
 
 
-def test_a_first_order_filter_of_the_efforts_is_found_and_taken_out(tmp_path: Path) -> None:
+def test_a_first_order_filter_of_the_efforts_is_identified_and_corrected(tmp_path: Path) -> None:
     result = identified(tmp_path, low_passed(1, 2.0))
     assert result.delay is not None
     assert result.delay.name == "robot.effort_lag"
@@ -177,20 +179,20 @@ def test_a_first_order_filter_of_the_efforts_is_found_and_taken_out(tmp_path: Pa
     assert abs(solution.values[at] - REAL["friction"]) < solution.half_width[at]
 
 
-def test_a_filter_above_the_motion_is_a_delay(tmp_path: Path) -> None:
+def test_a_filter_with_cutoff_above_the_motion_is_identified_as_a_delay(tmp_path: Path) -> None:
     result = identified(tmp_path, low_passed(2, 10.0))
     assert result.delay is not None
     assert result.delay.name == "robot.effort_delay"
     assert result.delay.value == pytest.approx(np.sqrt(2.0) / (2.0 * np.pi * 10.0), abs=0.001)
 
 
-def test_a_clipped_effort_is_found() -> None:
+def test_clipping_of_an_effort_is_detected() -> None:
     wave = 5.0 * np.sin(np.linspace(0, 20, 2000))
     assert _clipped_at(np.clip(wave, -3.0, 3.0)) == 3.0
     assert _clipped_at(wave + 0.01 * np.random.default_rng(0).standard_normal(2000)) is None
 
 
-def test_a_joint_that_stands_still_leaves_its_parameters_open(tmp_path: Path) -> None:
+def test_parameters_of_a_joint_at_rest_are_unobservable(tmp_path: Path) -> None:
     def stood(one: Measured) -> Measured:
         position = one.position.copy()
         position[:, 1] = 0.3
