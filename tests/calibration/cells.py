@@ -1,4 +1,4 @@
-"""Simulated cells: a robot with known errors, a camera, a target, and what it would observe."""
+"""Simulated cells: a robot with known errors, a camera, a target and the observations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def pose(rng: np.random.Generator, size: float = 0.3) -> np.ndarray:
 
 
 def arm(joints: int, rng: np.random.Generator) -> SerialChain:
-    """Revolute joints whose axes are inclined to one another, about 1 m long."""
+    """A serial arm about 1 m long with revolute joints whose axes are not parallel."""
     placements, axes = [], []
     for at in range(joints):
         turn = Rotation.from_euler("x", [0.0, np.pi / 2, -np.pi / 2][at % 3 if at else 0])
@@ -42,7 +42,7 @@ def arm(joints: int, rng: np.random.Generator) -> SerialChain:
 
 
 def forward(chain: SerialChain, values: np.ndarray) -> np.ndarray:
-    """(rows, 4, 4) by plain products, apart from the package's own forward kinematics."""
+    """Flange poses (rows, 4, 4) by products of transforms, independent of the package."""
     poses = []
     for row in values:
         total = np.eye(4)
@@ -65,7 +65,7 @@ def noisy(poses: np.ndarray, translation: float, rotation: float, rng: np.random
 
 @dataclass
 class Cell:
-    """Truth and observations of one cell."""
+    """True values and observations of one cell."""
 
     mounted: np.ndarray
     world: np.ndarray
@@ -125,7 +125,7 @@ def joint_cell(
 
 
 def plan(*estimate: str, mount: str = "hand", **options: Any) -> Plan:
-    """A plan for observations in memory."""
+    """A calibration plan for observations in memory."""
     stated: dict[str, Any] = {
         "camera": {},
         "points": {},
@@ -155,7 +155,7 @@ def with_outliers(observations: Observations, rows: list[int], size: float) -> O
 
 
 def truth_inside(found: dict[str, Any], record: str, truth: np.ndarray) -> list[bool]:
-    """Whether each of six intervals of a record holds the true (4, 4) transform."""
+    """Whether each of the six intervals of a record contains the true (4, 4) transform."""
     stated = found["records"][record]
     transform, intervals = stated["transform"], stated["ci95"]
     turn = rotation_of(transform["quaternion_wxyz"]).T @ truth[:3, :3]

@@ -1,8 +1,8 @@
-"""A URDF of the Franka FR3 from the maker's Denavit-Hartenberg values."""
+"""A URDF of the Franka FR3 from the manufacturer's Denavit-Hartenberg parameters."""
 
 import math
 
-# a [m], d [m], alpha [rad], as Craig orders them.
+# a [m], d [m], alpha [rad] in Craig's convention.
 ROWS = (
     (0.0, 0.333, 0.0),
     (0.0, 0.0, -math.pi / 2),

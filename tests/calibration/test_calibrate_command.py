@@ -1,4 +1,4 @@
-"""The command, from a plan and observations to calibration.json."""
+"""Command ``calibrate``: from a plan and observations to ``calibration.json``."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pytest_twin.realization.serial_chain import load_serial_chain
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
-def written(folder: Path, *, plan: str = "", rows: int = 30) -> cells.Cell:
-    """A cell with an FR3 whose joint 4 is off by 20 mrad."""
+def write_cell(folder: Path, *, plan: str = "", rows: int = 30) -> cells.Cell:
+    """Write a cell with an FR3 whose joint 4 has a zero error of 20 mrad."""
     (folder / "fr3.urdf").write_text(fr3.urdf())
     chain = load_serial_chain(folder / "fr3.urdf", "fr3_link8")
     rng = np.random.default_rng(3)
@@ -53,10 +53,10 @@ def written(folder: Path, *, plan: str = "", rows: int = 30) -> cells.Cell:
     return cell
 
 
-def test_it_writes_estimates_with_intervals_and_held_out_errors(
+def test_calibrate_writes_estimates_with_intervals_and_held_out_errors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    written(tmp_path)
+    write_cell(tmp_path)
     monkeypatch.chdir(tmp_path)
     assert cli.main(["calibrate", "calibration.yaml", "--out", "out"]) == 0
     found = json.loads(Path("out/calibration.json").read_text())
@@ -95,24 +95,24 @@ def test_it_writes_estimates_with_intervals_and_held_out_errors(
     assert "fr3_joint4" in out
 
 
-def test_zeros_that_base_and_camera_free_are_held_and_said(
+def test_zeros_of_the_first_and_last_joint_are_reported_as_unobservable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    written(tmp_path)
+    write_cell(tmp_path)
     monkeypatch.chdir(tmp_path)
     assert cli.main(["calibrate", "calibration.yaml", "--out", "out"]) == 0
     found = json.loads(Path("out/calibration.json").read_text())
     names = list(found["records"]["joint_zeros"]["values"])
     assert names == [f"fr3_joint{n}" for n in range(2, 7)]
-    said = " ".join(found["unobservable"])
-    assert "zero of fr3_joint1 and the rotation of the target in the base" in said
-    assert "zero of fr3_joint7 and the rotation of the camera on the flange" in said
+    words = " ".join(found["unobservable"])
+    assert "zero of fr3_joint1 and the rotation of the target in the base" in words
+    assert "zero of fr3_joint7 and the rotation of the camera on the flange" in words
 
 
-def test_errors_beyond_what_the_plan_accepts_reject_it(
+def test_a_calibration_with_errors_above_the_accepted_ones_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    written(tmp_path, plan="estimate: [hand_eye, base_world]\naccept: {translation: 0.001}\n")
+    write_cell(tmp_path, plan="estimate: [hand_eye, base_world]\naccept: {translation: 0.001}\n")
     monkeypatch.chdir(tmp_path)
     assert cli.main(["calibrate", "calibration.yaml", "--out", "out", "--json", "r.json"]) == 1
     found = json.loads(Path("r.json").read_text())
@@ -121,10 +121,10 @@ def test_errors_beyond_what_the_plan_accepts_reject_it(
     assert found == json.loads(Path("out/calibration.json").read_text())
 
 
-def test_a_missing_joint_column_is_one_line_on_standard_error(
+def test_a_missing_joint_column_is_refused_with_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    written(tmp_path)
+    write_cell(tmp_path)
     monkeypatch.chdir(tmp_path)
     text = Path("observations.csv").read_text().replace("joint.fr3_joint5", "joint.elbow")
     Path("observations.csv").write_text(text)

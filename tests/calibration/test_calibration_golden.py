@@ -1,4 +1,4 @@
-"""Goldens that re-check an accepted calibration on its held-out observations."""
+"""Goldens that test an accepted calibration on its held-out observations."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from test_calibrate_command import written
+from test_calibrate_command import write_cell
 
 from pytest_twin.calibration.exports import export_files
 from pytest_twin.calibration.run import calibrate_file
@@ -49,13 +49,13 @@ LINK = 'xyz="0.0 -0.316'
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A twin with an accepted calibration whose joint 4 is off by 20 mrad."""
+    """A twin with an accepted calibration of a robot whose joint 4 has a zero error of 20 mrad."""
     root = tmp_path_factory.mktemp("cell")
-    written(root)
+    write_cell(root)
     document = calibrate_file(str(root / "calibration.yaml"))
     assert document["verdict"] == "accepted"
     (root / "record.json").write_text(json.dumps(document))
-    # Another record of the same observations; its zeros are not taken over.
+    # A second record of the same observations, whose joint zeros the twin does not apply.
     (root / "second.json").write_text(json.dumps(document | {"calibration": "second"}))
     (root / "twin.yaml").write_text(
         "model: fr3.urdf\ncalibrations: [{file: record.json}, {file: second.json, use: []}]\n"
@@ -74,7 +74,7 @@ def cell(calibrated: Path, tmp_path: Path) -> Path:
     return root
 
 
-def measured(root: Path) -> list[Measure]:
+def measures_of(root: Path) -> list[Measure]:
     twin = load_twin(root / "twin.yaml")
     golden = load_golden(root / "golden" / "hand_eye.yaml", twin)
     check = check_of("calibration")
@@ -82,14 +82,16 @@ def measured(root: Path) -> list[Measure]:
     return check.compare(golden, check.observe(golden, realization, lambda fraction: None), None)
 
 
-def replaced(root: Path, file: str, old: str, new: str) -> None:
+def replace_text(root: Path, file: str, old: str, new: str) -> None:
     text = (root / file).read_text()
     assert old in text
     (root / file).write_text(text.replace(old, new, 1))
 
 
-def test_the_robot_that_was_calibrated_passes_with_the_errors_of_the_record(cell: Path) -> None:
-    found = {m.name: m for m in measured(cell)}
+def test_the_golden_passes_for_the_calibrated_robot_with_the_errors_of_the_record(
+    cell: Path,
+) -> None:
+    found = {m.name: m for m in measures_of(cell)}
     assert all(m.passed for m in found.values())
     for m in found.values():
         assert m.against == "record"
@@ -97,40 +99,42 @@ def test_the_robot_that_was_calibrated_passes_with_the_errors_of_the_record(cell
     assert found["position"].subject.startswith("cell_hand_eye on 10 held-out observations (worst")
 
 
-def test_a_moved_link_fails(cell: Path) -> None:
-    replaced(cell, "fr3.urdf", LINK, 'xyz="0.0 -0.336')
-    position = next(m for m in measured(cell) if m.name == "position")
+def test_the_golden_fails_for_a_displaced_link(cell: Path) -> None:
+    replace_text(cell, "fr3.urdf", LINK, 'xyz="0.0 -0.336')
+    position = next(m for m in measures_of(cell) if m.name == "position")
     assert not position.passed
     assert position.error > 0.003
 
 
-def test_a_twin_without_the_zeros_fails(cell: Path) -> None:
-    replaced(cell, "twin.yaml", "{file: record.json}", "{file: record.json, use: []}")
-    assert not all(m.passed for m in measured(cell))
+def test_the_golden_fails_without_the_joint_zeros(cell: Path) -> None:
+    replace_text(cell, "twin.yaml", "{file: record.json}", "{file: record.json, use: []}")
+    assert not all(m.passed for m in measures_of(cell))
 
 
-def test_a_record_with_geometry_passes_on_the_calibrated_urdf_alone(tmp_path: Path) -> None:
+def test_the_golden_of_a_record_with_geometry_passes_only_for_the_calibrated_urdf(
+    tmp_path: Path,
+) -> None:
     plan = (
         "estimate: [joint_zeros, geometry, base_world, hand_eye]\ncamera: {mount: hand}\n"
         "hold_out: {fraction: 0.33, seed: 1}\naccept: {translation: 0.002, rotation: 0.0035}\n"
     )
-    written(tmp_path, plan=plan)
+    write_cell(tmp_path, plan=plan)
     document = calibrate_file(str(tmp_path / "calibration.yaml"))
     nominal = (tmp_path / "fr3.urdf").read_text()
     texts = export_files(str(tmp_path / "calibration.yaml"), document, str(tmp_path))
     (tmp_path / "record.json").write_text(json.dumps(document))
     (tmp_path / "golden").mkdir()
     (tmp_path / "golden" / "hand_eye.yaml").write_text(SPEC)
-    # The exported file has the zeros in its origins.
+    # The exported file includes the joint zeros in its joint origins.
     (tmp_path / "twin.yaml").write_text(
         "model: fr3.urdf\ncalibrations: [{file: record.json, use: []}]\n"
     )
     (tmp_path / "fr3.urdf").write_text(texts["calibrated.urdf"])
-    assert [m.error for m in measured(tmp_path)] == pytest.approx(
-        [m.golden for m in measured(tmp_path)], rel=1e-3
+    assert [m.error for m in measures_of(tmp_path)] == pytest.approx(
+        [m.golden for m in measures_of(tmp_path)], rel=1e-3
     )
     (tmp_path / "fr3.urdf").write_text(nominal)
-    assert not all(m.passed for m in measured(tmp_path))
+    assert not all(m.passed for m in measures_of(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -147,16 +151,16 @@ def test_a_record_with_geometry_passes_on_the_calibrated_urdf_alone(tmp_path: Pa
         ("observations.csv", "id,", "id,", ""),
     ],
 )
-def test_what_is_not_the_records_is_refused(
+def test_files_and_names_that_do_not_belong_to_the_record_are_refused(
     cell: Path, file: str, old: str, new: str, words: str
 ) -> None:
-    replaced(cell, file, old, new)
+    replace_text(cell, file, old, new)
     if not words:
         with (cell / file).open("a") as stream:
             stream.write("\n")
         words = "target.observations: not a file that cell_hand_eye was made from"
     with pytest.raises(SpecError) as caught:
-        measured(cell)
+        measures_of(cell)
     assert words in str(caught.value)
     assert caught.value.line is not None
 
@@ -166,7 +170,7 @@ def test_a_record_without_a_needed_transform_is_refused(cell: Path) -> None:
     del document["records"]["hand_eye"]
     (cell / "record.json").write_text(json.dumps(document))
     with pytest.raises(SpecError, match="no transform of the camera on the flange"):
-        measured(cell)
+        measures_of(cell)
 
 
 def test_a_record_without_held_out_observations_is_refused(cell: Path) -> None:
@@ -174,7 +178,7 @@ def test_a_record_without_held_out_observations_is_refused(cell: Path) -> None:
     del document["held_out"]["ids"]
     (cell / "record.json").write_text(json.dumps(document))
     with pytest.raises(SpecError, match="the calibration held no observation out"):
-        measured(cell)
+        measures_of(cell)
 
 
 def test_nothing_is_proposed_without_a_calibration(cell: Path) -> None:
@@ -188,10 +192,10 @@ def test_the_documented_example_loads(cell: Path) -> None:
     assert load_golden(path, load_twin(cell / "twin.yaml")).kind == "calibration"
 
 
-# -- what makes it stale
+# -- goldens that become stale
 
 
-def stock(root: Path) -> Stock:
+def stock_of(root: Path) -> Stock:
     twin = load_twin(root / "twin.yaml")
     goldens = [load_golden(path, twin) for path in sorted((root / "golden").iterdir())]
     realization = load(root / "fr3.urdf", twin=twin)
@@ -211,52 +215,52 @@ def _surroundings(twin: Twin) -> Surroundings:
     return Surroundings(check_of, installed_version, digest)
 
 
-def moved_mount(root: Path) -> None:
+def change_mount(root: Path) -> None:
     document = json.loads((root / "record.json").read_text())
     document["records"]["hand_eye"]["transform"]["xyz"][0] += 0.01
     (root / "record.json").write_text(json.dumps(document))
 
 
-def other_zero(root: Path) -> None:
+def change_zero(root: Path) -> None:
     document = json.loads((root / "record.json").read_text())
     document["records"]["joint_zeros"]["values"]["fr3_joint4"]["value"] += 0.01
     (root / "record.json").write_text(json.dumps(document))
 
 
-def reworded(root: Path) -> None:
+def change_note(root: Path) -> None:
     document = json.loads((root / "record.json").read_text())
     document["notes"] = ["checked on Monday"]
     (root / "record.json").write_text(json.dumps(document))
 
 
-def other_link(root: Path) -> None:
-    replaced(root, "fr3.urdf", LINK, 'xyz="0.0 -0.336')
+def change_link(root: Path) -> None:
+    replace_text(root, "fr3.urdf", LINK, 'xyz="0.0 -0.336')
 
 
-def more_data(root: Path) -> None:
+def add_data(root: Path) -> None:
     with (root / "observations.csv").open("a") as stream:
         stream.write("\n")
 
 
 CHANGES: list[tuple[Callable[[Path], None], set[str], str]] = [
-    (moved_mount, {"hand_eye"}, "record:cell_hand_eye: transforms.hand_eye.position"),
-    (other_zero, {"hand_eye", "second"}, "calibration:fr3_joint4: offset"),
-    (reworded, set(), ""),
-    (other_link, {"hand_eye", "second", "fk"}, "mujoco/kinematics:"),
-    (more_data, {"hand_eye", "second"}, "file:observations.csv: sha256"),
+    (change_mount, {"hand_eye"}, "record:cell_hand_eye: transforms.hand_eye.position"),
+    (change_zero, {"hand_eye", "second"}, "calibration:fr3_joint4: offset"),
+    (change_note, set(), ""),
+    (change_link, {"hand_eye", "second", "fk"}, "mujoco/kinematics:"),
+    (add_data, {"hand_eye", "second"}, "file:observations.csv: sha256"),
 ]
 
 
 @pytest.mark.parametrize(
     ("change", "stale", "words"), CHANGES, ids=[change[0].__name__ for change in CHANGES]
 )
-def test_a_change_makes_exactly_what_rests_on_it_stale(
+def test_a_change_makes_only_the_dependent_goldens_stale(
     cell: Path, change: Callable[[Path], None], stale: set[str], words: str
 ) -> None:
-    before = stock(cell)
+    before = stock_of(cell)
     release = Baseline(1, before.parts, dict.fromkeys(before.rests_on, True), before.rests_on)
     change(cell)
-    reasons = staleness(stock(cell), release)
+    reasons = staleness(stock_of(cell), release)
     found = {key.split("/")[1].split("@")[0]: why for key, why in reasons.items() if why}
     assert found.keys() == stale
     assert not words or any(str(reason).startswith(words) for reason in found["hand_eye"])
@@ -265,12 +269,12 @@ def test_a_change_makes_exactly_what_rests_on_it_stale(
 # -- stale and unchecked records in --twin-why
 
 
-def told(root: Path, change: Callable[[Path], None]) -> list[str]:
-    """What ``--twin-why`` says of records after a change to a released twin."""
-    before = stock(root)
+def record_lines(root: Path, change: Callable[[Path], None]) -> list[str]:
+    """Lines of ``--twin-why`` about records after a change to a released twin."""
+    before = stock_of(root)
     release = Baseline(1, before.parts, dict.fromkeys(before.rests_on, True), before.rests_on)
     change(root)
-    now = stock(root)
+    now = stock_of(root)
     twin = load_twin(root / "twin.yaml")
     tasks = {}
     for path in sorted((root / "golden").iterdir()):
@@ -285,8 +289,8 @@ def told(root: Path, change: Callable[[Path], None]) -> list[str]:
     ]
 
 
-def test_a_record_is_stale_when_the_robot_that_it_was_measured_with_changes(cell: Path) -> None:
-    assert told(cell, other_link) == [
+def test_a_record_is_stale_after_a_change_of_the_robot_it_was_measured_with(cell: Path) -> None:
+    assert record_lines(cell, change_link) == [
         "stale  record:cell_hand_eye  measured with parts that have changed",
         "stale  record:second  measured with parts that have changed",
     ]
@@ -294,21 +298,23 @@ def test_a_record_is_stale_when_the_robot_that_it_was_measured_with_changes(cell
 
 def test_a_new_record_is_not_stale_itself(cell: Path) -> None:
     def new_record(root: Path) -> None:
-        moved_mount(root)
-        other_zero(root)
+        change_mount(root)
+        change_zero(root)
 
-    # The zeros of the first are those of the robot, and the second was measured with others.
-    assert told(cell, new_record) == ["stale  record:second  measured with parts that have changed"]
+    # The robot has the joint zeros of the first record; the second was measured with others.
+    assert record_lines(cell, new_record) == [
+        "stale  record:second  measured with parts that have changed"
+    ]
 
 
-def test_a_record_that_no_golden_checks_is_named(cell: Path) -> None:
+def test_a_record_without_a_golden_is_reported(cell: Path) -> None:
     (cell / "golden" / "second.yaml").unlink()
-    assert told(cell, reworded) == [
+    assert record_lines(cell, change_note) == [
         "unchecked  record:second  no golden of kind calibration re-checks it"
     ]
 
 
 def test_a_superseded_record_needs_no_golden(cell: Path) -> None:
     (cell / "golden" / "hand_eye.yaml").unlink()
-    replaced(cell, "twin.yaml", "use: []", "supersedes: [cell_hand_eye]")
-    assert told(cell, reworded) == []
+    replace_text(cell, "twin.yaml", "use: []", "supersedes: [cell_hand_eye]")
+    assert record_lines(cell, change_note) == []

@@ -1,4 +1,4 @@
-"""Accepted calibrations in twin.yaml."""
+"""Accepted calibrations listed in ``twin.yaml``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MODEL = """<mujoco><worldbody><body name="a"><joint name="elbow"/><geom size="0.
 </worldbody></mujoco>"""
 
 
-def saved(folder: Path, name: str, **changes: Any) -> str:
+def write_record(folder: Path, name: str, **changes: Any) -> str:
     document = {
         "schema": 1,
         "calibration": name,
@@ -32,15 +32,15 @@ def saved(folder: Path, name: str, **changes: Any) -> str:
     return f"{name}.json"
 
 
-def twin(folder: Path, text: str):
+def load_twin_with(folder: Path, text: str):
     (folder / "model.xml").write_text(MODEL)
     (folder / "twin.yaml").write_text("model: model.xml\n" + text)
     return load_twin(folder / "twin.yaml")
 
 
-def test_the_twin_takes_joint_zeros_over_and_keeps_the_sign(tmp_path: Path) -> None:
-    file = saved(tmp_path, "october")
-    found = twin(
+def test_the_twin_applies_joint_zeros_and_keeps_the_sign(tmp_path: Path) -> None:
+    file = write_record(tmp_path, "october")
+    found = load_twin_with(
         tmp_path,
         "calibration: {id: wiring, joints: {elbow: {sign: -1, offset: 0.3}}}\n"
         f"calibrations: [{{file: {file}, date: 2026-10-01}}]\n",
@@ -54,9 +54,9 @@ def test_the_twin_takes_joint_zeros_over_and_keeps_the_sign(tmp_path: Path) -> N
     assert found.calibrations[0].record.held_out == {"translation_rms": 0.001}
 
 
-def test_the_base_is_moved_only_where_that_is_asked_for(tmp_path: Path) -> None:
-    file = saved(tmp_path, "october")
-    found = twin(tmp_path, f"calibrations: [{{file: {file}, use: [base_world]}}]\n")
+def test_the_base_pose_is_applied_only_on_request(tmp_path: Path) -> None:
+    file = write_record(tmp_path, "october")
+    found = load_twin_with(tmp_path, f"calibrations: [{{file: {file}, use: [base_world]}}]\n")
     assert found.calibration is not None
     assert found.calibration.joints == {}
     assert found.calibration.transform_world_to_base is not None
@@ -64,10 +64,10 @@ def test_the_base_is_moved_only_where_that_is_asked_for(tmp_path: Path) -> None:
 
 
 def test_a_later_record_supersedes_an_earlier_one(tmp_path: Path) -> None:
-    first = saved(tmp_path, "october")
+    first = write_record(tmp_path, "october")
     zeros = {"joint_zeros": {"values": {"elbow": {"value": 0.05}}}}
-    second = saved(tmp_path, "november", records=zeros)
-    found = twin(
+    second = write_record(tmp_path, "november", records=zeros)
+    found = load_twin_with(
         tmp_path,
         f"calibrations:\n- {{file: {first}}}\n- {{file: {second}, supersedes: [october]}}\n",
     )
@@ -76,10 +76,10 @@ def test_a_later_record_supersedes_an_earlier_one(tmp_path: Path) -> None:
     assert found.calibration.joints["elbow"].offset == 0.05
 
 
-def test_two_records_of_one_joint_are_refused(tmp_path: Path) -> None:
-    first, second = saved(tmp_path, "october"), saved(tmp_path, "november")
+def test_two_records_with_the_zero_of_the_same_joint_are_refused(tmp_path: Path) -> None:
+    first, second = write_record(tmp_path, "october"), write_record(tmp_path, "november")
     with pytest.raises(TwinError) as error:
-        twin(tmp_path, f"calibrations:\n- {{file: {first}}}\n- {{file: {second}}}\n")
+        load_twin_with(tmp_path, f"calibrations:\n- {{file: {first}}}\n- {{file: {second}}}\n")
     assert str(error.value).endswith(
         "twin.yaml:4: calibrations.1: zero of elbow is in two calibrations (got 'october, "
         "november'; expected supersedes: [october], or use: with other records)"
@@ -98,23 +98,21 @@ def test_two_records_of_one_joint_are_refused(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_record_that_cannot_be_used_is_refused(
-    tmp_path: Path, change: dict[str, Any], words: str
-) -> None:
-    file = saved(tmp_path, "october", **change)
+def test_an_invalid_record_is_refused(tmp_path: Path, change: dict[str, Any], words: str) -> None:
+    file = write_record(tmp_path, "october", **change)
     with pytest.raises(TwinError) as error:
-        twin(tmp_path, f"calibrations: [{{file: {file}}}]\n")
+        load_twin_with(tmp_path, f"calibrations: [{{file: {file}}}]\n")
     assert words in str(error.value)
 
 
-def homes(sign: float = 1.0) -> dict[str, Any]:
+def home_records(sign: float = 1.0) -> dict[str, Any]:
     value = {"value": 0.031, "unit": "rad", "ci95": [0.029, 0.033], "sign": sign}
     return {"encoder_home": {"values": {"elbow": value}}}
 
 
-def test_the_home_of_an_encoder_is_taken_over_with_its_uncertainty(tmp_path: Path) -> None:
-    file = saved(tmp_path, "encoders", records=homes())
-    found = twin(tmp_path, f"calibrations: [{{file: {file}}}]\n")
+def test_the_home_of_an_encoder_is_applied_with_its_uncertainty(tmp_path: Path) -> None:
+    file = write_record(tmp_path, "encoders", records=home_records())
+    found = load_twin_with(tmp_path, f"calibrations: [{{file: {file}}}]\n")
     assert found.calibration is not None
     assert found.calibration.joints["elbow"].offset == 0.031
     record = found.calibrations[0].record
@@ -122,31 +120,31 @@ def test_the_home_of_an_encoder_is_taken_over_with_its_uncertainty(tmp_path: Pat
     assert record.covariance[0][0] == pytest.approx((0.002 / 1.96) ** 2, rel=1e-3)
 
 
-def test_a_measured_zero_refines_the_home_and_no_home_comes_after_it(tmp_path: Path) -> None:
-    first = saved(tmp_path, "encoders", records=homes())
-    second = saved(tmp_path, "october")
-    found = twin(tmp_path, f"calibrations:\n- {{file: {first}}}\n- {{file: {second}}}\n")
+def test_a_joint_zero_overrides_an_earlier_home_and_a_later_home_is_refused(tmp_path: Path) -> None:
+    first = write_record(tmp_path, "encoders", records=home_records())
+    second = write_record(tmp_path, "october")
+    found = load_twin_with(tmp_path, f"calibrations:\n- {{file: {first}}}\n- {{file: {second}}}\n")
     assert found.calibration is not None
     assert found.calibration.joints["elbow"].offset == 0.02
     with pytest.raises(TwinError, match="zero of elbow is in two calibrations"):
-        twin(tmp_path, f"calibrations:\n- {{file: {second}}}\n- {{file: {first}}}\n")
+        load_twin_with(tmp_path, f"calibrations:\n- {{file: {second}}}\n- {{file: {first}}}\n")
 
 
-def test_a_home_with_the_other_sign_of_its_encoder_is_refused(tmp_path: Path) -> None:
-    file = saved(tmp_path, "encoders", records=homes())
+def test_a_home_measured_with_another_encoder_sign_is_refused(tmp_path: Path) -> None:
+    file = write_record(tmp_path, "encoders", records=home_records())
     text = (
         "calibration: {id: wiring, joints: {elbow: {sign: -1}}}\n"
         f"calibrations: [{{file: {file}}}]\n"
     )
     with pytest.raises(TwinError) as error:
-        twin(tmp_path, text)
+        load_twin_with(tmp_path, text)
     assert str(error.value).endswith(
         "twin.yaml:3: calibrations.0.file: the home of elbow was found with another sign of its "
         "encoder (got 1.0; expected -1, as calibration.joints.elbow states it; measure the home "
         "with robot: twin.yaml)"
     )
-    file = saved(tmp_path, "encoders", records=homes(-1.0))
-    found = twin(tmp_path, text)
+    file = write_record(tmp_path, "encoders", records=home_records(-1.0))
+    found = load_twin_with(tmp_path, text)
     assert found.calibration is not None
     assert (found.calibration.joints["elbow"].sign, found.calibration.joints["elbow"].offset) == (
         -1.0,

@@ -1,4 +1,4 @@
-"""A camera without a metric scale is recognised, and its scale estimated where that is declared."""
+"""Cameras without a metric scale are reported; a plan can ask for an estimate of the scale."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 sys.path.insert(0, str(Path(__file__).parent / "boards"))
-from rendered_boards import charuco, view
+from rendered_boards import charuco, rendered_view
 
 from pytest_twin.calibration.closed_form import scale_of_seen
 from pytest_twin.calibration.problem import make_problem
@@ -30,10 +30,10 @@ BOARD = {"kind": "charuco", "squares": [5, 7], "square": 0.03, "marker": 0.022,
          "dictionary": "DICT_5X5_100"}  # fmt: skip
 
 
-def unscaled(
+def cell_with_scale(
     rng: np.random.Generator, scale: float, mount: str = "hand", translation: float = 2e-3
 ) -> cells.Cell:
-    """A cell whose camera gives positions in units of 1/scale m."""
+    """A cell whose camera measures positions in units of 1/scale m."""
     flange = np.array([cells.pose(rng, 0.3) for _ in range(30)])
     cell = cells.flange_cell(rng, flange, mount=mount, translation=translation, rotation=2e-3)
     poses = cell.observations.camera_from_target.copy()
@@ -42,39 +42,39 @@ def unscaled(
 
 
 @pytest.mark.parametrize(("scale", "mount"), [(0.37, "hand"), (2.5, "world"), (1e-4, "hand")])
-def test_an_estimated_scale_agrees_with_the_truth_and_the_record_predicts(
+def test_the_scale_of_a_camera_is_estimated_and_held_out_errors_are_in_metres(
     scale: float, mount: str
 ) -> None:
-    cell = unscaled(np.random.default_rng(3), scale, mount)
+    cell = cell_with_scale(np.random.default_rng(3), scale, mount)
     plan = cells.plan("hand_eye", "robot_world", mount=mount, camera={"scale": "estimate"})
     found = calibrate(plan, cell.observations, None)
     stated = found["records"]["scale"]
     assert found["verdict"] == "accepted"
     assert stated["value"] == pytest.approx(scale, rel=0.01)
     assert stated["ci95"][0] < stated["value"] < stated["ci95"][1]
-    # Errors are in m whatever the camera's unit is.
+    # Errors are in m, independent of the camera's unit.
     assert found["held_out"]["translation_rms"] == pytest.approx(2e-3, rel=0.5)
     name = "hand_eye" if mount == "hand" else "target"
     assert np.allclose(found["records"][name]["transform"]["xyz"], cell.mounted[:3, 3], atol=5e-3)
 
 
-def test_intervals_of_the_scale_hold_the_truth() -> None:
+def test_intervals_of_scale_and_hand_eye_contain_the_true_values() -> None:
     inside, together = [], []
     for seed in range(12):
-        cell = unscaled(np.random.default_rng(seed), 0.6)
+        cell = cell_with_scale(np.random.default_rng(seed), 0.6)
         plan = cells.plan("hand_eye", camera={"scale": "estimate"})
         found = calibrate(plan, cell.observations, None)
         low, high = found["records"]["scale"]["ci95"]
         inside.append(low <= 0.6 <= high)
         together += cells.truth_inside(found, "hand_eye", cell.mounted)
-    # Of 12 intervals at 95 % fewer than 9 hold the truth once in 400 times.
+    # With 95 % coverage, fewer than 9 of 12 intervals contain the truth with probability 1/400.
     assert sum(inside) >= 9
     assert np.mean(together) >= 0.85
 
 
 @pytest.mark.parametrize("translation", [2e-3, 0.02])
-def test_a_camera_without_a_metric_scale_is_named(translation: float) -> None:
-    cell = unscaled(np.random.default_rng(4), 0.7, translation=translation)
+def test_a_camera_without_a_metric_scale_is_reported(translation: float) -> None:
+    cell = cell_with_scale(np.random.default_rng(4), 0.7, translation=translation)
     found = calibrate(cells.plan("hand_eye"), cell.observations, None)
     assert found["verdict"] == "rejected"
     (suspect,) = found["suspected"]
@@ -84,8 +84,8 @@ def test_a_camera_without_a_metric_scale_is_named(translation: float) -> None:
     assert "camera: {scale: estimate}" in suspect["mend"]
 
 
-def test_a_scale_is_named_where_the_plan_accepts_the_errors_that_it_makes() -> None:
-    cell = unscaled(np.random.default_rng(5), 0.8)
+def test_a_missing_scale_is_reported_even_if_the_plan_accepts_its_errors() -> None:
+    cell = cell_with_scale(np.random.default_rng(5), 0.8)
     accept = cells.Accept(translation=0.5, rotation=1.0)
     found = calibrate(cells.plan("hand_eye", accept=accept), cell.observations, None)
     assert found["verdict"] == "rejected"
@@ -93,20 +93,20 @@ def test_a_scale_is_named_where_the_plan_accepts_the_errors_that_it_makes() -> N
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_no_scale_is_suspected_of_noisy_metric_poses(seed: int) -> None:
-    cell = unscaled(np.random.default_rng(seed), 1.0, translation=0.02)
+def test_noisy_metric_poses_cause_no_suspicion_of_a_scale(seed: int) -> None:
+    cell = cell_with_scale(np.random.default_rng(seed), 1.0, translation=0.02)
     found = calibrate(cells.plan("hand_eye"), cell.observations, None)
     assert found["suspected"] == []
 
 
-def test_no_scale_is_suspected_of_an_arm_with_wrong_zeros() -> None:
+def test_wrong_joint_zeros_cause_no_suspicion_of_a_scale() -> None:
     rng = np.random.default_rng(6)
     cell = cells.joint_cell(rng, cells.arm(6, rng), 60, zeros=rng.normal(0.0, 0.03, 6))
     found = calibrate(cells.plan("hand_eye"), cell.observations, cell.chain)
     assert found["suspected"] == []
 
 
-def test_turns_alone_do_not_determine_a_scale() -> None:
+def test_rotations_alone_do_not_determine_a_scale() -> None:
     rng = np.random.default_rng(7)
     flange = np.array([cells.pose(rng, 0.0) for _ in range(30)])
     cell = cells.flange_cell(rng, flange)
@@ -117,9 +117,9 @@ def test_turns_alone_do_not_determine_a_scale() -> None:
     assert any("scale" in words for words in found["unobservable"])
 
 
-def test_a_scale_needs_poses_of_a_camera() -> None:
+def test_a_scale_without_camera_poses_is_refused() -> None:
     rng = np.random.default_rng(8)
-    cell = unscaled(rng, 1.0)
+    cell = cell_with_scale(rng, 1.0)
     points = replace(
         cell.observations,
         camera_from_target=None,
@@ -129,9 +129,9 @@ def test_a_scale_needs_poses_of_a_camera() -> None:
         calibrate(cells.plan("tcp", camera={"scale": "estimate"}), points, None)
 
 
-def test_a_scale_is_refused_with_images_whose_target_has_a_size(tmp_path: Path) -> None:
+def test_a_scale_is_refused_for_images_of_a_target_with_stated_size(tmp_path: Path) -> None:
     (tmp_path / "view.png").write_bytes(
-        cv2.imencode(".png", view(charuco(), [0.3, 0.2, 0.1], [-0.07, -0.1, 0.42]))[1]
+        cv2.imencode(".png", rendered_view(charuco(), [0.3, 0.2, 0.1], [-0.07, -0.1, 0.42]))[1]
     )
     header = [
         "id",
@@ -140,21 +140,21 @@ def test_a_scale_is_refused_with_images_whose_target_has_a_size(tmp_path: Path) 
     ]
     rows = [",".join(header), "a,view.png,0,0,0,1,0,0,0"]
     (tmp_path / "observations.csv").write_text("\n".join(rows))
-    error = refused(tmp_path, {"observations": "observations.csv", "target": BOARD})
+    error = plan_error(tmp_path, {"observations": "observations.csv", "target": BOARD})
     assert error.problem == "a scale to be estimated, and images of a target whose size is stated"
     assert error.expected == "no scale, or camera_from_target in place of images"
 
 
-def test_a_scale_is_refused_with_streams_on_two_clocks(tmp_path: Path) -> None:
+def test_a_scale_is_refused_for_streams_with_two_clocks(tmp_path: Path) -> None:
     for name in ("hand.csv", "camera.csv"):
         (tmp_path / name).write_text("0,0,0,0,0,0,0,1")
-    error = refused(tmp_path, {"streams": {"hand": "hand.csv", "camera": "camera.csv"}})
+    error = plan_error(tmp_path, {"streams": {"hand": "hand.csv", "camera": "camera.csv"}})
     assert error.problem == "a scale to be estimated from streams on two clocks"
     assert error.expected == "observations: poses at rest, or at stamps of one clock"
 
 
-def refused(folder: Path, fields: dict[str, Any]) -> SpecError:
-    """The error of a plan that asks for a scale; it names the field and its line."""
+def plan_error(folder: Path, fields: dict[str, Any]) -> SpecError:
+    """The error of a plan with an estimated scale; it contains the field and its line."""
     stated = {"calibration": "cell", "estimate": ["hand_eye"]} | fields
     text = yaml.safe_dump(stated) + "camera:\n  mount: hand\n  scale: estimate\n"
     (folder / "plan.yaml").write_text(text)
@@ -165,8 +165,8 @@ def refused(folder: Path, fields: dict[str, Any]) -> SpecError:
     return caught.value
 
 
-def test_the_closed_form_agrees_on_exact_poses() -> None:
-    cell = unscaled(np.random.default_rng(9), 3.0, translation=0.0)
+def test_the_closed_form_gives_the_exact_scale_for_exact_poses() -> None:
+    cell = cell_with_scale(np.random.default_rng(9), 3.0, translation=0.0)
     exact = cells.seen(cell.observations.flange, cell.mounted, cell.world, "world")
     exact[:, :3, 3] *= 3.0
     factor, mounted, _ = scale_of_seen(cell.observations.flange, exact)
@@ -174,8 +174,8 @@ def test_the_closed_form_agrees_on_exact_poses() -> None:
     assert np.allclose(mounted, cell.mounted, atol=1e-9)
 
 
-def test_a_record_with_a_scale_predicts_its_held_out_poses_again(tmp_path: Path) -> None:
-    cell = unscaled(np.random.default_rng(10), 0.37)
+def test_held_out_errors_are_reproduced_from_a_record_with_a_scale(tmp_path: Path) -> None:
+    cell = cell_with_scale(np.random.default_rng(10), 0.37)
     plan = cells.plan("hand_eye", "robot_world", camera={"scale": "estimate"})
     found = calibrate(plan, cell.observations, None)
     path = tmp_path / "calibration.json"

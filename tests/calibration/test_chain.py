@@ -23,7 +23,7 @@ SLIDING = """<robot name="r"><link name="base"/><link name="a"/><link name="b"/>
 <child link="tip"/></joint></robot>"""
 
 
-def saved(folder: Path, text: str) -> Path:
+def write_robot(folder: Path, text: str) -> Path:
     path = folder / "robot.urdf"
     path.write_text(text)
     return path
@@ -41,7 +41,7 @@ def poses(chain: SerialChain, readings: np.ndarray) -> np.ndarray:
 def test_forward_kinematics_and_joint_derivatives_agree_with_pinocchio(
     tmp_path: Path, text: str, frame: str
 ) -> None:
-    chain = load_serial_chain(saved(tmp_path, text), frame)
+    chain = load_serial_chain(write_robot(tmp_path, text), frame)
     count = len(chain.joints)
     readings = np.random.default_rng(0).uniform(-1, 1, (5, count))
     parameters = ChainParameters(count, np.zeros(count), tuple(range(count)))
@@ -59,7 +59,7 @@ def test_forward_kinematics_and_joint_derivatives_agree_with_pinocchio(
         np.testing.assert_allclose(found.turn[row], jacobian[3:], atol=1e-12)
 
 
-def test_an_mjcf_gives_the_chain_that_its_urdf_gives(tmp_path: Path) -> None:
+def test_the_chain_of_an_mjcf_agrees_with_mujoco(tmp_path: Path) -> None:
     path = tmp_path / "robot.xml"
     path.write_text(
         """<mujoco><compiler angle="radian"/><worldbody><body name="a" pos="0.1 0 0.2">
@@ -81,8 +81,8 @@ def test_an_mjcf_gives_the_chain_that_its_urdf_gives(tmp_path: Path) -> None:
         np.testing.assert_allclose(found[:3, :3].ravel(), data.site_xmat[0], atol=1e-12)
 
 
-def test_derivatives_by_link_geometry_agree_with_differences(tmp_path: Path) -> None:
-    chain = load_serial_chain(saved(tmp_path, fr3.urdf()), "fr3_link8")
+def test_derivatives_by_link_geometry_agree_with_finite_differences(tmp_path: Path) -> None:
+    chain = load_serial_chain(write_robot(tmp_path, fr3.urdf()), "fr3_link8")
     links = link_parameters(chain, 0)
     count = len(chain.joints)
     readings = np.random.default_rng(1).uniform(-1, 1, (3, count))
@@ -109,8 +109,8 @@ def test_derivatives_by_link_geometry_agree_with_differences(tmp_path: Path) -> 
         np.testing.assert_allclose(found.turn[:, :, column], turn.as_rotvec() / 2e-6, atol=1e-7)
 
 
-def test_a_revolute_joint_has_three_deviations_beside_its_zero(tmp_path: Path) -> None:
-    chain = load_serial_chain(saved(tmp_path, fr3.urdf()), "fr3_link8")
+def test_a_revolute_joint_has_three_geometry_parameters_besides_its_zero(tmp_path: Path) -> None:
+    chain = load_serial_chain(write_robot(tmp_path, fr3.urdf()), "fr3_link8")
     links = link_parameters(chain, 1)
     assert [link.label for link in links[:3]] == [
         "offset along x of fr3_joint2",
@@ -121,7 +121,7 @@ def test_a_revolute_joint_has_three_deviations_beside_its_zero(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 3.0])
-def test_the_jacobian_of_rotations_is_what_composition_says(size: float) -> None:
+def test_the_left_jacobian_of_rotations_agrees_with_composition(size: float) -> None:
     vector = np.array([0.6, -0.64, 0.48]) * size
     step = np.array([1.0, 2.0, -1.0]) * 1e-6
     ahead = Rotation.from_rotvec(vector + step) * Rotation.from_rotvec(vector).inv()
@@ -130,8 +130,8 @@ def test_the_jacobian_of_rotations_is_what_composition_says(size: float) -> None
     np.testing.assert_allclose(both, np.eye(3), atol=1e-6)
 
 
-def test_a_frame_that_the_robot_lacks_is_named_with_the_nearest(tmp_path: Path) -> None:
-    path = saved(tmp_path, fr3.urdf())
+def test_an_unknown_frame_is_refused_with_the_most_similar_name(tmp_path: Path) -> None:
+    path = write_robot(tmp_path, fr3.urdf())
     with pytest.raises(TwinError, match="no frame 'fr3_link9'") as error:
         load_serial_chain(path, "fr3_link9")
     assert "fr3_link8" in str(error.value)

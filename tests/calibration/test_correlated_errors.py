@@ -1,4 +1,4 @@
-"""Intervals where errors of neighbouring observations are correlated."""
+"""Confidence intervals for correlated errors of successive observations."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pytest_twin.calibration.run import calibrate
 TRUTH = np.array([0.7, -0.3])
 
 
-def held(rng: np.random.Generator, memory: float) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the intervals of a line's two coefficients hold the truth: in blocks, and without.
+def contains_truth(rng: np.random.Generator, memory: float) -> tuple[np.ndarray, np.ndarray]:
+    """Whether the intervals of two linear coefficients contain the truth, with and without blocks.
 
     Args:
-        rng: of the inputs and errors.
-        memory: correlation of neighbouring errors.
+        rng: generator of the inputs and errors.
+        memory: correlation of successive errors.
     """
     count = 200
     slopes = np.stack([np.ones(count), np.cumsum(rng.normal(size=count)) / 10.0], axis=1)
@@ -36,25 +36,25 @@ def held(rng: np.random.Generator, memory: float) -> tuple[np.ndarray, np.ndarra
 
 
 @pytest.mark.parametrize(("memory", "least", "most_alone"), [(0.0, 0.93, 1.0), (0.8, 0.88, 0.7)])
-def test_blocks_hold_the_truth_where_neighbours_share_errors(
+def test_block_intervals_contain_the_truth_for_correlated_errors(
     memory: float, least: float, most_alone: float
 ) -> None:
     rng = np.random.default_rng(0)
-    drawn = np.array([held(rng, memory) for _ in range(400)])
+    drawn = np.array([contains_truth(rng, memory) for _ in range(400)])
     in_blocks, alone = drawn.mean(axis=(0, 2))
     assert least <= in_blocks <= 0.995
     assert alone <= most_alone
 
 
-def test_the_interval_of_odometry_grows_with_the_correlation_of_its_errors() -> None:
-    """The same errors in another order are as large, and say less where neighbours share them."""
+def test_the_interval_of_a_scale_grows_with_the_correlation_of_the_errors() -> None:
+    """The same errors in correlated and in random order; correlated ones give wider intervals."""
     rng = np.random.default_rng(1)
     count = 64
     drift = np.repeat(rng.normal(0.0, 4e-3, (8, 3)), 8, axis=0)
     widths = {}
     for name, order in (("shared", np.arange(count)), ("shuffled", rng.permutation(count))):
         draw = np.random.default_rng(2)
-        # Neighbours on the way see alike: eight places, and eight poses about each.
+        # Successive poses are similar: eight poses about each of eight places.
         flange = np.repeat([cells.pose(draw, 0.3) for _ in range(8)], 8, axis=0)
         flange[:, :3, 3] += draw.normal(0.0, 0.02, (count, 3))
         cell = cells.flange_cell(draw, flange, translation=2e-4, rotation=2e-4)

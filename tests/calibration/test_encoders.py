@@ -1,4 +1,4 @@
-"""Repeatability, hysteresis and home of encoders against figures that were put in."""
+"""Repeatability, hysteresis and home offset of encoders agree with the simulated values."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ NOISE, GAP, HOME = 2e-4, 1e-3, 0.031
 STOP = -1.5
 
 
-def write(
+def write_plan(
     folder: Path, seed: int = 0, *, times: int = 4, noise: float = NOISE, sides: str = "+-"
 ) -> Path:
-    """A joint that returned to a stop and two poses, from each side some times."""
+    """Write a plan and readings of a joint that repeatedly approaches three poses."""
     rng = np.random.default_rng(seed)
     rows = [["id", "joint.elbow", "pose", "approach"]]
     for name, position in (("stop", STOP), ("a", 0.3), ("b", 1.1)):
@@ -51,8 +51,8 @@ def calibrated(plan: Path) -> dict:
     )
 
 
-def test_the_command_states_repeatability_hysteresis_and_home(tmp_path, capsys):
-    plan = write(tmp_path, times=20)
+def test_the_command_estimates_repeatability_hysteresis_and_home(tmp_path, capsys):
+    plan = write_plan(tmp_path, times=20)
     assert cli.main(["calibrate", str(plan), "--out", str(tmp_path / "out")]) == 0
     records = json.loads((tmp_path / "out" / "calibration.json").read_text())["records"]
     values = {name: record["values"]["elbow"] for name, record in records.items()}
@@ -62,13 +62,13 @@ def test_the_command_states_repeatability_hysteresis_and_home(tmp_path, capsys):
     assert "encoder_hysteresis:" in capsys.readouterr().out
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say(tmp_path):
+def test_95_percent_intervals_contain_the_true_values_in_90_to_99_percent_of_runs(tmp_path):
     truth = {
         "encoder_repeatability": NOISE, "encoder_hysteresis": GAP, "encoder_home": HOME,
     }  # fmt: skip
     inside: dict[str, list[bool]] = {name: [] for name in truth}
     for seed in range(200):
-        records = calibrated(write(tmp_path, seed, times=3))["records"]
+        records = calibrated(write_plan(tmp_path, seed, times=3))["records"]
         for name, value in truth.items():
             low, high = records[name]["values"]["elbow"]["ci95"]
             inside[name].append(low < value < high)
@@ -76,20 +76,20 @@ def test_intervals_hold_the_truth_as_often_as_they_say(tmp_path):
         assert 0.90 <= np.mean(held) <= 0.99, name
 
 
-def test_poses_that_do_not_repeat_are_refused(tmp_path):
-    found = calibrated(write(tmp_path, times=1))
+def test_repeatability_without_repeated_poses_is_refused(tmp_path):
+    found = calibrated(write_plan(tmp_path, times=1))
     assert (found["verdict"], found["records"]) == ("degenerate", {})
     assert found["reasons"][0].startswith("the repeatability of elbow: no pose repeats. Return to")
 
 
-def test_equal_readings_show_no_repeatability(tmp_path):
-    found = calibrated(write(tmp_path, noise=0.0))
+def test_repeatability_below_the_resolution_is_refused(tmp_path):
+    found = calibrated(write_plan(tmp_path, noise=0.0))
     assert found["verdict"] == "degenerate"
     assert "their resolution hides it" in found["reasons"][0]
 
 
-def test_one_side_has_no_hysteresis_and_a_note(tmp_path):
-    found = calibrated(write(tmp_path, sides="+"))
+def test_approaches_from_one_side_give_no_hysteresis_and_a_note(tmp_path):
+    found = calibrated(write_plan(tmp_path, sides="+"))
     assert set(found["records"]) == {"encoder_repeatability", "encoder_home"}
     assert any("no pose was approached from both sides" in note for note in found["notes"])
     assert any("half of the hysteresis is in its home" in note for note in found["notes"])
@@ -103,16 +103,16 @@ def test_one_side_has_no_hysteresis_and_a_note(tmp_path):
         ({"estimate": ["encoder_repeatability", "hand_eye"]}, "beside other estimates"),
     ],
 )
-def test_what_the_plan_names_wrongly_is_an_error(tmp_path, change, words):
-    plan = write(tmp_path)
+def test_unknown_names_in_the_plan_are_refused(tmp_path, change, words):
+    plan = write_plan(tmp_path)
     plan.write_text(yaml.safe_dump(yaml.safe_load(plan.read_text()) | change))
     with pytest.raises(SpecError, match=words) as error:
         calibrated(plan)
     assert error.value.line is not None
 
 
-def test_another_word_for_a_side_is_an_error_with_its_line(tmp_path):
-    plan = write(tmp_path)
+def test_an_invalid_side_of_approach_is_refused_with_its_line(tmp_path):
+    plan = write_plan(tmp_path)
     table = plan.with_name("observations.csv")
     table.write_text(table.read_text().replace("stop,+", "stop,up", 1))
     with pytest.raises(FormatError, match="no side of approach") as error:
@@ -120,8 +120,8 @@ def test_another_word_for_a_side_is_an_error_with_its_line(tmp_path):
     assert error.value.line == 2
 
 
-def test_a_twin_takes_over_the_home_that_the_command_found(tmp_path):
-    """Written, calibrated, listed in the twin, and the reading of the stop is its position."""
+def test_a_twin_applies_the_estimated_home_of_an_encoder(tmp_path):
+    """With the record listed in the twin, the reading at the stop gives its position."""
     rng = np.random.default_rng(3)
     (tmp_path / "model.xml").write_text(
         '<mujoco><worldbody><body name="arm"><joint name="elbow"/><geom size="0.1"/></body>'

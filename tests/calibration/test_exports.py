@@ -1,4 +1,4 @@
-"""What a calibration writes for other tools."""
+"""Files that a calibration writes for other tools."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def pose_record(parent: str, child: str) -> dict:
     return {"parent": parent, "child": child, "transform": transform}
 
 
-def test_each_transform_is_one_command_of_ros() -> None:
+def test_each_transform_is_written_as_a_ros_static_transform_command() -> None:
     records = {
         "hand_eye": pose_record("tool0", "camera"),
         "base_world": pose_record("world", "base"),
@@ -44,7 +44,7 @@ def test_each_transform_is_one_command_of_ros() -> None:
     assert len(lines) == 2
 
 
-def test_easy_handeye2_gets_the_camera_on_the_flange() -> None:
+def test_the_hand_eye_pose_is_exported_for_easy_handeye2() -> None:
     plan = cells.plan("hand_eye")
     document = {"records": {"hand_eye": pose_record("flange", "camera")}}
     found = yaml.safe_load(easy_handeye(plan, document))
@@ -53,7 +53,7 @@ def test_easy_handeye2_gets_the_camera_on_the_flange() -> None:
     assert found["transform"]["rotation"] == {"x": -0.5, "y": 0.5, "z": 0.5, "w": 0.5}
 
 
-def test_the_urdf_moves_as_the_calibration_says(tmp_path: Path) -> None:
+def test_forward_kinematics_of_the_exported_urdf_agree_with_the_calibration(tmp_path: Path) -> None:
     robot = tmp_path / "fr3.urdf"
     robot.write_text(fr3.urdf())
     chain = load_serial_chain(robot, "fr3_link8")
@@ -100,7 +100,7 @@ MJCF_ARM = """<mujoco><compiler angle="degree"/><default><joint axis="0 0 1"/></
 </mujoco>"""
 
 
-def test_the_mjcf_moves_as_the_calibration_says(tmp_path: Path) -> None:
+def test_forward_kinematics_of_the_exported_mjcf_agree_with_the_calibration(tmp_path: Path) -> None:
     robot = tmp_path / "arm.xml"
     robot.write_text(MJCF_ARM)
     chain = load_serial_chain(robot, "tool")
@@ -136,7 +136,7 @@ def test_the_mjcf_moves_as_the_calibration_says(tmp_path: Path) -> None:
     assert load_serial_chain(tmp_path / "new.xml", "camera").joints == chain.joints
 
 
-def test_camera_info_has_what_ros_reads() -> None:
+def test_camera_info_has_the_fields_and_distortion_models_of_ros() -> None:
     distortion = [-0.1, 0.02, 0.001, -0.002, 0.003] + 7 * [0.0]
     matrix = [[900.0, 0.0, 510.0], [0.0, 905.0, 378.0], [0.0, 0.0, 1.0]]
     document = {

@@ -1,4 +1,4 @@
-"""Further poses that are proposed: within limits, and better than others."""
+"""Proposals of further calibration poses."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pytest_twin.calibration.run import calibrate
 NONE_HELD = HoldOut(0.0)
 
 
-def observed(rng, chain, readings, truth) -> Observations:
-    """What a camera on the hand sees at some readings."""
+def simulated_observations(rng, chain, readings, truth) -> Observations:
+    """Observations of a camera on the hand at these joint readings."""
     mounted, world = truth
     seen = cells.seen(cells.forward(chain, readings), mounted, world, "hand")
     return Observations(
@@ -27,31 +27,35 @@ def observed(rng, chain, readings, truth) -> Observations:
 
 
 def volume(found: dict) -> float:
-    """Log of the uncertainty's volume in units of the noise that this set happened to have."""
+    """Logarithm of the volume of the uncertainty ellipsoid, normalized by the estimated noise."""
     sources = found["fitted"]["noise"]
     size = 6.0 * np.log(sources["translation"] * sources["rotation"])
     return float(np.linalg.slogdet(np.array(found["covariance"]["matrix"]))[1] / 2.0 - size)
 
 
-def test_proposed_poses_are_within_limits_and_help_more_than_drawn_ones() -> None:
+def test_proposed_poses_are_within_limits_and_more_informative_than_random_ones() -> None:
     rng = np.random.default_rng(0)
     chain = cells.arm(6, rng)
     chain = replace(chain, limits=np.tile([-1.5, 1.5], (6, 1)))
     truth = cells.pose(rng, 0.1), cells.pose(rng, 0.8)
-    # Poses that are much alike.
+    # The poses are very similar.
     readings = rng.uniform(-0.25, 0.25, (15, 6))
     plan = cells.plan("hand_eye", "base_world", hold_out=NONE_HELD)
-    first = calibrate(plan, observed(rng, chain, readings, truth), chain)
+    first = calibrate(plan, simulated_observations(rng, chain, readings, truth), chain)
     proposed = first["next_poses"]["poses"]
     more = np.array([[one["joints"][name] for name in chain.joints] for one in proposed])
     assert more.shape == (5, 6)
     assert np.abs(more).max() <= 1.5
     assert all(a["information"] >= b["information"] > 0 for a, b in itertools.pairwise(proposed))
-    then = calibrate(plan, observed(rng, chain, np.vstack([readings, more]), truth), chain)
+    then = calibrate(
+        plan, simulated_observations(rng, chain, np.vstack([readings, more]), truth), chain
+    )
     others = [
         calibrate(
             plan,
-            observed(rng, chain, np.vstack([readings, rng.uniform(-0.25, 0.25, (5, 6))]), truth),
+            simulated_observations(
+                rng, chain, np.vstack([readings, rng.uniform(-0.25, 0.25, (5, 6))]), truth
+            ),
             chain,
         )
         for _ in range(2)
@@ -63,14 +67,14 @@ def test_proposed_poses_are_within_limits_and_help_more_than_drawn_ones() -> Non
     )
 
 
-def test_poses_about_one_axis_are_told_what_is_missing() -> None:
+def test_for_poses_with_one_rotation_axis_rotations_about_other_axes_are_proposed() -> None:
     rng = np.random.default_rng(1)
     chain = cells.arm(5, rng)
     truth = cells.pose(rng, 0.1), cells.pose(rng, 0.8)
     readings = np.zeros((12, 5))
     readings[:, 1] = np.linspace(-1.0, 1.0, 12)
     plan = cells.plan("hand_eye", "base_world", hold_out=NONE_HELD)
-    first = calibrate(plan, observed(rng, chain, readings, truth), chain)
+    first = calibrate(plan, simulated_observations(rng, chain, readings, truth), chain)
     assert first["verdict"] == "degenerate"
     turns = first["pose_diversity"]["turns"]
     assert turns[0] > 0.5
@@ -78,5 +82,7 @@ def test_poses_about_one_axis_are_told_what_is_missing() -> None:
     more = np.array(
         [[one["joints"][name] for name in chain.joints] for one in first["next_poses"]["poses"]]
     )
-    then = calibrate(plan, observed(rng, chain, np.vstack([readings, more]), truth), chain)
+    then = calibrate(
+        plan, simulated_observations(rng, chain, np.vstack([readings, more]), truth), chain
+    )
     assert then["verdict"] == "accepted"

@@ -1,4 +1,4 @@
-"""Tools that pivot, points that are touched, markers that a tracker sees."""
+"""Calibration from pivoting about the tool tip, touched points and tracked markers."""
 
 from __future__ import annotations
 
@@ -17,31 +17,33 @@ TIP = np.array([0.01, 0.02, 0.15])
 NOISE_M = 2e-4
 
 
-def turns(rng: np.random.Generator, count: int) -> np.ndarray:
+def random_rotations(rng: np.random.Generator, count: int) -> np.ndarray:
     return Rotation.from_rotvec(rng.normal(0.0, 0.5, (count, 3))).as_matrix()
 
 
-def moved(transform: np.ndarray, points: np.ndarray) -> np.ndarray:
+def transformed(transform: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ transform[:3, :3].T + transform[:3, 3]
 
 
-def standing_at(rng: np.random.Generator, rotations: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Flange poses at which the tip stands in each place."""
+def poses_with_tip_at(
+    rng: np.random.Generator, rotations: np.ndarray, places: np.ndarray
+) -> np.ndarray:
+    """Flange poses in which the tool tip is at each of the places."""
     noise = rng.normal(0.0, NOISE_M, (len(rotations), 3))
     return np.array(
         [rigid(r, p - r @ TIP + n) for r, p, n in zip(rotations, places, noise, strict=True)]
     )
 
 
-def pivoting(rng: np.random.Generator, rotations: np.ndarray) -> Observations:
+def pivot_observations(rng: np.random.Generator, rotations: np.ndarray) -> Observations:
     places = np.tile([0.4, 0.1, 0.2], (len(rotations), 1))
-    flange = standing_at(rng, rotations, places)
+    flange = poses_with_tip_at(rng, rotations, places)
     return Observations(ids=tuple(str(i) for i in range(len(flange))), flange=flange)
 
 
-def test_a_pivoting_tool_gives_the_position_of_its_tip() -> None:
+def test_pivoting_determines_the_position_of_the_tool_tip() -> None:
     rng = np.random.default_rng(0)
-    found = calibrate(cells.plan("tcp"), pivoting(rng, turns(rng, 25)), None)
+    found = calibrate(cells.plan("tcp"), pivot_observations(rng, random_rotations(rng, 25)), None)
     tcp = found["records"]["tcp"]
     assert found["verdict"] == "accepted"
     np.testing.assert_allclose(tcp["transform"]["xyz"], TIP, atol=5e-4)
@@ -50,22 +52,22 @@ def test_a_pivoting_tool_gives_the_position_of_its_tip() -> None:
     assert found["held_out"]["translation_rms"] == pytest.approx(NOISE_M, rel=0.6)
 
 
-def test_a_tool_that_turns_about_one_axis_only_is_refused() -> None:
+def test_pivoting_about_only_one_axis_is_refused() -> None:
     rng = np.random.default_rng(1)
     one_axis = Rotation.from_rotvec(np.outer(rng.normal(0, 0.5, 20), [0, 0, 1])).as_matrix()
-    found = calibrate(cells.plan("tcp"), pivoting(rng, one_axis), None)
+    found = calibrate(cells.plan("tcp"), pivot_observations(rng, one_axis), None)
     assert found["verdict"] == "degenerate"
     assert found["records"] == {}
     assert "the tool's tip" in found["unobservable"][0]
 
 
-def test_two_pivots_share_one_tip() -> None:
+def test_two_pivot_points_determine_the_same_tool_tip() -> None:
     rng = np.random.default_rng(2)
-    rotations = turns(rng, 20)
+    rotations = random_rotations(rng, 20)
     places = np.repeat([[0.4, 0.1, 0.2], [-0.3, 0.2, 0.5]], 10, axis=0)
     observations = Observations(
         ids=tuple(str(i) for i in range(20)),
-        flange=standing_at(rng, rotations, places),
+        flange=poses_with_tip_at(rng, rotations, places),
         pivots=("left",) * 10 + ("right",) * 10,
     )
     found = calibrate(cells.plan("tcp"), observations, None)
@@ -73,41 +75,43 @@ def test_two_pivots_share_one_tip() -> None:
     assert set(found["records"]["points"]["values"]) == {"pivot.left", "pivot.right"}
 
 
-def touched(rng: np.random.Generator, fixture: np.ndarray) -> Observations:
-    """Twelve points of a fixture, known in its own frame, touched with the tip."""
+def touched_observations(rng: np.random.Generator, fixture: np.ndarray) -> Observations:
+    """Twelve points with known coordinates in the fixture are touched with the tool tip."""
     nominal = rng.uniform(-0.2, 0.2, (12, 3))
-    flange = standing_at(rng, turns(rng, 12), moved(fixture, nominal))
+    flange = poses_with_tip_at(rng, random_rotations(rng, 12), transformed(fixture, nominal))
     ids = tuple(str(i) for i in range(12))
     return Observations(ids=ids, flange=flange, points={"tip": nominal})
 
 
-def test_touched_points_give_fixture_and_tip_together() -> None:
+def test_touched_points_determine_the_pose_of_the_fixture_and_the_tool_tip() -> None:
     rng = np.random.default_rng(3)
     fixture = rigid(Rotation.from_rotvec([0.1, 0.2, 1.0]).as_matrix(), [0.5, 0.2, 0.1])
-    found = calibrate(cells.plan("fixture", "tcp"), touched(rng, fixture), None)
+    found = calibrate(cells.plan("fixture", "tcp"), touched_observations(rng, fixture), None)
     record = found["records"]["fixture"]
     assert (record["parent"], record["child"]) == ("base", "fixture")
     np.testing.assert_allclose(record["transform"]["xyz"], fixture[:3, 3], atol=8e-4)
     np.testing.assert_allclose(found["records"]["tcp"]["transform"]["xyz"], TIP, atol=8e-4)
 
 
-def test_a_given_tip_is_held() -> None:
+def test_a_given_tool_tip_is_not_estimated() -> None:
     rng = np.random.default_rng(4)
     fixture = rigid(Rotation.from_rotvec([0.1, 0.2, 1.0]).as_matrix(), [0.5, 0.2, 0.1])
     plan = cells.plan("fixture", given={"tcp": rigid(np.eye(3), TIP)})
-    found = calibrate(plan, touched(rng, fixture), None)
+    found = calibrate(plan, touched_observations(rng, fixture), None)
     assert list(found["records"]) == ["fixture"]
     np.testing.assert_allclose(
         found["records"]["fixture"]["transform"]["xyz"], fixture[:3, 3], atol=4e-4
     )
 
 
-def markers(rng: np.random.Generator, places: dict[str, np.ndarray], rows: int = 25) -> tuple:
+def marker_observations(
+    rng: np.random.Generator, places: dict[str, np.ndarray], rows: int = 25
+) -> tuple:
     world = cells.pose(rng, 0.5)
     tool = rigid(Rotation.from_rotvec([0.3, 0.2, 1.0]).as_matrix(), [0.02, 0.01, 0.1])
-    flange = np.array([rigid(r, rng.uniform(-0.3, 0.3, 3)) for r in turns(rng, rows)])
+    flange = np.array([rigid(r, rng.uniform(-0.3, 0.3, 3)) for r in random_rotations(rng, rows)])
     points = {
-        name: moved(inverse(world), np.array([moved(f @ tool, place) for f in flange]))
+        name: transformed(inverse(world), np.array([transformed(f @ tool, place) for f in flange]))
         + rng.normal(0.0, NOISE_M, (rows, 3))
         for name, place in places.items()
     }
@@ -123,9 +127,9 @@ PLACES = {
 }
 
 
-def test_markers_known_in_the_tool_give_the_whole_pose_of_the_tool() -> None:
+def test_markers_with_known_places_in_the_tool_determine_its_full_pose() -> None:
     rng = np.random.default_rng(5)
-    observations, world, tool = markers(rng, PLACES)
+    observations, world, tool = marker_observations(rng, PLACES)
     found = calibrate(cells.plan("tcp", "base_world", points=PLACES), observations, None)
     assert cells.truth_inside(found, "tcp", tool).count(True) >= 5
     assert cells.truth_inside(found, "base_world", inverse(world)).count(True) >= 5
@@ -133,7 +137,7 @@ def test_markers_known_in_the_tool_give_the_whole_pose_of_the_tool() -> None:
 
 def test_a_marker_that_always_coincides_with_another_is_counted_once() -> None:
     rng = np.random.default_rng(6)
-    observations, _, _ = markers(rng, PLACES)
+    observations, _, _ = marker_observations(rng, PLACES)
     points = {**observations.points, "d": observations.points["c"]}
     found = calibrate(cells.plan("base_world"), replace(observations, points=points), None)
     assert found["excluded"] == [
@@ -145,9 +149,9 @@ def test_a_marker_that_always_coincides_with_another_is_counted_once() -> None:
     ]
 
 
-def test_a_marker_filled_in_with_another_is_left_out_of_these_rows() -> None:
+def test_rows_in_which_a_marker_equals_another_are_excluded_for_it() -> None:
     rng = np.random.default_rng(7)
-    observations, world, _ = markers(rng, PLACES)
+    observations, world, _ = marker_observations(rng, PLACES)
     points = {name: values.copy() for name, values in observations.points.items()}
     points["d"][[2, 9]] = points["c"][[2, 9]]
     found = calibrate(cells.plan("base_world"), replace(observations, points=points), None)
@@ -161,4 +165,4 @@ def test_point_sets_are_aligned_without_reflection() -> None:
     rng = np.random.default_rng(8)
     points = rng.normal(size=(6, 3)) * [1.0, 1.0, 1e-9]
     transform = cells.pose(rng)
-    np.testing.assert_allclose(kabsch(points, moved(transform, points)), transform, atol=1e-7)
+    np.testing.assert_allclose(kabsch(points, transformed(transform, points)), transform, atol=1e-7)

@@ -1,4 +1,4 @@
-"""A Franka FR3 with a camera on its hand, and a TIAGo with markers on its hand."""
+"""Recorded data of a Franka FR3 with a camera and of a TIAGo with markers on its hand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RECORDINGS = Path(
 )
 
 
-def recordings(name: str) -> Path:
+def recordings_folder(name: str) -> Path:
     folder = RECORDINGS / name
     if not folder.is_dir():
         pytest.skip(f"no recordings at {folder}: the variable TWIN_RECORDINGS names the place")
@@ -39,8 +39,10 @@ def calibrated(folder: Path, plan: str) -> dict[str, Any]:
         ("hand_eye, base_world, joint_zeros, geometry", 0.00142),
     ],
 )
-def test_fr3_predicts_held_out_poses(tmp_path: Path, estimate: str, translation: float) -> None:
-    shutil.copy(recordings("fr3") / "observations.csv", tmp_path)
+def test_held_out_errors_of_the_fr3_are_below_their_bounds(
+    tmp_path: Path, estimate: str, translation: float
+) -> None:
+    shutil.copy(recordings_folder("fr3") / "observations.csv", tmp_path)
     (tmp_path / "fr3.urdf").write_text(fr3.urdf())
     errors = []
     for seed in range(4):
@@ -58,8 +60,8 @@ def test_fr3_predicts_held_out_poses(tmp_path: Path, estimate: str, translation:
     assert np.sqrt(np.mean(np.square(errors))) < translation
 
 
-def tiago(folder: Path) -> None:
-    source = recordings("tiago")
+def write_tiago(folder: Path) -> None:
+    source = recordings_folder("tiago")
     shutil.copy(source / "tiago.urdf", folder)
     with (source / "mocap.csv").open() as stream:
         rows = list(csv.DictReader(stream))
@@ -73,8 +75,8 @@ def tiago(folder: Path) -> None:
         writer.writerows([number, *row.values()] for number, row in enumerate(rows))
 
 
-def test_tiago_joint_zeros_from_markers(tmp_path: Path) -> None:
-    tiago(tmp_path)
+def test_joint_zeros_from_markers_reduce_the_errors_of_the_tiago(tmp_path: Path) -> None:
+    write_tiago(tmp_path)
     plan = (
         "calibration: tiago\nrobot: tiago.urdf\nflange: arm_tool_link\n"
         "observations: observations.csv\nestimate: [{}]\nhold_out: {{fraction: 0.0}}\n"

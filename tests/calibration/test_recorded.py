@@ -1,4 +1,4 @@
-"""A record, written and read again, predicts what the calibration predicted."""
+"""A record that is written and read again reproduces the held-out errors of the calibration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ from pathlib import Path
 import cells
 import numpy as np
 import pytest
-from test_points import PLACES, markers, pivoting, touched, turns
+from test_points import (
+    PLACES,
+    marker_observations,
+    pivot_observations,
+    random_rotations,
+    touched_observations,
+)
 
 from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.observations import Observations
@@ -25,34 +31,34 @@ Case = Callable[[np.random.Generator], tuple[Plan, Observations]]
 
 
 def camera_on_hand(rng: np.random.Generator) -> tuple[Plan, Observations]:
-    flange = np.array([rigid(r, rng.uniform(-0.3, 0.3, 3)) for r in turns(rng, 25)])
+    flange = np.array([rigid(r, rng.uniform(-0.3, 0.3, 3)) for r in random_rotations(rng, 25)])
     plan = cells.plan("hand_eye", "base_world", hold_out=HELD)
     return plan, cells.flange_cell(rng, flange).observations
 
 
 def camera_in_world(rng: np.random.Generator) -> tuple[Plan, Observations]:
-    flange = np.array([rigid(r, rng.uniform(-0.3, 0.3, 3)) for r in turns(rng, 25)])
-    # The target on the flange is not asked for.
+    flange = np.array([rigid(r, rng.uniform(-0.3, 0.3, 3)) for r in random_rotations(rng, 25)])
+    # The pose of the target on the flange is not estimated by request.
     plan = cells.plan("hand_eye", mount="world", hold_out=HELD)
     return plan, cells.flange_cell(rng, flange, mount="world").observations
 
 
 def pivot(rng: np.random.Generator) -> tuple[Plan, Observations]:
-    return cells.plan("tcp", hold_out=HELD), pivoting(rng, turns(rng, 25))
+    return cells.plan("tcp", hold_out=HELD), pivot_observations(rng, random_rotations(rng, 25))
 
 
 def fixture(rng: np.random.Generator) -> tuple[Plan, Observations]:
     place = rigid(np.eye(3), [0.5, 0.2, 0.1])
-    return cells.plan("fixture", "tcp", hold_out=HELD), touched(rng, place)
+    return cells.plan("fixture", "tcp", hold_out=HELD), touched_observations(rng, place)
 
 
 def known_markers(rng: np.random.Generator) -> tuple[Plan, Observations]:
     plan = cells.plan("tcp", "base_world", points=PLACES, hold_out=HELD)
-    return plan, markers(rng, PLACES)[0]
+    return plan, marker_observations(rng, PLACES)[0]
 
 
 def unknown_markers(rng: np.random.Generator) -> tuple[Plan, Observations]:
-    return cells.plan("base_world", hold_out=HELD), markers(rng, PLACES)[0]
+    return cells.plan("base_world", hold_out=HELD), marker_observations(rng, PLACES)[0]
 
 
 CASES: list[Case] = [
@@ -61,9 +67,7 @@ CASES: list[Case] = [
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case.__name__ for case in CASES])
-def test_a_record_predicts_the_held_out_observations_as_the_fit_did(
-    tmp_path: Path, case: Case
-) -> None:
+def test_held_out_errors_are_reproduced_from_the_record(tmp_path: Path, case: Case) -> None:
     plan, observations = case(np.random.default_rng(7))
     document = calibrate(plan, observations, None)
     assert document["verdict"] == "accepted"

@@ -1,4 +1,4 @@
-"""Patterns of errors: each is named where it was put in, and none where errors are random."""
+"""Patterns of residual errors: simulated patterns are recognized, random errors have none."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from pytest_twin.calibration.run import calibrate
 NOISE_M = 1e-3
 
 
-def drawn(rng: np.random.Generator, count: int = 30) -> Residuals:
-    """Random errors of 1 mm at poses of any reach, on the move, with two payloads."""
+def random_residuals(rng: np.random.Generator, count: int = 30) -> Residuals:
+    """Random errors of 1 mm at poses with random reach and speed and with two payloads."""
     error = NOISE_M * rng.normal(size=(count, 3))
     turns = Rotation.random(count, random_state=int(rng.integers(2**31))).as_matrix()
     return Residuals(
@@ -35,14 +35,14 @@ def drawn(rng: np.random.Generator, count: int = 30) -> Residuals:
 
 def test_random_errors_have_no_pattern() -> None:
     rng = np.random.default_rng(1)
-    found = [pattern_of(drawn(rng, int(rng.choice([6, 12, 30])))) for _ in range(300)]
-    # Four tests at one in a thousand each.
+    found = [pattern_of(random_residuals(rng, int(rng.choice([6, 12, 30])))) for _ in range(300)]
+    # Each of the four tests has a significance level of 0.1 %.
     assert sum(one is not None for one in found) <= 4
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_constant_bias_points_at_a_frame(seed: int) -> None:
-    random = drawn(np.random.default_rng(seed))
+def test_a_constant_bias_is_attributed_to_a_frame(seed: int) -> None:
+    random = random_residuals(np.random.default_rng(seed))
     bias = np.array([2e-3, -1e-3, 2e-3])
     found = pattern_of(replace(random, error=random.error + bias))
     assert found is not None
@@ -52,8 +52,8 @@ def test_a_constant_bias_points_at_a_frame(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_growth_with_reach_points_at_a_joint_or_link(seed: int) -> None:
-    random = drawn(np.random.default_rng(seed))
+def test_errors_that_grow_with_reach_are_attributed_to_a_joint_or_link(seed: int) -> None:
+    random = random_residuals(np.random.default_rng(seed))
     grown = random.error * (random.reach[:, None] / 0.4) ** 4
     found = pattern_of(replace(random, error=grown, rate=np.full((30, 3), np.nan)))
     assert found is not None
@@ -62,8 +62,8 @@ def test_growth_with_reach_points_at_a_joint_or_link(seed: int) -> None:
 
 
 @pytest.mark.parametrize("late", [0.02, -0.02])
-def test_errors_along_the_motion_are_a_time_offset(late: float) -> None:
-    random = drawn(np.random.default_rng(5))
+def test_errors_along_the_velocity_are_attributed_to_a_time_offset(late: float) -> None:
+    random = random_residuals(np.random.default_rng(5))
     found = pattern_of(replace(random, error=random.error + late * random.rate))
     assert found is not None
     assert found["kind"] == "grows_with_speed"
@@ -71,8 +71,8 @@ def test_errors_along_the_motion_are_a_time_offset(late: float) -> None:
     assert f"ms {'later' if late > 0 else 'earlier'} than what was measured" in found["words"]
 
 
-def test_errors_across_the_motion_that_grow_with_speed_are_compliance() -> None:
-    random = drawn(np.random.default_rng(6))
+def test_errors_in_all_directions_that_grow_with_speed_are_attributed_to_compliance() -> None:
+    random = random_residuals(np.random.default_rng(6))
     speed = np.linalg.norm(random.rate, axis=1, keepdims=True)
     found = pattern_of(replace(random, error=random.error * (0.1 + 10.0 * speed)))
     assert found is not None
@@ -82,7 +82,7 @@ def test_errors_across_the_motion_that_grow_with_speed_are_compliance() -> None:
 
 
 def cell_with_payloads(direction: list[float]):
-    """A hand-eye cell whose flange is 2 mm off, in the base, with the second payload."""
+    """A hand-eye cell in which the second payload displaces the flange by 2 mm."""
     rng = np.random.default_rng(3)
     turns = Rotation.random(60, random_state=3).as_matrix()
     flange = np.array([rigid(turn, rng.uniform(-0.3, 0.3, 3)) for turn in turns])
@@ -92,7 +92,7 @@ def cell_with_payloads(direction: list[float]):
     return replace(cell.observations, flange=flange, payloads=("2 kg", "empty") * 30)
 
 
-def test_payloads_apart_along_gravity_are_elasticity() -> None:
+def test_a_displacement_by_payload_along_gravity_is_attributed_to_elasticity() -> None:
     plan = cells.plan("hand_eye", "base_world", hold_out=HoldOut(0.5, 1))
     found = calibrate(plan, cell_with_payloads([0.0, 0.0, -1.0]), None)["held_out"]["pattern"]
     assert found["kind"] == "payloads_apart"
@@ -102,14 +102,16 @@ def test_payloads_apart_along_gravity_are_elasticity() -> None:
     assert "elasticity" in found["words"]
 
 
-def test_payloads_apart_across_gravity_are_no_elasticity() -> None:
+def test_a_displacement_by_payload_perpendicular_to_gravity_is_not_attributed_to_elasticity() -> (
+    None
+):
     plan = cells.plan("hand_eye", "base_world", hold_out=HoldOut(0.5, 1))
     found = calibrate(plan, cell_with_payloads([1.0, 0.0, 0.0]), None)["held_out"]["pattern"]
     assert found is None or found["kind"] != "payloads_apart"
 
 
-def test_stamps_that_lag_behind_a_motion_are_found_from_the_observations() -> None:
-    """Poses sampled at 50 Hz on the move, the camera's 20 ms late."""
+def test_a_time_offset_between_poses_and_camera_is_found_from_the_residuals() -> None:
+    """Poses are sampled at 50 Hz during motion; the camera shows the pose of 20 ms later."""
     rng = np.random.default_rng(8)
     phase = rng.uniform(0.0, 2.0 * np.pi, 6)
     rate = rng.uniform(1.0, 2.0, 6)
@@ -119,7 +121,7 @@ def test_stamps_that_lag_behind_a_motion_are_found_from_the_observations() -> No
         return np.array([rigid(Rotation.from_rotvec(w[3:]).as_matrix(), w[:3]) for w in waves])
 
     time = np.arange(0.0, 4.0, 0.02)
-    # Slower and faster in turn.
+    # The speed varies periodically.
     warped = time + 0.45 * np.sin(2.0 * time)
     later = time + 0.02
     cell = cells.flange_cell(
@@ -129,11 +131,11 @@ def test_stamps_that_lag_behind_a_motion_are_found_from_the_observations() -> No
     plan = cells.plan("base_world", given={"hand_eye": cell.mounted}, hold_out=HoldOut(0.3, 1))
     found = calibrate(plan, observations, None)["held_out"]["pattern"]
     assert found["kind"] == "grows_with_speed"
-    # The base, which is fitted too, takes a part of the offset up.
+    # The fitted base pose compensates a part of the offset.
     assert -0.02 < found["time_offset"] < -0.01
 
 
-def test_a_column_names_the_payload_of_each_row(tmp_path: Path) -> None:
+def test_the_payload_of_each_observation_is_read_from_a_column(tmp_path: Path) -> None:
     table = tmp_path / "observations.csv"
     with table.open("w", newline="") as file:
         csv.writer(file).writerows(

@@ -1,4 +1,4 @@
-"""Cells with known errors: intervals that hold, outliers that are found, poses that are refused."""
+"""Calibration of simulated cells: coverage of intervals, outliers, and insufficient poses."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pytest_twin.calibration.run import calibrate
 WHOLE = ("joint_zeros", "hand_eye", "base_world")
 
 
-def drawn(seed: int) -> tuple[cells.Cell, str]:
-    """A robot of 4 to 7 joints with zeros of 20 mrad, noise of 0.03 to 3 mm, some outliers."""
+def random_cell(seed: int) -> tuple[cells.Cell, str]:
+    """A robot with 4 to 7 joints, zero errors of 20 mrad, noise of 0.03 to 3 mm, and outliers."""
     rng = np.random.default_rng(seed)
     mount = ("hand", "world")[seed % 2]
     count = int(rng.integers(4, 8))
@@ -44,10 +44,10 @@ def drawn(seed: int) -> tuple[cells.Cell, str]:
     return cell, mount
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+def test_95_percent_intervals_contain_the_true_values_in_90_to_99_percent_of_cases() -> None:
     inside = []
     for seed in range(20):
-        cell, mount = drawn(seed)
+        cell, mount = random_cell(seed)
         found = calibrate(cells.plan(*WHOLE, mount=mount), cell.observations, cell.chain)
         truth = cell.mounted if mount == "hand" else cell.world
         inside += cells.truth_inside(found, "hand_eye", truth)
@@ -93,7 +93,9 @@ def test_poses_that_do_not_determine_the_camera_are_refused(
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-5, 1e-4])
 @pytest.mark.parametrize("accept", [None, 3.0])
-def test_poses_that_turn_by_a_milliradian_are_refused(noise: float, accept: float | None) -> None:
+def test_poses_that_rotate_by_only_a_milliradian_are_refused(
+    noise: float, accept: float | None
+) -> None:
     rng = np.random.default_rng(3)
     turns = Rotation.from_rotvec(rng.uniform(-1e-3, 1e-3, (25, 3))).as_matrix()
     flange = np.array([rigid(turn, rng.uniform(-0.3, 0.3, 3)) for turn in turns])
@@ -104,7 +106,7 @@ def test_poses_that_turn_by_a_milliradian_are_refused(noise: float, accept: floa
     assert "hand_eye" not in found["records"]
 
 
-def test_poses_that_say_little_of_the_rest_of_the_workspace_are_refused() -> None:
+def test_poses_that_do_not_determine_the_rest_of_the_workspace_are_refused() -> None:
     rng = np.random.default_rng(4)
     turns = Rotation.from_rotvec(rng.uniform(-0.01, 0.01, (40, 3))).as_matrix()
     flange = np.array([rigid(turn, rng.uniform(-0.1, 0.1, 3)) for turn in turns])
@@ -116,13 +118,13 @@ def test_poses_that_say_little_of_the_rest_of_the_workspace_are_refused() -> Non
     assert "in other poses of the workspace predictions are off by" in found["reasons"][0]
 
 
-def test_each_source_of_error_is_told_from_the_others() -> None:
+def test_the_sources_of_error_are_distinguished() -> None:
     rng = np.random.default_rng(5)
     flange = np.array([cells.pose(rng, 0.4) for _ in range(150)])
     cell = cells.flange_cell(rng, flange, translation=2e-4, rotation=1e-3)
-    # The robot's reported orientation is off by 3 mrad, its position by nothing.
-    told = cells.noisy(flange, 0.0, 3e-3, rng)
-    observations = replace(cell.observations, flange=told)
+    # The reported flange orientation has an error of 3 mrad, the position none.
+    reported = cells.noisy(flange, 0.0, 3e-3, rng)
+    observations = replace(cell.observations, flange=reported)
     found = calibrate(cells.plan("hand_eye", hold_out=HoldOut(0.0)), observations, None)
     sources = found["fitted"]["error_sources"]
     assert sources["flange_rotation"] == pytest.approx(3e-3, rel=0.15)
@@ -131,7 +133,7 @@ def test_each_source_of_error_is_told_from_the_others() -> None:
     assert sources["flange_translation"] < 3e-4
 
 
-def test_one_axis_of_rotation_leaves_the_position_along_it_open() -> None:
+def test_with_one_axis_of_rotation_the_position_along_it_is_unobservable() -> None:
     rng = np.random.default_rng(0)
     turns = Rotation.from_rotvec(np.outer(rng.uniform(-1, 1, 20), [0, 0, 1])).as_matrix()
     poses = np.array([rigid(turn, rng.uniform(-0.3, 0.3, 3)) for turn in turns])
@@ -143,7 +145,7 @@ def test_one_axis_of_rotation_leaves_the_position_along_it_open() -> None:
     assert words.endswith("cannot be distinguished in these poses")
 
 
-def test_outliers_are_named_and_do_not_move_the_estimate() -> None:
+def test_outliers_are_reported_and_excluded_from_the_fit() -> None:
     rng = np.random.default_rng(1)
     chain = cells.arm(6, rng)
     cell = cells.joint_cell(rng, chain, 40)
@@ -157,7 +159,7 @@ def test_outliers_are_named_and_do_not_move_the_estimate() -> None:
     np.testing.assert_allclose(xyz, cell.mounted[:3, 3], atol=6e-4)
 
 
-def test_a_held_out_observation_that_measured_something_else_is_named_and_still_counted() -> None:
+def test_a_held_out_outlier_is_excluded_and_the_error_with_it_is_also_reported() -> None:
     rng = np.random.default_rng(1)
     chain = cells.arm(6, rng)
     cell = cells.joint_cell(rng, chain, 40)
@@ -170,12 +172,12 @@ def test_a_held_out_observation_that_measured_something_else_is_named_and_still_
     held_out = found["held_out"]
     assert held_out["count"] == 4
     assert held_out["with_excluded"]["count"] == 5
-    # 52 mm at one of five: root mean square over coordinates of 0.052 / sqrt(3 * 5) m.
+    # One of five has an error of 52 mm: the RMS over coordinates is 0.052 / sqrt(3 * 5) m.
     assert held_out["with_excluded"]["translation_rms"] == pytest.approx(0.0134, rel=0.05)
     assert held_out["translation_rms"] < 0.1 * held_out["with_excluded"]["translation_rms"]
 
 
-def test_a_few_poses_are_refused_or_have_intervals_that_hold() -> None:
+def test_intervals_from_a_few_poses_contain_the_true_values_unless_refused() -> None:
     inside = []
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -191,7 +193,7 @@ def test_a_few_poses_are_refused_or_have_intervals_that_hold() -> None:
     assert np.mean(inside) >= 0.9
 
 
-def test_half_of_the_poses_may_be_wrong() -> None:
+def test_outliers_among_half_of_the_poses_are_excluded() -> None:
     rng = np.random.default_rng(7)
     flange = np.array([cells.pose(rng, 0.4) for _ in range(30)])
     cell = cells.flange_cell(rng, flange)
@@ -207,7 +209,7 @@ def test_half_of_the_poses_may_be_wrong() -> None:
 
 
 @pytest.mark.parametrize(("bound", "verdict"), [(0.001, "accepted"), (0.0003, "rejected")])
-def test_without_held_out_observations_those_left_out_in_turn_are_judged(
+def test_without_held_out_observations_leave_one_out_errors_decide_the_verdict(
     bound: float, verdict: str
 ) -> None:
     rng = np.random.default_rng(8)
@@ -218,7 +220,7 @@ def test_without_held_out_observations_those_left_out_in_turn_are_judged(
     assert calibrate(plan, cell.observations, None)["verdict"] == verdict
 
 
-def test_a_good_set_of_poses_loses_no_observation() -> None:
+def test_without_outliers_no_observation_is_excluded() -> None:
     rng = np.random.default_rng(2)
     chain = cells.arm(6, rng)
     cell = cells.joint_cell(rng, chain, 60)
@@ -226,7 +228,7 @@ def test_a_good_set_of_poses_loses_no_observation() -> None:
     assert found["excluded"] == []
 
 
-def test_the_error_of_a_joint_that_is_not_estimated_is_seen_in_the_workspace() -> None:
+def test_an_unestimated_joint_zero_causes_a_rejection_with_errors_by_region() -> None:
     rng = np.random.default_rng(3)
     chain = cells.arm(6, rng)
     cell = cells.joint_cell(rng, chain, 60, zeros=np.array([0, 0.03, 0, 0, 0, 0.0]))
@@ -248,7 +250,7 @@ def test_a_given_base_makes_the_first_joint_observable() -> None:
     assert len(found["unobservable"]) == 1
 
 
-def test_link_geometry_under_a_prior_improves_the_held_out_error() -> None:
+def test_estimated_link_geometry_reduces_the_held_out_error() -> None:
     rng = np.random.default_rng(5)
     nominal = cells.arm(6, rng)
     placements = nominal.placements.copy()
@@ -264,7 +266,7 @@ def test_link_geometry_under_a_prior_improves_the_held_out_error() -> None:
     assert offset["determined_by"] == "data"
 
 
-def test_a_hundred_poses_with_the_whole_geometry_take_less_than_five_seconds() -> None:
+def test_a_calibration_of_130_poses_with_all_geometry_takes_less_than_five_seconds() -> None:
     rng = np.random.default_rng(6)
     chain = cells.arm(7, rng)
     cell = cells.joint_cell(rng, chain, 130, zeros=rng.normal(0.0, 0.01, 7))

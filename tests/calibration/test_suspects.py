@@ -1,4 +1,4 @@
-"""Wrong units, directions and signs are recognised, said with the mend, and never applied."""
+"""Suspected wrong units, directions and signs are reported with a remedy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def scaled(poses: np.ndarray, factor: float) -> np.ndarray:
 
 
 def reordered(poses: np.ndarray) -> np.ndarray:
-    """Poses whose quaternions x y z w were read as w x y z."""
+    """Poses whose x y z w quaternions are read as w x y z."""
     found = poses.copy()
     xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     found[:, :3, :3] = Rotation.from_quat(np.roll(xyzw, -1, axis=1)).as_matrix()
@@ -77,7 +77,7 @@ JOINTS: dict[str, tuple[Change, str]] = {
 
 @pytest.mark.parametrize("mount", ["hand", "world"])
 @pytest.mark.parametrize("mistake", [*CAMERA, *(f"flange {name}" for name in FLANGE)])
-def test_a_mistake_in_poses_is_named(mistake: str, mount: str) -> None:
+def test_a_mistake_in_the_poses_is_reported(mistake: str, mount: str) -> None:
     rng = np.random.default_rng(0)
     flange = np.array([cells.pose(rng, 0.4) for _ in range(25)])
     cell = cells.flange_cell(rng, flange, mount=mount)
@@ -86,12 +86,12 @@ def test_a_mistake_in_poses_is_named(mistake: str, mount: str) -> None:
     assert found["verdict"] == "rejected"
     assert any(words in one["what"] for one in found["suspected"])
     assert any(words in reason for reason in found["reasons"])
-    # Other poses do not mend a file.
+    # Further poses are not proposed as a remedy for a wrong file.
     assert not any("turn the flange" in reason for reason in found["reasons"])
 
 
 @pytest.mark.parametrize("mistake", JOINTS)
-def test_a_mistake_in_joint_positions_is_named(mistake: str) -> None:
+def test_a_mistake_in_the_joint_positions_is_reported(mistake: str) -> None:
     rng = np.random.default_rng(1)
     chain = cells.arm(6, rng)
     cell = cells.joint_cell(rng, chain, 30)
@@ -101,7 +101,7 @@ def test_a_mistake_in_joint_positions_is_named(mistake: str) -> None:
     assert words in found["suspected"][0]["what"]
 
 
-def test_nothing_is_suspected_of_an_arm_whose_zeros_are_merely_off() -> None:
+def test_wrong_joint_zeros_cause_no_suspicion() -> None:
     rng = np.random.default_rng(2)
     chain = cells.arm(6, rng)
     cell = cells.joint_cell(rng, chain, 40, zeros=rng.normal(0.0, 0.02, 6))

@@ -1,4 +1,4 @@
-"""Boards as a pinhole camera without distortion would see them."""
+"""Rendered images of calibration boards for a pinhole camera without distortion."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def apriltag_grid(**changed: object) -> Target:
     return make_target({"kind": "apriltag_grid"} | fields | changed)
 
 
-def page(target: Target, upwards: bool = False) -> np.ndarray:
-    """The printed board with a white margin."""
+def printed_board(target: Target, upwards: bool = False) -> np.ndarray:
+    """An image of the printed board with a white margin."""
     columns, rows = target.squares
     size = (round(columns * target.square * PIXELS_PER_METRE),
             round(rows * target.square * PIXELS_PER_METRE))  # fmt: skip
@@ -62,16 +62,18 @@ def page(target: Target, upwards: bool = False) -> np.ndarray:
     return np.pad(board, margin, constant_values=255)
 
 
-def view(target: Target, rotation: list[float], position: list[float], **kind: bool) -> np.ndarray:
-    """A camera's image of a board whose frame is at ``camera_from_target``.
+def rendered_view(
+    target: Target, rotation: list[float], position: list[float], **kind: bool
+) -> np.ndarray:
+    """Image of a board with the pose ``camera_from_target``.
 
     Args:
         target: the board.
         rotation: rotation vector of ``camera_from_target``, rad.
-        position: of the origin of the target in the camera, m.
-        kind: see ``page``.
+        position: origin of the target in the camera frame, m.
+        kind: see ``printed_board``.
     """
-    printed = page(target, **kind)
+    printed = printed_board(target, **kind)
     pose = camera_from_target(rotation, position)
     to_board = np.array(
         [[1 / PIXELS_PER_METRE, 0, -MARGIN + 0.5 / PIXELS_PER_METRE],
@@ -81,7 +83,7 @@ def view(target: Target, rotation: list[float], position: list[float], **kind: b
         height = target.squares[1] * target.square
         to_board = np.array([[1, 0, 0], [0, -1, height], [0, 0, 1]]) @ to_board
     onto = CAMERA.matrix @ np.column_stack([pose[:3, 0], pose[:3, 1], pose[:3, 3]]) @ to_board
-    # Four times the resolution, so that edges are blurred as a lens blurs them.
+    # Render at four times the resolution, so that edges are blurred as by a lens.
     fine = np.diag([4.0, 4.0, 1.0])
     fine[:2, 2] = 1.5
     image = cv2.warpPerspective(

@@ -1,4 +1,4 @@
-"""Joint zeros and links from pixels of corners, in one least squares with camera and frames."""
+"""Joint least-squares estimation of joint zeros, links, camera and frames from corner pixels."""
 
 from __future__ import annotations
 
@@ -33,8 +33,10 @@ PIXEL, POSITION, TURN = 0.2, 1e-4, 2e-4
 PRIORS = Priors(geometry_translation=5e-4, geometry_rotation=2e-3)
 
 
-def drawn(seed: int, rows: int, *, links: bool) -> tuple[cells.Cell, Images, dict[str, float]]:
-    """A robot with wrong zeros whose camera sees a board, projected by OpenCV."""
+def random_cell(
+    seed: int, rows: int, *, links: bool
+) -> tuple[cells.Cell, Images, dict[str, float]]:
+    """A robot with wrong joint zeros and corners of a board in its camera, projected by OpenCV."""
     rng = np.random.default_rng(seed)
     chain = cells.arm(6, rng)
     true = chain
@@ -49,7 +51,7 @@ def drawn(seed: int, rows: int, *, links: bool) -> tuple[cells.Cell, Images, dic
             shift = value * link.direction * (not link.is_rotation)
             placements[link.joint] = placements[link.joint] @ rigid(turn, shift)
         true = replace(chain, placements=placements)
-    # A free base and a free camera take up the zeros of the first and the last joint.
+    # The zeros of the first and last joint are not observable with unknown base and camera poses.
     zeros = np.r_[0.0, rng.normal(0.0, 0.01, 4), 0.0]
     middle = rng.uniform(-0.5, 0.5, 6)
     turn = Rotation.from_rotvec(rng.normal(0.0, 0.2, 3)).as_matrix()
@@ -87,15 +89,15 @@ def solved(cell: cells.Cell, images: Images, *estimate: str) -> dict:
     return calibrate(plan, cell.observations, cell.chain, images=images)
 
 
-def inside(stated: dict, truth: float) -> bool:
+def is_inside(stated: dict, truth: float) -> bool:
     return bool(stated["ci95"][0] <= truth <= stated["ci95"][1])
 
 
 @pytest.mark.parametrize("links", [False, True])
-def test_intervals_of_zeros_links_and_frames_hold_the_truth(links: bool) -> None:
+def test_intervals_of_zeros_links_and_frames_contain_the_true_values(links: bool) -> None:
     zeros, frames, geometry = [], [], []
     for seed in range(3):
-        cell, images, deviations = drawn(seed, 30, links=links)
+        cell, images, deviations = random_cell(seed, 30, links=links)
         asked = ("joint_zeros", "geometry") if links else ("joint_zeros",)
         found = solved(cell, images, *asked)
         assert found["verdict"] == "accepted"
@@ -103,21 +105,21 @@ def test_intervals_of_zeros_links_and_frames_hold_the_truth(links: bool) -> None
         stated = found["records"]["joint_zeros"]["values"]
         for name, truth in zip(cell.chain.joints, cell.zeros, strict=True):
             if name in stated:
-                zeros.append(inside(stated[name], truth))
+                zeros.append(is_inside(stated[name], truth))
         frames += cells.truth_inside(found, "hand_eye", cell.mounted)
         frames += cells.truth_inside(found, "robot_world", cell.world)
         if links:
             values = found["records"]["geometry"]["values"]
-            geometry += [inside(values[name], deviations[name]) for name in values]
-    # Intervals of one cell are correlated: fewer than 85 % would be too few.
+            geometry += [is_inside(values[name], deviations[name]) for name in values]
+    # The intervals of one cell are correlated, so the bound is 85 % instead of 95 %.
     assert len(zeros) == 12
     assert np.mean(zeros + frames) >= 0.85
     if links:
         assert np.mean(geometry) >= 0.85
 
 
-def test_slopes_by_zeros_and_links_are_finite_differences() -> None:
-    cell, _, _ = drawn(7, 5, links=True)
+def test_derivatives_by_joint_zeros_and_links_agree_with_finite_differences() -> None:
+    cell, _, _ = random_cell(7, 5, links=True)
     plan = cells.plan("joint_zeros", "geometry", "hand_eye", priors=PRIORS)
     poses = np.array([cells.pose(np.random.default_rng(seed)) for seed in range(5)])
     observations = replace(cell.observations, camera_from_target=poses)

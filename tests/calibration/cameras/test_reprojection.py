@@ -1,4 +1,4 @@
-"""Projection, its derivatives, and least squares on reprojection."""
+"""Camera projection, its derivatives, and least-squares minimization of reprojection errors."""
 
 import os
 from pathlib import Path
@@ -70,7 +70,7 @@ def estimated(mount, reported, detections, start=CAMERA, free=(), target=TARGET)
     return bundle(reported, detections, unknowns, mount, free)
 
 
-def test_projection_is_that_of_opencv():
+def test_the_projection_agrees_with_opencv():
     rng = np.random.default_rng(1)
     vector = np.r_[CAMERA.vector[:4], 0.03 * rng.normal(size=COUNT - 4)]
     points = rng.uniform([-0.3, -0.3, 0.8], [0.3, 0.3, 1.2], (20, 3))
@@ -81,7 +81,7 @@ def test_projection_is_that_of_opencv():
     np.testing.assert_allclose(project(points, vector)[0], theirs.reshape(-1, 2), atol=1e-9)
 
 
-def test_derivatives_of_the_reprojection_are_finite_differences():
+def test_derivatives_of_the_reprojection_agree_with_finite_differences():
     rng = np.random.default_rng(2)
     _, detections, _ = cell("hand", 4, count=3)
     corners = corners_of(detections)
@@ -110,7 +110,7 @@ def test_derivatives_of_the_reprojection_are_finite_differences():
 
 
 @pytest.mark.parametrize("mount", ["hand", "world"])
-def test_exact_corners_give_the_exact_cell_and_camera(mount):
+def test_exact_corners_give_the_exact_poses_and_intrinsics(mount):
     reported, detections, truth = cell(mount, 5, pixel=0.0, position=0.0, turn=0.0)
     start = make_intrinsics({"fx": 880.0, "fy": 890.0, "cx": 512.0, "cy": 384.0,
                              "distortion": [0, 0, 0.001, -0.002, 0.01]})  # fmt: skip
@@ -121,7 +121,7 @@ def test_exact_corners_give_the_exact_cell_and_camera(mount):
 
 
 @pytest.mark.parametrize("mount", ["hand", "world"])
-def test_intervals_hold_the_truth_and_the_noise_is_found(mount):
+def test_intervals_contain_the_true_values_and_the_noise_is_estimated(mount):
     inside, noises = [], []
     for seed in range(6):
         reported, detections, truth = cell(mount, 100 + seed)
@@ -146,7 +146,7 @@ def test_intervals_hold_the_truth_and_the_noise_is_found(mount):
     np.testing.assert_allclose(np.median(noises, axis=0), [0.2, 3e-4, 5e-4], rtol=0.2)
 
 
-def test_an_uneven_print_is_found_and_the_intervals_still_hold():
+def test_print_errors_of_the_board_are_estimated_and_the_intervals_contain_the_true_values():
     inside, boards = [], []
     for seed in range(4):
         reported, detections, truth = cell("hand", 200 + seed, board=3e-4)
@@ -162,7 +162,7 @@ def test_an_uneven_print_is_found_and_the_intervals_still_hold():
     assert np.mean(inside) > 0.9
 
 
-def test_known_noise_is_kept():
+def test_a_known_noise_is_not_changed():
     reported, detections, _ = cell("hand", 7)
     seen = np.array([target_pose(d, CAMERA).camera_from_target for d in detections])
     first = solve_all(reported, seen, "hand")["park"]
@@ -172,13 +172,13 @@ def test_known_noise_is_kept():
     assert bundle(reported, detections, start, "hand", noise=KnownNoise(noise)).noise == noise
 
 
-def test_the_noise_of_corners_is_found_from_single_images():
+def test_the_noise_of_corners_is_estimated_from_single_images():
     _, detections, _ = cell("hand", 8)
     poses = [target_pose(d, CAMERA) for d in detections]
     assert pixel_noise(detections, poses) == pytest.approx(0.2, rel=0.1)
 
 
-def test_a_recorded_cell_is_calibrated_better_than_by_any_algebraic_solver():
+def test_a_recorded_cell_is_calibrated_more_accurately_than_by_the_algebraic_solvers():
     folder = RECORDINGS / "charuco"
     if not folder.is_dir():
         pytest.skip(
@@ -210,6 +210,6 @@ def test_a_recorded_cell_is_calibrated_better_than_by_any_algebraic_solver():
             off = scatter(flange[held_out], seen[held_out], one, "world")
             theirs.setdefault(name, []).append(off.translation_rms)
     mine = np.mean([one.translation_rms for one in ours])
-    # With the board as it is drawn it is 1.6 mm: its columns are printed 0.2 mm off.
+    # With nominal corner positions it is 1.6 mm, as the columns of the print are 0.2 mm off.
     assert mine < 0.0014
     assert mine < min(np.mean(each) for each in theirs.values())

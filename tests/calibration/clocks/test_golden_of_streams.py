@@ -1,4 +1,4 @@
-"""A calibration from two streams is re-checked on the stretches that its record held out."""
+"""Goldens that test a calibration from two streams on the held-out periods of its record."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from test_time_offset import calibrated, streams
+from test_time_offset import calibrated, write_streams
 
 from pytest_twin.checks import check_of
 from pytest_twin.checks.base import Measure
@@ -25,7 +25,7 @@ tolerance: {position: 2 mm, orientation: 3.5 mrad}
 """
 
 
-def twin_of(folder: Path) -> None:
+def write_twin(folder: Path) -> None:
     (folder / "model.xml").write_text(MODEL)
     (folder / "twin.yaml").write_text(
         "model: model.xml\ncalibrations: [{file: out/calibration.json}]\n"
@@ -34,7 +34,7 @@ def twin_of(folder: Path) -> None:
     (folder / "golden" / "camera.yaml").write_text(SPEC)
 
 
-def measured(folder: Path) -> dict[str, Measure]:
+def measures_of(folder: Path) -> dict[str, Measure]:
     twin = load_twin(folder / "twin.yaml")
     golden = load_golden(folder / "golden" / "camera.yaml", twin)
     check = check_of("calibration")
@@ -45,30 +45,30 @@ def measured(folder: Path) -> dict[str, Measure]:
 @pytest.mark.parametrize(
     ("mount", "inverted", "drift"), [("hand", True, 1e-3), ("world", False, 0.0)]
 )
-def test_the_record_of_streams_passes_with_the_errors_that_it_states(
+def test_the_golden_of_a_calibration_from_streams_reproduces_the_errors_of_the_record(
     tmp_path: Path, mount: str, inverted: bool, drift: float
 ) -> None:
-    streams(tmp_path, mount=mount, inverted=inverted, drift=drift)
+    write_streams(tmp_path, mount=mount, inverted=inverted, drift=drift)
     status, document = calibrated(tmp_path)
     assert status == 0
     assert document["records"]["time_offset"]["drift"]["used"] == (drift > 0.0)
-    twin_of(tmp_path)
-    found = measured(tmp_path)
+    write_twin(tmp_path)
+    found = measures_of(tmp_path)
     assert set(found) == {"position", "orientation"}
     for measure in found.values():
         assert measure.passed
         assert measure.error == pytest.approx(measure.golden, rel=1e-6)
-    # Half of the offset is a calibration that does not hold.
+    # With half of the time offset the errors are larger.
     document["records"]["time_offset"]["value"] /= 2.0
     (tmp_path / "out" / "calibration.json").write_text(json.dumps(document))
-    assert measured(tmp_path)["position"].error > 1.5 * found["position"].error
+    assert measures_of(tmp_path)["position"].error > 1.5 * found["position"].error
     text = (tmp_path / "hand.csv").read_text()
     (tmp_path / "hand.csv").write_text(text + text.splitlines()[-1] + "\n")
     with pytest.raises(SpecError, match="not a file that clocks was made from"):
-        measured(tmp_path)
+        measures_of(tmp_path)
     spec = (tmp_path / "golden" / "camera.yaml").read_text()
     (tmp_path / "golden" / "camera.yaml").write_text(
         spec.replace("streams: {hand: hand.csv, camera: camera.csv.gz}", "observations: hand.csv")
     )
     with pytest.raises(SpecError, match="no streams"):
-        measured(tmp_path)
+        measures_of(tmp_path)

@@ -1,4 +1,4 @@
-"""Two pose streams on two clocks: offset, drift, hand-eye, and when they are refused."""
+"""Calibration from two pose streams with separate clocks: time offset, drift and hand-eye pose."""
 
 import gzip
 import json
@@ -23,9 +23,9 @@ TARGET = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
 
 
 def motion(seed: int, slow: float = 1.0, burst: float | None = None):
-    """Poses of a hand at any time: sums of sines without a common period.
+    """Poses of a hand as a function of time: sums of sines without a common period.
 
-    With a burst, the hand moves for about so many seconds in the middle of 40 s.
+    With ``burst``, the hand moves only for about ``burst`` seconds in the middle of 40 s.
     """
     rng = np.random.default_rng(seed)
     rate = slow * rng.uniform(0.5, 3.0, (6, 5))
@@ -41,7 +41,7 @@ def motion(seed: int, slow: float = 1.0, burst: float | None = None):
     return at
 
 
-def write(path: Path, time: np.ndarray, poses: np.ndarray, header: bool = False) -> None:
+def write_stream(path: Path, time: np.ndarray, poses: np.ndarray, header: bool = False) -> None:
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     rows = np.column_stack([time, poses[:, :3, 3], quaternions])
     lines = ["t,x,y,z,qx,qy,qz,qw"] if header else []
@@ -53,7 +53,7 @@ def write(path: Path, time: np.ndarray, poses: np.ndarray, header: bool = False)
         path.write_text(text)
 
 
-def streams(
+def write_streams(
     folder: Path,
     *,
     offset=0.037,
@@ -71,20 +71,20 @@ def streams(
     hand = motion(seed, slow, burst)
     time = np.arange(0.0, 40.0, 0.01)
     poses = changed(hand(time), 0.2 * noise * rng.normal(size=(len(time), 6)))
-    write(folder / "hand.csv", time, poses, header=True)
+    write_stream(folder / "hand.csv", time, poses, header=True)
     stamps = np.arange(2.0, 38.0, 0.04) + rng.uniform(0, 0.01, 900)
     true = stamps + offset + drift * (stamps - stamps.mean())
     seen = inverse((motion(seed + 50) if other_motion else hand)(true) @ HAND_EYE) @ TARGET
     if sway:
-        # The camera's mount yields with the square of the speed, in any direction.
+        # The camera mount deflects with the square of the speed, in a random direction.
         before, after = (inverse(hand(true + d) @ HAND_EYE) @ TARGET for d in (-0.01, 0.01))
         speed = np.linalg.norm((after - before)[:, :3, 3], axis=1) / 0.02
         seen[:, :3, 3] += sway * speed[:, None] ** 2 * rng.normal(size=(len(true), 3))
     if mount == "world":
-        # The camera stands where TARGET is, and the hand carries the target at HAND_EYE.
+        # The camera is fixed at the pose TARGET; the target is on the hand at HAND_EYE.
         seen = inverse(TARGET) @ hand(true) @ HAND_EYE
     seen = changed(seen, noise * rng.normal(size=(len(stamps), 6)))
-    write(folder / "camera.csv.gz", stamps, inverse(seen) if inverted else seen)
+    write_stream(folder / "camera.csv.gz", stamps, inverse(seen) if inverted else seen)
     plan = {
         "calibration": "clocks",
         "streams": {"hand": "hand.csv", "camera": "camera.csv.gz"},
@@ -102,8 +102,8 @@ def calibrated(folder: Path) -> tuple[int, dict]:
 
 
 @pytest.mark.parametrize("inverted", [False, True])
-def test_offset_and_hand_eye_are_found_within_their_intervals(tmp_path, inverted):
-    streams(tmp_path, inverted=inverted)
+def test_time_offset_and_hand_eye_pose_are_estimated_with_valid_intervals(tmp_path, inverted):
+    write_streams(tmp_path, inverted=inverted)
     status, found = calibrated(tmp_path)
     assert status == 0
     offset = found["records"]["time_offset"]
@@ -125,9 +125,9 @@ def test_offset_and_hand_eye_are_found_within_their_intervals(tmp_path, inverted
 
 
 @pytest.mark.parametrize("inverted", [False, True])
-def test_errors_before_a_camera_that_stands_still_are_those_of_the_target(tmp_path, inverted):
-    # At the camera, 0.6 m away, errors of angles would add a tenth to the 2 mm.
-    streams(tmp_path, mount="world", noise=2e-3, inverted=inverted)
+def test_errors_with_a_fixed_camera_are_computed_at_the_target(tmp_path, inverted):
+    # At the camera, 0.6 m away, angular errors would increase the 2 mm by a tenth.
+    write_streams(tmp_path, mount="world", noise=2e-3, inverted=inverted)
     _, found = calibrated(tmp_path)
     assert found["held_out"]["translation_rms"] == pytest.approx(2.04e-3, rel=0.04)
     for name, truth, row in (("target", HAND_EYE, 1), ("robot_world", TARGET, 7)):
@@ -139,8 +139,8 @@ def test_errors_before_a_camera_that_stands_still_are_those_of_the_target(tmp_pa
 
 
 @pytest.mark.parametrize("mount", ["hand", "world"])
-def test_the_page_draws_errors_in_the_base_and_both_streams_on_one_clock(tmp_path, mount):
-    streams(tmp_path, mount=mount, offset=0.5)
+def test_the_page_shows_errors_in_the_base_frame_and_both_streams_on_one_clock(tmp_path, mount):
+    write_streams(tmp_path, mount=mount, offset=0.5)
     _, found = calibrated(tmp_path)
     speeds = found["angular_speeds"]
     assert np.corrcoef(speeds["hand"], speeds["camera"])[0, 1] > 0.99
@@ -164,11 +164,11 @@ def test_the_page_draws_errors_in_the_base_and_both_streams_on_one_clock(tmp_pat
     assert "with an offset of 500." in page or "with an offset of 499." in page
 
 
-def test_recorded_streams_fit_better_than_with_the_offset_of_the_correlation(tmp_path):
+def test_least_squares_fits_recorded_streams_better_than_the_other_solvers(tmp_path):
     folder = RECORDINGS / "hand_eye" / "vicon"
     if not folder.is_dir():
         pytest.skip(f"no recordings at {folder}: set the environment variable TWIN_RECORDINGS")
-    streams(tmp_path)
+    write_streams(tmp_path)
     for name in ("hand.csv", "camera.csv.gz"):
         data = (folder / f"{name.removesuffix('.gz')}.gz").read_bytes()
         (tmp_path / name).write_bytes(data)
@@ -177,45 +177,45 @@ def test_recorded_streams_fit_better_than_with_the_offset_of_the_correlation(tmp
     assert errors.pop("least_squares") < min(errors.values())
 
 
-def test_exchanged_streams_and_a_wrong_mount_fit_as_well(tmp_path):
-    streams(tmp_path)
+def test_exchanged_streams_or_a_wrong_mount_fit_as_well_and_cause_no_suspicion(tmp_path):
+    write_streams(tmp_path)
     right = calibrated(tmp_path)[1]
     plan = yaml.safe_load((tmp_path / "plan.yaml").read_text())
     exchanged = {"streams": {"hand": "camera.csv.gz", "camera": "hand.csv"}}
-    for wrong, said in ((exchanged, False), ({"camera": {"mount": "world"}}, True)):
+    for wrong, noted in ((exchanged, False), ({"camera": {"mount": "world"}}, True)):
         (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan | wrong))
         found = calibrated(tmp_path)[1]
         assert found["suspected"] == []
         sign = -1.0 if wrong is exchanged else 1.0
         assert found["records"]["time_offset"]["value"] == pytest.approx(sign * 0.037, abs=2e-3)
-        # The turns of the flange are those of the camera: the fit itself gives nothing away.
+        # Flange and camera have the same rotations, so the fit does not reveal the mistake.
         assert found["held_out"]["rotation_rms"] == pytest.approx(
             right["held_out"]["rotation_rms"], rel=0.3
         )
-        assert any("the streams do not tell which" in note for note in found["notes"]) == said
+        assert any("the streams do not tell which" in note for note in found["notes"]) == noted
 
 
-def test_intervals_of_the_offset_hold_over_seeds(tmp_path):
+def test_intervals_of_the_time_offset_contain_the_true_value(tmp_path):
     inside = []
     for seed in range(4):
         folder = tmp_path / str(seed)
         folder.mkdir()
-        streams(folder, seed=seed, noise=2e-3)
+        write_streams(folder, seed=seed, noise=2e-3)
         low, high = calibrated(folder)[1]["records"]["time_offset"]["ci95"]
         inside.append(low < 0.037 < high)
     assert sum(inside) >= 3
 
 
-def test_a_drift_of_the_clocks_is_found_and_said(tmp_path):
-    streams(tmp_path, drift=1e-3)
+def test_a_drift_of_the_clocks_is_estimated_and_noted(tmp_path):
+    write_streams(tmp_path, drift=1e-3)
     _, found = calibrated(tmp_path)
     drift = found["records"]["time_offset"]["drift"]
     assert drift["ci95"][0] < 1e-3 < drift["ci95"][1]
     assert any("the clocks drift apart" in note for note in found["notes"])
 
 
-def test_a_drift_that_the_motion_does_not_show_has_no_number(tmp_path):
-    streams(tmp_path, burst=0.7, noise=2e-3)
+def test_an_unobservable_drift_of_the_clocks_has_no_value(tmp_path):
+    write_streams(tmp_path, burst=0.7, noise=2e-3)
     _, found = calibrated(tmp_path)
     record = found["records"]["time_offset"]
     assert record["ci95"][0] < 0.037 < record["ci95"][1]
@@ -224,39 +224,39 @@ def test_a_drift_that_the_motion_does_not_show_has_no_number(tmp_path):
     assert record["drift"]["why"] in found["notes"]
 
 
-def test_errors_that_grow_with_speed_are_read_as_compliance(tmp_path):
-    streams(tmp_path, sway=0.05, noise=2e-4)
+def test_errors_that_grow_with_speed_are_attributed_to_compliance(tmp_path):
+    write_streams(tmp_path, sway=0.05, noise=2e-4)
     pattern = calibrated(tmp_path)[1]["held_out"]["pattern"]
     assert pattern["kind"] == "grows_with_speed"
     assert "compliance" in pattern["words"]
 
 
-def test_streams_of_two_motions_have_no_offset(tmp_path):
-    streams(tmp_path, other_motion=True)
+def test_streams_of_different_motions_give_no_time_offset(tmp_path):
+    write_streams(tmp_path, other_motion=True)
     status, found = calibrated(tmp_path)
     assert (status, found["verdict"], found["records"]) == (1, "degenerate", {})
     assert found["unobservable"][0].startswith("the time offset: ")
 
 
-def test_a_hand_at_rest_shows_no_offset(tmp_path):
-    streams(tmp_path, slow=0.0)
+def test_a_hand_at_rest_gives_no_time_offset(tmp_path):
+    write_streams(tmp_path, slow=0.0)
     status, found = calibrated(tmp_path)
     assert (status, found["verdict"], found["records"]) == (1, "degenerate", {})
 
 
-def test_a_stamp_that_goes_back_far_is_an_error_with_its_line(tmp_path):
+def test_a_large_backward_step_of_the_time_stamps_is_refused_with_its_line(tmp_path):
     time = np.arange(0.0, 30.0, 0.5)
     time[40] -= 5.0
-    write(tmp_path / "s.csv", time, np.tile(np.eye(4), (60, 1, 1)))
+    write_stream(tmp_path / "s.csv", time, np.tile(np.eye(4), (60, 1, 1)))
     with pytest.raises(FormatError, match="the stamps go back") as error:
         read_stream(tmp_path / "s.csv")
     assert error.value.line == 41
 
 
-def test_samples_that_overtake_and_repeat_one_another_are_put_in_order(tmp_path):
+def test_samples_out_of_order_are_sorted_and_repeated_ones_removed(tmp_path):
     time = np.arange(0.0, 30.0, 0.5)
     time[10], time[11], time[21] = time[11], time[10], time[20]
-    write(tmp_path / "s.csv", time, np.tile(np.eye(4), (60, 1, 1)))
+    write_stream(tmp_path / "s.csv", time, np.tile(np.eye(4), (60, 1, 1)))
     found = read_stream(tmp_path / "s.csv")
     assert len(found.time) == 59
     assert (np.diff(found.time) > 0).all()
@@ -271,7 +271,7 @@ def test_samples_that_overtake_and_repeat_one_another_are_put_in_order(tmp_path)
         ("one,0,0,0,0,0,0,1", "not a stamped pose"),
     ],
 )
-def test_a_line_that_is_no_stamped_pose_is_an_error_with_its_number(tmp_path, line, words):
+def test_an_invalid_line_of_a_stream_is_refused_with_its_number(tmp_path, line, words):
     good = [f"{t},0,0,0,0,0,0,1" for t in range(30)]
     (tmp_path / "s.csv").write_text("\n".join([*good[:1], line, *good[2:]]) + "\n")
     with pytest.raises(FormatError, match=words) as error:
@@ -287,19 +287,19 @@ def test_a_line_that_is_no_stamped_pose_is_an_error_with_its_number(tmp_path, li
         ("camera", 1.2, "positions of the camera's stream are too large or too small by a factor"),
     ],
 )
-def test_a_stream_in_another_unit_is_said_with_the_correction(tmp_path, stream, factor, words):
-    streams(tmp_path)
+def test_a_stream_with_a_wrong_unit_or_scale_is_reported(tmp_path, stream, factor, words):
+    write_streams(tmp_path)
     path = tmp_path / {"camera": "camera.csv.gz", "hand": "hand.csv"}[stream]
     found = read_stream(path)
     poses = found.poses.copy()
     poses[:, :3, 3] *= factor
-    write(path, found.time, poses)
+    write_stream(path, found.time, poses)
     status, found = calibrated(tmp_path)
     assert (status, found["verdict"]) == (1, "rejected")
     assert found["reasons"][0].startswith(words)
     assert not any("turn the hand" in reason for reason in found["reasons"])
 
 
-def test_nothing_is_suspected_of_streams_without_a_mistake(tmp_path):
-    streams(tmp_path, noise=5e-3)
+def test_correct_streams_cause_no_suspicion(tmp_path):
+    write_streams(tmp_path, noise=5e-3)
     assert calibrated(tmp_path)[1]["suspected"] == []

@@ -1,4 +1,4 @@
-"""``pytest-twin calibrate`` on images: from files to ``calibration.json``."""
+"""Command ``pytest-twin calibrate`` for images."""
 
 import json
 import sys
@@ -11,7 +11,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "boards"))
-from rendered_boards import CAMERA, charuco, chessboard, view
+from rendered_boards import CAMERA, charuco, chessboard, rendered_view
 
 from pytest_twin import cli
 from pytest_twin.calibration.cameras.increments import changed, inverse
@@ -21,10 +21,10 @@ TARGET = {"kind": "charuco", "squares": [5, 7], "square": 0.03, "marker": 0.022,
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
-def cell(
+def write_cell(
     folder: Path, *, count: int = 14, noise: float = 2e-4, seed: int = 11, **plan: object
 ) -> np.ndarray:
-    """A plan, its observations and images of a camera on the hand; returns the true hand-eye."""
+    """Write plan, observations and images for a camera on the hand; return the hand-eye pose."""
     rng = np.random.default_rng(seed)
     hand_eye = changed(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
     robot_world = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
@@ -33,7 +33,7 @@ def cell(
     for number in range(count):
         turn = [*rng.uniform(-0.45, 0.45, 2), rng.uniform(-0.6, 0.6)]
         place = [-0.07 + 0.04 * rng.normal(), -0.1 + 0.03 * rng.normal(), rng.uniform(0.38, 0.5)]
-        image = view(charuco(), turn, place)
+        image = rendered_view(charuco(), turn, place)
         cv2.imwrite(str(folder / "images" / f"{number}.png"), image)
         seen = np.eye(4)
         seen[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
@@ -63,8 +63,8 @@ def calibrated(folder: Path) -> tuple[int, dict]:
     return status, json.loads((folder / "out" / "calibration.json").read_text())
 
 
-def test_images_give_hand_eye_and_intrinsics_with_intervals_that_hold_the_truth(tmp_path):
-    truth = cell(tmp_path)
+def test_hand_eye_pose_and_intrinsics_from_images_agree_with_the_true_values(tmp_path):
+    truth = write_cell(tmp_path)
     status, found = calibrated(tmp_path)
     assert status == 0
     record = found["records"]["hand_eye"]
@@ -88,8 +88,8 @@ def test_images_give_hand_eye_and_intrinsics_with_intervals_that_hold_the_truth(
     } <= set(found["solvers"])
 
 
-def test_a_target_of_another_size_is_said_from_the_motion_of_the_robot(tmp_path):
-    cell(tmp_path, target=TARGET | {"square": 0.033, "marker": 0.0242})
+def test_a_wrong_size_of_the_target_is_reported(tmp_path):
+    write_cell(tmp_path, target=TARGET | {"square": 0.033, "marker": 0.0242})
     status, found = calibrated(tmp_path)
     assert status == 1
     assert "the target is probably not of the stated size" in found["reasons"][0]
@@ -109,19 +109,19 @@ def test_a_target_of_another_size_is_said_from_the_motion_of_the_robot(tmp_path)
         ),
     ],
 )
-def test_a_plan_that_does_not_fit_the_images_is_said_with_the_correction(tmp_path, plan, words):
-    cell(tmp_path, **plan)
+def test_a_plan_that_contradicts_the_images_is_reported_with_a_correction(tmp_path, plan, words):
+    write_cell(tmp_path, **plan)
     status, found = calibrated(tmp_path)
     assert status == 1
     assert any(words in reason for reason in found["reasons"])
-    # There is no column to invert or to divide, and no pose that would help.
+    # Corrections for tables of poses and proposals of further poses do not apply here.
     assert not any(
         "camera_from_target" in one or "turn the flange" in one for one in found["reasons"]
     )
 
 
-def test_bad_images_are_excluded_with_their_reasons(tmp_path):
-    cell(tmp_path)
+def test_unusable_images_are_excluded_with_reasons(tmp_path):
+    write_cell(tmp_path)
     images = tmp_path / "images"
     cv2.imwrite(str(images / "0.png"), np.full((768, 1024), 128, np.uint8))
     blurred = cv2.GaussianBlur(cv2.imread(str(images / "1.png"), 0), (0, 0), 5.0)
@@ -141,16 +141,16 @@ def test_bad_images_are_excluded_with_their_reasons(tmp_path):
     assert "3.png" in why["n3"]
 
 
-def test_given_intrinsics_that_do_not_fit_the_images_are_said(tmp_path):
+def test_given_intrinsics_that_contradict_the_images_are_noted(tmp_path):
     wrong = {"fx": 940.0, "fy": 905.0, "cx": 510.0, "cy": 378.0}
-    cell(tmp_path, estimate=["hand_eye", "robot_world"],
+    write_cell(tmp_path, estimate=["hand_eye", "robot_world"],
          camera={"mount": "hand", "intrinsics": wrong})  # fmt: skip
     _, found = calibrated(tmp_path)
     assert any("the given intrinsics do not fit the images" in note for note in found["notes"])
 
 
-def test_intrinsics_alone_need_no_robot(tmp_path):
-    cell(tmp_path, estimate=["intrinsics"], accept={"reprojection": 0.5})
+def test_intrinsics_can_be_estimated_without_a_robot(tmp_path):
+    write_cell(tmp_path, estimate=["intrinsics"], accept={"reprojection": 0.5})
     table = (tmp_path / "observations.csv").read_text().splitlines()
     lines = [",".join(line.split(",")[:2]) for line in table]
     (tmp_path / "observations.csv").write_text("\n".join(lines) + "\n")
@@ -159,11 +159,13 @@ def test_intrinsics_alone_need_no_robot(tmp_path):
     assert list(found["records"]) == ["intrinsics"]
 
 
-def test_images_from_the_front_do_not_give_a_focal_length(tmp_path):
+def test_frontal_images_do_not_determine_the_focal_length(tmp_path):
     (tmp_path / "images").mkdir()
     rows = ["id,image"]
     for number in range(6):
-        image = view(charuco(), [0.0, 0.0, 0.1 * number], [-0.07, -0.1, 0.4 + 0.01 * number])
+        image = rendered_view(
+            charuco(), [0.0, 0.0, 0.1 * number], [-0.07, -0.1, 0.4 + 0.01 * number]
+        )
         cv2.imwrite(str(tmp_path / "images" / f"{number}.png"), image)
         rows.append(f"{number},images/{number}.png")
     (tmp_path / "observations.csv").write_text("\n".join(rows) + "\n")
@@ -180,8 +182,8 @@ def test_images_from_the_front_do_not_give_a_focal_length(tmp_path):
     assert "focal length and distance cannot be distinguished" in found["unobservable"][0]
 
 
-def test_a_target_in_no_image_is_refused_with_the_first_reason(tmp_path, capsys):
-    cell(tmp_path, count=4, target=TARGET | {"dictionary": "DICT_6X6_250"})
+def test_images_without_the_target_are_refused_with_a_reason(tmp_path, capsys):
+    write_cell(tmp_path, count=4, target=TARGET | {"dictionary": "DICT_6X6_250"})
     assert cli.main(["calibrate", str(tmp_path / "plan.yaml"), "--out", str(tmp_path / "o")]) == 2
     words = capsys.readouterr().err
     assert "no image shows the target" in words
@@ -193,7 +195,7 @@ def test_a_target_in_no_image_is_refused_with_the_first_reason(tmp_path, capsys)
 def test_an_image_outside_the_folder_is_refused(tmp_path, capsys, place):
     folder = tmp_path / "plan"
     folder.mkdir()
-    cell(folder, count=4)
+    write_cell(folder, count=4)
     (tmp_path / "outside.png").write_bytes(b"")
     table = folder / "observations.csv"
     table.write_text(table.read_text().replace("images/0.png", place))
@@ -201,7 +203,7 @@ def test_an_image_outside_the_folder_is_refused(tmp_path, capsys, place):
     assert "image" in capsys.readouterr().err
 
 
-def test_a_board_that_looks_alike_after_a_half_turn_may_be_turned_all_around(tmp_path):
+def test_a_board_with_half_turn_symmetry_may_be_seen_at_any_angle(tmp_path):
     board = {"kind": "chessboard", "squares": [8, 6], "square": 0.03}
     names = ("fx", "fy", "cx", "cy")
     given = dict(zip(names, CAMERA.vector.tolist(), strict=False))
@@ -211,14 +213,16 @@ def test_a_board_that_looks_alike_after_a_half_turn_may_be_turned_all_around(tmp
     rows = [",".join(["id", "image", *(f"flange.{part}" for part in POSE)])]
     middle = np.array([0.12, 0.09, 0.0])
     for number in range(10):
-        # About its own normal by any angle.
+        # The board is rotated about its normal by any angle.
         turn = Rotation.from_rotvec([*rng.uniform(-0.4, 0.4, 2), 0.0]) * Rotation.from_rotvec(
             [0.0, 0.0, 0.7 * number]
         )
         seen = np.eye(4)
         seen[:3, :3] = turn.as_matrix()
         seen[:3, 3] = [0.0, 0.0, rng.uniform(0.45, 0.55)] - turn.apply(middle)
-        image = view(chessboard(squares=[8, 6]), turn.as_rotvec().tolist(), seen[:3, 3].tolist())
+        image = rendered_view(
+            chessboard(squares=[8, 6]), turn.as_rotvec().tolist(), seen[:3, 3].tolist()
+        )
         cv2.imwrite(str(tmp_path / f"{number}.png"), image)
         flange = robot_world @ inverse(seen) @ inverse(hand_eye)
         quaternion = np.roll(Rotation.from_matrix(flange[:3, :3]).as_quat(), 1)

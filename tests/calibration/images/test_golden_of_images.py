@@ -1,4 +1,4 @@
-"""A calibration from images is re-checked with the poses that its record saw."""
+"""Goldens that test a calibration from images with the target poses of its record."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from test_calibrate_images import calibrated, cell
+from test_calibrate_images import calibrated, write_cell
 
 from pytest_twin.checks import check_of
 from pytest_twin.gate.specs import load_golden
@@ -25,8 +25,10 @@ tolerance: {position: 2 mm, orientation: 3.5 mrad}
 """
 
 
-def test_the_record_of_images_passes_with_the_errors_that_it_states(tmp_path: Path) -> None:
-    cell(tmp_path)
+def test_the_golden_of_a_calibration_from_images_reproduces_the_errors_of_the_record(
+    tmp_path: Path,
+) -> None:
+    write_cell(tmp_path)
     status, document = calibrated(tmp_path)
     assert status == 0
     (tmp_path / "model.xml").write_text(MODEL)
@@ -43,6 +45,6 @@ def test_the_record_of_images_passes_with_the_errors_that_it_states(tmp_path: Pa
     seen = check.observe(golden, realization, lambda fraction: None)
     for measure in check.compare(golden, seen, None):
         assert measure.passed
-        # The target's poses, seen with the final camera, are those that were judged.
+        # The errors in the record are those of the target poses with the final intrinsics.
         assert measure.error == pytest.approx(measure.golden, rel=0.02)
     assert seen.values["held_out"]["count"] == document["held_out"]["count"]

@@ -1,4 +1,4 @@
-"""Observations from bags: joint states between stamps, frames in motion, /tf, images."""
+"""Calibration observations from bags: joint states, poses during motion, /tf and images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks" / "calibration"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "boards"))
 
-from rendered_boards import CAMERA, charuco, view
+from rendered_boards import CAMERA, charuco, rendered_view
 from simulated import draw_robot, flange_poses, rigid
 
 from pytest_twin import cli
@@ -25,19 +25,19 @@ from pytest_twin.calibration.recordings.gathered import gather
 from pytest_twin.formats.sensor_messages import picture_of
 
 STOPS, STEP_S = 16, 2.0
-"""The robot moves for one second and stands for one."""
+"""In each step the robot moves for one second and is at rest for one second."""
 
 
 def path_of(places: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """(n, k) positions: a smooth move to each place, then a stop of one second."""
+    """Joint positions (n, k): a smooth motion to each of the places, then rest for one second."""
     number = np.clip((time // STEP_S).astype(int), 0, len(places) - 1)
     share = np.clip(time % STEP_S, 0.0, 1.0)[:, None]
     before = places[np.maximum(number - 1, 0)]
     return before + (3 * share**2 - 2 * share**3) * (places[number] - before)
 
 
-def cell(folder: Path, **changed: object) -> tuple[np.ndarray, list[tuple]]:
-    """A plan and the messages of a robot whose camera sees a target's pose; the true hand-eye."""
+def write_cell(folder: Path, **changed: object) -> tuple[np.ndarray, list[tuple]]:
+    """Write a plan; return the true hand-eye pose and messages of joint states and target poses."""
     rng = np.random.default_rng(5)
     robot = draw_robot(rng, 6)
     (folder / "robot.xml").write_text(robot.text)
@@ -78,8 +78,8 @@ def assert_near(found: dict, truth: np.ndarray) -> None:
     np.testing.assert_allclose(xyz, truth[:3, 3], atol=6e-4)
 
 
-def test_a_bag_of_joint_states_and_poses_gives_one_observation_for_each_stop(tmp_path):
-    truth, messages = cell(tmp_path)
+def test_joint_states_and_poses_of_a_bag_give_one_observation_per_stop(tmp_path):
+    truth, messages = write_cell(tmp_path)
     bags.write(tmp_path / "bag.mcap", messages)
     status, found = calibrated(tmp_path)
     assert status == 0
@@ -90,15 +90,15 @@ def test_a_bag_of_joint_states_and_poses_gives_one_observation_for_each_stop(tmp
     assert "mrad within 100 ms of its stamp" in moving[1]["why"]
     kept = tmp_path / "out" / "observations" / "0_bag" / "observations.csv"
     assert len(kept.read_text().splitlines()) == STOPS + 1
-    # The table that was kept gives the same calibration without the bag.
+    # The stored table gives the same calibration without the bag.
     plan = yaml.safe_load((tmp_path / "plan.yaml").read_text())
     plan["observations"] = "out/observations/0_bag/observations.csv"
     (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
     assert calibrated(tmp_path)[1]["records"] == found["records"]
 
 
-def test_several_files_are_taken_together(tmp_path):
-    truth, messages = cell(tmp_path, observations=["one.mcap", "two.mcap"])
+def test_observations_can_come_from_several_files(tmp_path):
+    truth, messages = write_cell(tmp_path, observations=["one.mcap", "two.mcap"])
     half = STOPS * STEP_S / 2
     bags.write(tmp_path / "one.mcap", [one for one in messages if one[2] < half])
     bags.write(tmp_path / "two.mcap", [one for one in messages if one[2] >= half])
@@ -108,8 +108,8 @@ def test_several_files_are_taken_together(tmp_path):
     assert set(found["inputs"]) >= {"one.mcap", "two.mcap", "plan.yaml", "robot.xml"}
 
 
-def test_the_payload_of_a_recording_is_that_of_its_observations(tmp_path):
-    _, messages = cell(tmp_path, observations=["empty.mcap", "loaded.mcap", "unknown.mcap"])
+def test_observations_have_the_payload_of_their_recording(tmp_path):
+    _, messages = write_cell(tmp_path, observations=["empty.mcap", "loaded.mcap", "unknown.mcap"])
     named = {"empty": {"payload": "none"}, "loaded": {"payload": "2 kg"}, "unknown": {}}
     third = STOPS * STEP_S / 3
     for number, (name, metadata) in enumerate(named.items()):
@@ -120,26 +120,26 @@ def test_the_payload_of_a_recording_is_that_of_its_observations(tmp_path):
     assert payloads is not None
     assert list(dict.fromkeys(payloads)) == ["none", "2 kg", ""]
     assert all(payloads.count(name) >= STOPS // 3 - 1 for name in ("none", "2 kg", ""))
-    # The tables that are kept say it too.
+    # The stored tables state the payload too.
     kept = [load_observations(table).payloads for table in found.tables]
     assert [set(one or ("",)) for one in kept] == [{"none"}, {"2 kg"}, {""}]
 
 
-def test_frames_of_tf_are_connected_and_need_no_model(tmp_path):
+def test_poses_are_computed_from_tf_frames_without_a_model(tmp_path):
     frames = {"base": "base", "flange": "tool0", "camera": "optical", "target": "tag"}
-    truth, messages = cell(tmp_path, recordings={"frames": frames})
+    truth, messages = write_cell(tmp_path, recordings={"frames": frames})
     plan = yaml.safe_load((tmp_path / "plan.yaml").read_text())
     del plan["robot"]
     (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
     rng = np.random.default_rng(5)
     robot = draw_robot(rng, 6)
     shift = rigid(np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.1, 0.2]))
-    told = []
+    tf_messages = []
     for topic, _, t, message in messages:
         if topic == "/joint_states":
             pose = flange_poses(robot, np.array([message["position"]]))[0]
-            # By way of a link between them, and with the second edge the other way round.
-            told.append(("/tf", "tf2_msgs/msg/TFMessage", t, bags.transforms(
+            # Base and tool are connected by a third frame; the second transform is inverted.
+            tf_messages.append(("/tf", "tf2_msgs/msg/TFMessage", t, bags.transforms(
                 t, ("base", "link", pose @ shift), ("tool0", "link", shift))))  # fmt: skip
         else:
             body = message["pose"]
@@ -147,16 +147,16 @@ def test_frames_of_tf_are_connected_and_need_no_model(tmp_path):
             q = body["orientation"]
             seen[:3, :3] = Rotation.from_quat([q[k] for k in "xyzw"]).as_matrix()
             seen[:3, 3] = [body["position"][k] for k in "xyz"]
-            told.append(
+            tf_messages.append(
                 ("/tf", "tf2_msgs/msg/TFMessage", t, bags.transforms(t, ("optical", "tag", seen)))
             )
-    bags.write(tmp_path / "bag.mcap", told)
+    bags.write(tmp_path / "bag.mcap", tf_messages)
     status, found = calibrated(tmp_path)
     assert status == 0
     assert_near(found, truth)
 
 
-def test_images_are_taken_from_the_bag_and_kept(tmp_path):
+def test_images_are_read_from_the_bag_and_stored(tmp_path):
     rng = np.random.default_rng(3)
     mounted, world = (
         rigid(np.array([0.1, 0.2, 0.3]), np.array([0.05, 0.0, 0.06])),
@@ -171,7 +171,7 @@ def test_images_are_taken_from_the_bag_and_kept(tmp_path):
             messages.append(
                 ("/flange", "geometry_msgs/msg/PoseStamped", t, bags.pose_stamped(t, flange))
             )
-        picture = view(charuco(), turn, [-0.07, -0.1, seen[2, 3]])
+        picture = rendered_view(charuco(), turn, [-0.07, -0.1, seen[2, 3]])
         at = number + 0.5
         messages.append(
             ("/camera", "sensor_msgs/msg/CompressedImage", at, bags.compressed(at, picture))
@@ -195,8 +195,8 @@ def test_images_are_taken_from_the_bag_and_kept(tmp_path):
     assert sum("images" in name for name in found["inputs"]) == 9
 
 
-def test_a_robot_that_never_stops_is_refused_with_what_to_do(tmp_path, capsys):
-    _, messages = cell(tmp_path)
+def test_a_recording_without_stops_is_refused_with_a_remedy(tmp_path, capsys):
+    _, messages = write_cell(tmp_path)
     names = [f"joint{i + 1}" for i in range(6)]
     moving = [
         (topic, kind, t, bags.joint_state(t, names, np.full(6, 0.3 * t)))
@@ -225,11 +225,11 @@ def test_pixels_of_an_image_are_read(encoding: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.grey, grey)
 
 
-def test_a_final_recording_is_no_observation(tmp_path, capsys):
-    _, messages = cell(tmp_path)
+def test_a_final_recording_is_refused_for_calibration(tmp_path, capsys):
+    _, messages = write_cell(tmp_path)
     bags.write(tmp_path / "bag.mcap", messages[:2], {"role": "final"})
     status = cli.main(["calibrate", str(tmp_path / "plan.yaml"), "--out", str(tmp_path / "out")])
     assert status == 2
-    said = capsys.readouterr().err
-    assert "a final recording guides nothing: it is not used for a calibration" in said
-    assert "bag.mcap" in said
+    stderr = capsys.readouterr().err
+    assert "a final recording guides nothing: it is not used for a calibration" in stderr
+    assert "bag.mcap" in stderr

@@ -1,4 +1,4 @@
-"""Bags of a robot that stops and moves, written with other people's writers."""
+"""Messages and bags of a robot, written with third-party libraries."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def compressed(seconds: float, grey: np.ndarray) -> dict:
 def write(
     path: Path, messages: list[tuple[str, str, float, dict]], metadata: dict | None = None
 ) -> None:
-    """Write (topic, type, s, message) in the order of time."""
+    """Write messages, given as (topic, type, time in s, message), in order of time."""
     with path.open("wb") as stream:
         writer = Writer(stream)
         schemas = {kind: writer.register_msgdef(kind, TYPES[kind]) for _, kind, _, _ in messages}

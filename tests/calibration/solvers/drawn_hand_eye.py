@@ -1,4 +1,4 @@
-"""Drawn robots with a camera: poses with noise, for both mounts."""
+"""Random hand-eye cells: poses with noise, for both camera mounts."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ def pose(rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:
     return changed(np.eye(4), np.r_[rng.normal(0, shift, 3), rng.normal(0, turn, 3)])
 
 
-def drawn(mount: str, count: int, seed: int, noise: float = 0.0):
-    """``base_from_flange``, ``camera_from_target``, true hand-eye and robot-world."""
+def random_hand_eye(mount: str, count: int, seed: int, noise: float = 0.0):
+    """``base_from_flange``, ``camera_from_target``, and the true hand-eye and robot-world poses."""
     rng = np.random.default_rng(seed)
     hand_eye, robot_world = pose(rng, 0.5, 0.1), pose(rng, 0.5, 0.8)
     looking = np.eye(4)

@@ -1,8 +1,8 @@
-"""OpenCV's algebraic solvers behind one interface."""
+"""Common interface of OpenCV's algebraic hand-eye solvers."""
 
 import numpy as np
 import pytest
-from drawn_hand_eye import drawn
+from drawn_hand_eye import random_hand_eye
 
 from pytest_twin.calibration.solvers.algebraic import HAND_EYE, ROBOT_WORLD, HandEye, solve_all
 from pytest_twin.calibration.solvers.consistency import held_out_scatter, scatter
@@ -10,7 +10,7 @@ from pytest_twin.calibration.solvers.consistency import held_out_scatter, scatte
 
 @pytest.mark.parametrize("mount", ["hand", "world"])
 def test_every_solver_finds_both_transforms_from_exact_poses(mount):
-    flange, seen, hand_eye, robot_world = drawn(mount, 12, seed=3)
+    flange, seen, hand_eye, robot_world = random_hand_eye(mount, 12, seed=3)
     solved = solve_all(flange, seen, mount)
     assert set(solved) == {*HAND_EYE, *ROBOT_WORLD}
     for name, one in solved.items():
@@ -19,31 +19,31 @@ def test_every_solver_finds_both_transforms_from_exact_poses(mount):
         np.testing.assert_allclose(one.robot_world, robot_world, atol=1e-6, err_msg=name)
 
 
-def test_each_name_is_another_method():
-    # OpenCV ignores a method that is given by its position: all would be the same then.
-    flange, seen, _, _ = drawn("hand", 12, seed=3, noise=2e-3)
+def test_each_solver_name_selects_a_different_method():
+    # OpenCV ignores a method given as positional argument; all results would be the same.
+    flange, seen, _, _ = random_hand_eye("hand", 12, seed=3, noise=2e-3)
     places = [one.hand_eye[:3, 3] for one in solve_all(flange, seen, "hand").values()]
     for i, place in enumerate(places):
         for other in places[:i]:
             assert np.linalg.norm(place - other) > 1e-7
 
 
-def test_a_solver_that_finds_no_transform_says_so():
-    flange, seen, _, _ = drawn("hand", 6, seed=1)
+def test_a_solver_reports_if_it_finds_no_transform():
+    flange, seen, _, _ = random_hand_eye("hand", 6, seed=1)
     still = solve_all(np.repeat(flange[:1], 6, axis=0), np.repeat(seen[:1], 6, axis=0), "hand")
     assert any(one.failed for one in still.values())
     for one in still.values():
         assert one.failed or np.isfinite(one.hand_eye).all()
 
 
-def test_two_poses_are_too_few():
-    flange, seen, _, _ = drawn("hand", 2, seed=1)
+def test_every_solver_reports_that_two_poses_are_too_few():
+    flange, seen, _, _ = random_hand_eye("hand", 2, seed=1)
     assert {one.failed for one in solve_all(flange, seen, "hand").values()} == {"needs 3 poses"}
 
 
 @pytest.mark.parametrize("mount", ["hand", "world"])
 def test_the_scatter_is_zero_for_exact_poses_and_grows_with_a_wrong_camera(mount):
-    flange, seen, hand_eye, robot_world = drawn(mount, 12, seed=3)
+    flange, seen, hand_eye, robot_world = random_hand_eye(mount, 12, seed=3)
     exact = scatter(flange, seen, HandEye(hand_eye, robot_world), mount)
     assert exact.translation_rms < 1e-12
     wrong = HandEye(hand_eye.copy(), robot_world.copy())
@@ -51,8 +51,8 @@ def test_the_scatter_is_zero_for_exact_poses_and_grows_with_a_wrong_camera(mount
     assert 1e-3 < scatter(flange, seen, wrong, mount).translation_rms < 0.01
 
 
-def test_held_out_scatter_is_that_of_poses_no_solver_saw():
-    flange, seen, _, _ = drawn("hand", 12, seed=3)
+def test_the_held_out_scatter_is_computed_from_the_held_out_poses():
+    flange, seen, _, _ = random_hand_eye("hand", 12, seed=3)
     held_out = np.array([0, 5])
     seen[0, 0, 3] += 0.02
     for one in held_out_scatter(flange, seen, "hand", held_out).values():
