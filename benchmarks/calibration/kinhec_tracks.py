@@ -118,8 +118,11 @@ def ours(sequence: Any) -> dict[str, Any]:
         # If the scale drifts, its mean along the path is taken as the true value.
         mean = float(np.mean(sequence.extra["scale_per_frame"]))
         row["mean_scale_inside"] = low <= mean <= high
-        tags = json.loads(sequence.manifest["config_json"])["tags"]
-        drifts = (float(tags["drift_std"]) > 0.0, tags["camera_model"] == "vo_drift")
+        config = json.loads(sequence.manifest["config_json"])
+        drifts = (
+            float(config["scale"]["drift_std"]) > 0.0,
+            config["camera_noise"]["model"] == "vo_drift",
+        )
         row["drift"] = {
             (False, False): "no drift",
             (False, True): "drift of the pose",

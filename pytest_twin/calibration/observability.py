@@ -143,7 +143,8 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
         least[measured] = np.maximum(least, FEIGNED_FACTOR * np.sqrt(rows))[measured]
     null = right[(full < least) | (full <= STRUCTURAL * full.max())]
     found = []
-    for direction in _simple(null):
+    turning = np.array([parameter.unit == "rad" for parameter in layout.parameters])
+    for direction in _simple(null, turning):
         words = parts_in_words(fit.problem, layout, direction)
         apart = (
             f"{' and '.join(words)} cannot be distinguished in these poses"
@@ -222,11 +223,22 @@ def natural_sizes(layout: Layout, length: float = 1.0) -> FloatArray:
     return np.array([length if p.unit == "m" else 1.0 for p in layout.parameters])
 
 
-def _simple(null: FloatArray) -> list[FloatArray]:
-    """Return a sparse basis of a null space (Gauss-Jordan)."""
+def _simple(null: FloatArray, turning: np.ndarray) -> list[FloatArray]:
+    """Return a sparse basis of a null space (Gauss-Jordan).
+
+    Angles are eliminated first: a shift along an axis is then apart from the turn about it.
+
+    Args:
+        turning: (columns,) True for angles.
+    """
     rows = null.copy()
     for at in range(len(rows)):
-        pivot = int(np.argmax(np.abs(rows[at])))
+        left = np.abs(rows[at:])
+        angles = np.where(turning, left, 0.0)
+        if angles.max(initial=0.0) > AFFECTED * left.max():
+            left = angles
+        source, pivot = np.unravel_index(int(np.argmax(left)), left.shape)
+        rows[[at, at + source]] = rows[[at + source, at]]
         rows[at] /= rows[at, pivot]
         for other in range(len(rows)):
             if other != at:
@@ -252,7 +264,9 @@ def parts_in_words(problem: Problem, layout: Layout, direction: FloatArray) -> l
                     # A rotation about an axis off the origin moves the origin too.
                     break
         elif kind == "point":
-            found.append((float(np.linalg.norm(values)), f"the position of {_point(name)}"))
+            along = _axis(values, "the position")
+            what = f"the position of {_point(name)} {along}"
+            found.append((float(np.linalg.norm(values)), what))
         elif kind == "scale":
             found.append((abs(float(values[0])), "the scale of the camera's positions"))
         else:

@@ -191,6 +191,19 @@ def _check_terms(plan: Plan, terms: tuple[Term, ...]) -> None:
             expected="camera_from_target.x y z qw qx qy qz, point.NAME.x y z, or estimate: [tcp] "
             "for a pivoting tool",
         )
+    tips = [t.name for t in terms if isinstance(t, PointTerm) and t.mounted is None]
+    if (
+        "tcp" in plan.estimate
+        and len(tips) > 1
+        and not any(isinstance(term, PivotTerm) or term.mounted is not None for term in terms)
+    ):
+        raise plan.error(
+            "estimate",
+            f"tcp, and several points without a place in the tool: {', '.join(tips)}",
+            expected="target: {kind: points, points: {NAME: [x, y, z]}} with the places of markers "
+            "in the tool; or one column point.TIP with the nominal place that the tip touches in "
+            "each row",
+        )
     if plan.has_free_scale and not any(isinstance(term, PoseTerm) for term in terms):
         raise plan.error(
             "camera.scale",

@@ -46,7 +46,7 @@ def scale_of(problem: Problem, now: tuple[float, float]) -> Suspect | None:
         elif isinstance(term, PointTerm) and len(term.rows) >= 8:
             before = now[0]
             factor, error = closed_form.scale_of_marker(flange[term.rows], term.measured)
-            column = term.name
+            column = "point.*" if len(problem.observations.points) > 1 else term.name
         else:
             continue
         if factor <= 0.0 or error > FAR_BETTER * before or abs(factor - 1.0) < 1e-3:

@@ -38,6 +38,11 @@ LEAST_ROWS = 6
 FAR_AWAY_M = 20.0
 """A flange or a target farther away than this is assumed to be given in mm."""
 
+_AS_GOOD = 1.2
+"""Angles up to this many times as large are no worse: medians of a few poses differ by this."""
+
+_ROUNDING_RAD = 1e-6
+
 _TURNS = 4 * np.pi
 """A joint reading beyond two revolutions, rad, may be in degrees."""
 
@@ -65,6 +70,16 @@ def suspects(fit: Fit) -> tuple[Suspect, ...]:
         for what, mend, changed in _alternatives(problem)
     ]
     good = [one for one in tried if _far_better(one, now)]
+    good += [
+        one
+        for one in (
+            Suspect(what, mend, *_errors(problem.with_observations(changed)))
+            for what, mend, changed in _wrong_signs(problem.observations, problem.chain is None)
+        )
+        # A sign of a position leaves the angles as they were.
+        if one.translation < FAR_BETTER * now[0]
+        and not one.rotation > _AS_GOOD * max(now[1], _ROUNDING_RAD)
+    ]
     scale = None
     if not good and not found and not problem.layout.scale:
         scale = scale_of(problem, now) or scale_of_fit(fit) or scale_beyond_chance(fit)
@@ -146,6 +161,46 @@ def _alternatives(problem: Problem) -> Iterator[tuple[str, str, Observations]]:
             )
     if problem.chain is not None:
         yield from _joint_alternatives(problem, observations)
+
+
+def _wrong_signs(
+    observations: Observations, flange_is_read: bool
+) -> Iterator[tuple[str, str, Observations]]:
+    """Axes of the measured poses or points that point the other way."""
+    poses, points = observations.camera_from_target, observations.points
+    if points:
+        # Any mirrored axis gives the same points up to a rotation.
+        mirrored = {name: values * [1.0, -1.0, 1.0] for name, values in points.items()}
+        yield (
+            "the points seem to be in a left-handed frame: one of its axes is mirrored",
+            "negate one of the columns x, y, z of every point, the one whose axis is mirrored",
+            replace(observations, points=mirrored),
+        )
+    if poses is None or observations.images is not None:
+        return
+    yield (
+        "one of the axes of camera_from_target seems to be mirrored (a left-handed frame)",
+        "negate the mirrored axis: of y these are the columns y, qx and qz",
+        replace(observations, camera_from_target=_left_handed(poses)),
+    )
+    columns = {"camera_from_target": poses}
+    if flange_is_read and observations.flange is not None:
+        columns["flange"] = observations.flange
+    for column, read in columns.items():
+        for at, axis in enumerate("xyz"):
+            changed = read.copy()
+            changed[:, at, 3] *= -1.0
+            yield (
+                f"{column}.{axis} seems to have the wrong sign",
+                f"negate the column {column}.{axis}",
+                replace(observations, **{column: changed}),  # type: ignore[arg-type]
+            )
+
+
+def _left_handed(poses: FloatArray) -> FloatArray:
+    """Poses with the y axis of both frames mirrored."""
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    return np.asarray(mirror @ poses @ mirror)
 
 
 def _joint_alternatives(

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.calibration.closed_form import inverse, kabsch, rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.run import calibrate
+from pytest_twin.errors import SpecError
 
 TIP = np.array([0.01, 0.02, 0.15])
 NOISE_M = 2e-4
@@ -133,6 +134,24 @@ def test_markers_with_known_places_in_the_tool_determine_its_full_pose() -> None
     found = calibrate(cells.plan("tcp", "base_world", points=PLACES), observations, None)
     assert cells.truth_inside(found, "tcp", tool).count(True) >= 5
     assert cells.truth_inside(found, "base_world", inverse(world)).count(True) >= 5
+
+
+def test_points_of_a_mirrored_frame_are_named() -> None:
+    rng = np.random.default_rng(5)
+    observations, _, _ = markers(rng, PLACES)
+    mirrored = {name: values * [-1.0, 1.0, 1.0] for name, values in observations.points.items()}
+    found = calibrate(
+        cells.plan("tcp", "base_world", points=PLACES), replace(observations, points=mirrored), None
+    )
+    assert found["verdict"] == "rejected"
+    assert "left-handed" in found["suspected"][0]["what"]
+
+
+def test_a_tip_among_markers_of_unknown_places_is_refused() -> None:
+    rng = np.random.default_rng(5)
+    observations, _, _ = markers(rng, PLACES)
+    with pytest.raises(SpecError, match="several points without a place in the tool"):
+        calibrate(cells.plan("tcp", "base_world"), observations, None)
 
 
 def test_a_marker_that_always_coincides_with_another_is_counted_once() -> None:

@@ -145,6 +145,19 @@ def test_with_one_axis_of_rotation_the_position_along_it_is_unobservable() -> No
     assert words.endswith("cannot be distinguished in these poses")
 
 
+def test_the_turn_about_one_axis_is_named_apart_from_the_shift_along_it() -> None:
+    rng = np.random.default_rng(3)
+    start, end = cells.pose(rng), cells.pose(rng)
+    axis = np.array([0.48, 0.6, 0.64])
+    turns = Rotation.from_rotvec(np.outer(rng.uniform(-1.3, 1.3, 30), axis)).as_matrix()
+    poses = np.array([start @ rigid(turn, np.zeros(3)) @ end for turn in turns])
+    found = calibrate(cells.plan("hand_eye"), cells.flange_cell(rng, poses).observations, None)
+    turn, shift = sorted(found["unobservable"], reverse=True)
+    assert "the rotation of the camera on the flange" in turn
+    assert "the position of the camera on the flange" in shift
+    assert "rotation" not in shift
+
+
 def test_outliers_are_reported_and_excluded_from_the_fit() -> None:
     rng = np.random.default_rng(1)
     chain = cells.arm(6, rng)

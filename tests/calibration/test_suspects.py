@@ -23,6 +23,15 @@ def scaled(poses: np.ndarray, factor: float) -> np.ndarray:
     return found
 
 
+def sign_changed(poses: np.ndarray, axis: int) -> np.ndarray:
+    found = poses.copy()
+    found[:, axis, 3] *= -1.0
+    return found
+
+
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
 def reordered(poses: np.ndarray) -> np.ndarray:
     """Poses whose x y z w quaternions are read as w x y z."""
     found = poses.copy()
@@ -48,6 +57,14 @@ CAMERA: dict[str, tuple[Change, str]] = {
         lambda o: replace(o, camera_from_target=reordered(o.camera_from_target)),
         "the quaternions of camera_from_target seem to be in the order x y z w",
     ),
+    "left-handed frame": (
+        lambda o: replace(o, camera_from_target=MIRROR @ o.camera_from_target @ MIRROR),
+        "one of the axes of camera_from_target seems to be mirrored",
+    ),
+    "sign of a column": (
+        lambda o: replace(o, camera_from_target=sign_changed(o.camera_from_target, 1)),
+        "camera_from_target.y seems to have the wrong sign",
+    ),
 }
 
 FLANGE: dict[str, tuple[Change, str]] = {
@@ -56,6 +73,10 @@ FLANGE: dict[str, tuple[Change, str]] = {
         "flange.* seems to be the base in the flange: base and flange are swapped",
     ),
     "mm": (lambda o: replace(o, flange=scaled(o.flange, 1000.0)), "it seems to be in mm"),
+    "sign of a column": (
+        lambda o: replace(o, flange=sign_changed(o.flange, 0)),
+        "flange.x seems to have the wrong sign",
+    ),
 }
 
 

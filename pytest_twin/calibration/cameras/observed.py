@@ -13,6 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.detection import Detection, detect_files
 from pytest_twin.calibration.boards.target import KINDS, Target, make_target
 from pytest_twin.calibration.cameras.camera_calibration import (
+    FEWEST_IMAGES,
     MODELS,
     Camera,
     calibrate_camera,
@@ -195,11 +196,20 @@ def read_images(
             expected=f"a {kind} in the images, not mirrored, of the kind, squares and dictionary "
             f"that target states; the first reason is that of {rejected[0].image}",
         )
+    estimated = "intrinsics" in plan.estimate or given is None
+    if estimated and rejected and len(usable) < FEWEST_IMAGES:
+        raise plan.error(
+            "target",
+            f"{len(usable)} of {len(found)} images show the target, too few for the intrinsics",
+            value=rejected[0].rejected,
+            expected=f"at least {FEWEST_IMAGES} images with a {kind}, not mirrored, of the kind, "
+            "squares and dictionary that target states; the first reason is that of "
+            f"{rejected[0].image}",
+        )
     other = _measured(observations)
     without = {one.image for one in rejected}
     keep = [i for i, name in enumerate(observations.ids) if name not in without or other[i]]
     left_out = tuple(LeftOut(one.image, one.rejected) for one in rejected)
-    estimated = "intrinsics" in plan.estimate or given is None
     files = dict(zip(observations.ids, observations.images, strict=True))
     there = tuple(path for path in paths if path.is_file())
     images = Images(target, usable, rejected, files, given, estimated, there)
