@@ -1,10 +1,12 @@
 """Coverage of the intervals on simulated arms: how often the true parameters lie in them.
 
-    python benchmarks/identification/coverage_of_intervals.py [--arms N]
+    python benchmarks/identification/coverage_of_intervals.py [--arms N] [--encoders]
 
 Each arm has random true parameters, a nominal model with errors, and three recordings along random
 Fourier series with noise on positions and efforts. One recording is held out. The effort noise is
 correlated over 20 ms, like that of a current loop. Efforts come from MuJoCo's inverse dynamics.
+With --encoders one encoder's zero is off by up to 0.1 rad (not that of the last joint, which no
+effort tells) and one encoder's scale by up to 5 %.
 """
 
 from __future__ import annotations
@@ -12,12 +14,14 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections import Counter
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from scipy import signal
 
+from pytest_twin.identification.effort.encoders import BIAS
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.measured import Measured, MeasuredSet
 from pytest_twin.identification.regressor import Regressor
@@ -33,7 +37,34 @@ MODEL = f"""<mujoco model="arm"><worldbody>{LINKS}
 RATE, SECONDS = 200.0, 16.0
 
 
-def record(robot: Realization, path: Path, random: np.random.Generator) -> Measured:
+@dataclass(frozen=True)
+class EncoderErrors:
+    """Readings are ``(1 + scale) q + bias``.
+
+    Attributes:
+        bias: (joints,) rad.
+        scale: (joints,) shares.
+    """
+
+    bias: np.ndarray = field(default_factory=lambda: np.zeros(len(JOINTS)))
+    scale: np.ndarray = field(default_factory=lambda: np.zeros(len(JOINTS)))
+
+    @staticmethod
+    def drawn(random: np.random.Generator) -> EncoderErrors:
+        """One zero and one scale that are off."""
+        errors = EncoderErrors()
+        errors.bias[random.integers(len(JOINTS) - 1)] = random.uniform(-0.1, 0.1)
+        errors.scale[random.integers(len(JOINTS))] = random.uniform(-0.05, 0.05)
+        return errors
+
+    def true_of(self, joint: str, kind: str) -> float:
+        """The true value of a reading of the identification."""
+        return float((self.bias if kind == BIAS else self.scale)[JOINTS.index(joint)])
+
+
+def record(
+    robot: Realization, path: Path, random: np.random.Generator, encoders: EncoderErrors
+) -> Measured:
     """One random Fourier series with noise."""
     time = np.arange(round(SECONDS * RATE)) / RATE
     q, v, a = fourier(random, time, 3, 6, 0.125, (0.1, 0.5))
@@ -42,17 +73,20 @@ def record(robot: Realization, path: Path, random: np.random.Generator) -> Measu
     noise = signal.sosfilt(low, random.standard_normal(effort.shape), axis=0)
     effort += 0.03 * effort.std(axis=0) * noise / noise.std(axis=0)
     q += 2e-5 * random.standard_normal(q.shape)
+    q = q * (1.0 + encoders.scale) + encoders.bias
     return Measured(path, 0.0, JOINTS, time, q, None, effort, np.zeros(3, dtype=bool),
                     np.full(3, np.inf), {})  # fmt: skip
 
 
-def identified(seed: int, folder: Path) -> tuple[EffortResult, np.ndarray]:
+def identified(seed: int, folder: Path, encoders: EncoderErrors) -> tuple[EffortResult, np.ndarray]:
     """The identification of one arm, and its true base parameters."""
     random = np.random.default_rng(seed)
     (folder / "nominal.xml").write_text(MODEL.format(**nominal_parameters()))
     (folder / "real.xml").write_text(MODEL.format(**true_parameters(random)))
     real = load(folder / "real.xml")
-    runs = [record(real, folder / f"{name}.csv", random) for name in ("one", "two", "check")]
+    runs = [
+        record(real, folder / f"{name}.csv", random, encoders) for name in ("one", "two", "check")
+    ]
     result = identify_effort(
         load(folder / "nominal.xml"), MeasuredSet(tuple(runs[:2]), (runs[2],)), NO_SIGNALS
     )
@@ -68,13 +102,22 @@ def covered(result: EffortResult, true: np.ndarray) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arms", type=int, default=100)
+    parser.add_argument("--encoders", action="store_true", help="encoders have errors")
     args = parser.parse_args()
     inside: list[bool] = []
+    of_encoders: defaultdict[tuple[str, str], list[bool]] = defaultdict(list)
     missed: Counter[str] = Counter()
     held, nominal, consistent, rejected = [], [], 0, Counter()
     for seed in range(args.arms):
+        encoders = EncoderErrors()
+        if args.encoders:
+            encoders = EncoderErrors.drawn(np.random.default_rng([seed, 1]))
         with tempfile.TemporaryDirectory() as scratch:
-            result, true = identified(seed, Path(scratch))
+            result, true = identified(seed, Path(scratch), encoders)
+        for one in result.encoders.readings:
+            value = encoders.true_of(one.joint, one.kind)
+            case = "off" if value else "sound"
+            of_encoders[one.kind, case].append(abs(one.value - value) <= one.half_width)
         hit = covered(result, true)
         inside += hit.tolist()
         for k in np.flatnonzero(~hit):
@@ -85,6 +128,8 @@ def main() -> None:
         rejected.update(stage.name for stage in result.stages if stage.state == "rejected")
     print(f"{args.arms} arms, {len(inside)} intervals")
     print(f"coverage: {100 * np.mean(inside):.1f} % (goal: 90 to 99 %)")
+    for (kind, case), holds in sorted(of_encoders.items()):
+        print(f"{kind}, {case}: {100 * np.mean(holds):.1f} % of {len(holds)} intervals")
     print(f"physically consistent: {consistent} of {args.arms} (goal: all)")
     print(f"held-out effort error: median {100 * np.median(held):.2f} %, nominal model "
           f"{100 * np.median(nominal):.1f} %")  # fmt: skip

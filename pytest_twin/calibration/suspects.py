@@ -43,6 +43,10 @@ _AS_GOOD = 1.2
 
 _ROUNDING_RAD = 1e-6
 
+_AS_TURNED_RAD = 0.1
+"""A wrong scale leaves angles alone. Beyond this median error, rad, the poses are not of one time
+or of one target, and a factor near 0 fits best whatever they are: it leaves no positions."""
+
 _TURNS = 4 * np.pi
 """A joint reading beyond two revolutions, rad, may be in degrees."""
 
@@ -81,7 +85,8 @@ def suspects(fit: Fit) -> tuple[Suspect, ...]:
         and not one.rotation > _AS_GOOD * max(now[1], _ROUNDING_RAD)
     ]
     scale = None
-    if not good and not found and not problem.layout.scale:
+    turned_alike = np.isnan(now[1]) or now[1] < _AS_TURNED_RAD
+    if not good and not found and not problem.layout.scale and turned_alike:
         scale = scale_of(problem, now) or scale_of_fit(fit) or scale_beyond_chance(fit)
     if scale is not None:
         good.append(scale)

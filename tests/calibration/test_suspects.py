@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.observations import Observations
+from pytest_twin.calibration.plan import Accept
 from pytest_twin.calibration.run import calibrate
 
 Change = Callable[[Observations], Observations]
@@ -129,3 +130,15 @@ def test_wrong_joint_zeros_cause_no_suspicion() -> None:
     found = calibrate(cells.plan("hand_eye"), cell.observations, chain)
     assert found["fitted"]["translation_rms"] > 0.003
     assert found["suspected"] == []
+
+
+def test_poses_of_other_rows_are_rejected_without_a_factor_that_shrinks_them_away() -> None:
+    rng = np.random.default_rng(4)
+    flange = np.array([cells.pose(rng, 0.4) for _ in range(25)])
+    cell = cells.flange_cell(rng, flange)
+    shifted = replace(
+        cell.observations, camera_from_target=np.roll(cell.observations.camera_from_target, 1, 0)
+    )
+    found = calibrate(cells.plan("hand_eye", accept=Accept(0.002)), shifted, None)
+    assert found["verdict"] == "rejected"
+    assert not any("factor" in one["what"] for one in found["suspected"])

@@ -19,10 +19,25 @@ def test_intervals_contain_the_true_parameters(
 
     inside: list[bool] = []
     for seed in range(3):
-        result, true = coverage.identified(seed, tmp_path)
+        result, true = coverage.identified(seed, tmp_path, coverage.EncoderErrors())
         inside += coverage.covered(result, true).tolist()
         assert result.physical.consistent
         assert max(error.relative for error in result.errors.values()) < 0.08
     assert len(inside) > 40
     assert np.mean(inside) >= 0.85
+    sys.modules.pop("coverage_of_intervals", None)
+
+
+def test_intervals_allow_for_errors_of_encoders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(BENCHMARK))
+    import coverage_of_intervals as coverage
+
+    errors = coverage.EncoderErrors(bias=np.array([0.06, 0.0, 0.0]))
+    result, true = coverage.identified(0, tmp_path, errors)
+    assert [one.joint for one in result.encoders.corrected] == ["shoulder"]
+    assert np.mean(coverage.covered(result, true)) >= 0.8
+    for one in result.encoders.readings:
+        assert abs(one.value - errors.true_of(one.joint, one.kind)) <= 1.3 * one.half_width
     sys.modules.pop("coverage_of_intervals", None)

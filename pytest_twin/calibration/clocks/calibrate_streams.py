@@ -121,6 +121,11 @@ def streams_of(plan: Plan) -> tuple[PoseStream, PoseStream]:
 
 def _unclear(found: Correlated) -> str:
     """Reason why the angular speeds do not determine an offset; empty if they do."""
+    if found.correlation < 0.0:
+        return (
+            "the time offset: at no offset do both streams turn; turn the hand about several axes "
+            "while both are recorded"
+        )
     if found.correlation < LEAST_CORRELATION:
         return (
             f"the time offset: the angular speeds of both streams have a correlation of "

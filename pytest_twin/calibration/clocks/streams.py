@@ -25,6 +25,10 @@ _MOST_BACK_S = 1.0
 """Largest step back of a stamp. Messages from several threads or over a network arrive out of order
 by less; a clock that was adjusted jumps by more."""
 
+_LONGEST_PERIOD_S = 2.0
+"""Motion between poses that are further apart cannot be interpolated. A camera at 0.5 Hz or more is
+read; one at 500 Hz whose stamps are in ms is not."""
+
 
 @dataclass(frozen=True)
 class PoseStream:
@@ -129,6 +133,12 @@ def _stream(values: FloatArray, lines: list[int], path: Path) -> PoseStream:
             value=len(values),
             expected=f"at least {_FEWEST}",
         )
+    period = float(np.median(np.diff(values[:, 0])))
+    if period > _LONGEST_PERIOD_S:
+        raise FormatError(
+            f"most rows are {period:.4g} s apart: t seems to be in ms, us or ns", path=path,
+            line=lines[0], value=values[0, 0], expected="t in s, several rows a second",
+        )  # fmt: skip
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(values[:, 4:]).as_matrix()
     poses[:, :3, 3] = values[:, 1:4]

@@ -11,7 +11,13 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import Filter
-from pytest_twin.identification.effort.least_squares import Linear, moved_by, solve
+from pytest_twin.identification.effort.least_squares import (
+    Linear,
+    Solution,
+    moved_by,
+    solve,
+    weighed,
+)
 from pytest_twin.identification.effort.sampled import predicted
 from pytest_twin.identification.effort.scale import payload_parameters
 from pytest_twin.identification.measured import Measured
@@ -97,19 +103,8 @@ def encoders_of(
         values: (b,) fitted base parameters at which efforts are differentiated.
         chosen: filter of the motion.
     """
-    whole = np.zeros(len(regressor.columns))
-    whole[base.independent] = values
     names = [(joint, kind) for joint in regressor.joints for kind in (BIAS, SCALE)]
-    carried = [payload_parameters(realization, regressor, one) for one in recordings]
-    each = [whole if one is None else whole + one for one in carried]
-    slopes = []
-    for joint, kind in names:
-        ends = []
-        for step in (_STEP, -_STEP):
-            moved = without_errors(recordings, [Reading(joint, kind, step, 0.0)])
-            ends.append(np.concatenate(predicted(moved, regressor, chosen, each)))
-        slopes.append((ends[0] - ends[1]) / (2.0 * _STEP))
-    own = np.stack(slopes, axis=2)
+    own = slopes_of(realization, recordings, regressor, base, values, chosen, names)
     free = problem.matrix.shape[2]
     kept = list(range(len(names)))
     while kept:
@@ -131,6 +126,67 @@ def encoders_of(
             return Encoders(readings, tuple(n for k, n in enumerate(names) if k not in kept))
         kept.pop(int(np.argmax(half)))
     return Encoders((), tuple(names))
+
+
+def widened(
+    problem: Linear, solution: Solution, slopes: FloatArray, encoders: Encoders
+) -> Solution:
+    """A solution whose covariance and intervals allow for errors of the encoders.
+
+    Those that were corrected have the width of their own intervals. The others are held at zero,
+    and count as omitted parameters do: by how much larger they are than their own errors (see
+    :func:`~.essential.omission`). Where they are all noise, they add nothing.
+
+    Args:
+        problem: of the columns that the solution has values of.
+        solution: at the corrected positions, as if these were known.
+        slopes: (n, joints, k) of the readings, as :func:`slopes_of` has them.
+        encoders: with the readings.
+    """
+    value = np.array([one.value for one in encoders.readings])
+    std = np.array([one.half_width for one in encoders.readings]) / Z95
+    corrected = {(one.joint, one.kind) for one in encoders.corrected}
+    known = np.array([(one.joint, one.kind) in corrected for one in encoders.readings])
+    t = (value / std)[~known]
+    share = max(0.0, 1.0 - 1.0 / max(float(np.mean(t**2)), 1e-300)) if len(t) else 0.0
+    size = np.where(known, std, np.hypot(share * value, np.sqrt(share) * std))
+    rows = weighed(problem.matrix, solution.weight)
+    change = np.linalg.lstsq(rows, weighed(slopes, solution.weight), rcond=None)[0] * size
+    carried = change @ change.T
+    return replace(
+        solution,
+        covariance=solution.covariance + carried,
+        half_width=np.hypot(solution.half_width, Z95 * np.sqrt(np.diag(carried))),
+    )
+
+
+def slopes_of(
+    realization: Realization,
+    recordings: Sequence[Measured],
+    regressor: Regressor,
+    base: BaseParameters,
+    values: FloatArray,
+    chosen: Filter,
+    names: Sequence[tuple[str, str]],
+) -> FloatArray:
+    """(n, joints, k) change of the predicted effort with each error of an encoder.
+
+    Args:
+        realization, recordings, regressor, base, values, chosen: as for :func:`encoders_of`.
+        names: joint and kind of each error.
+    """
+    whole = np.zeros(len(regressor.columns))
+    whole[base.independent] = values
+    carried = [payload_parameters(realization, regressor, one) for one in recordings]
+    each = [whole if one is None else whole + one for one in carried]
+    slopes = []
+    for joint, kind in names:
+        ends = []
+        for step in (_STEP, -_STEP):
+            moved = without_errors(recordings, [Reading(joint, kind, step, 0.0)])
+            ends.append(np.concatenate(predicted(moved, regressor, chosen, each)))
+        slopes.append((ends[0] - ends[1]) / (2.0 * _STEP))
+    return np.stack(slopes, axis=2)
 
 
 def without_errors(

@@ -81,10 +81,13 @@ class Motion:
 
 
 def choose_filter(recordings: Sequence[Measured]) -> Filter:
-    """Choose one filter for all recordings, from the bandwidth of the fastest joint."""
-    bandwidth = max(_bandwidth(one) for one in recordings)
+    """Choose one filter for all recordings, from the bandwidth of the fastest joint.
+
+    The velocity's power is that of all recordings together: a joint that is held in some of them
+    trembles there, and this is not the motion to be filtered.
+    """
     slowest = min(one.rate for one in recordings)
-    dynamic = _ACCELERATION * bandwidth
+    dynamic = _ACCELERATION * _bandwidth(recordings)
     highest = _HIGHEST * slowest
     return Filter(
         cutoff=min(_POSITION_CUTOFF * dynamic, highest),
@@ -124,28 +127,38 @@ def decimated(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:
     return np.asarray(smooth[::step].reshape(-1, *values.shape[1:]))
 
 
-def _bandwidth(recording: Measured) -> float:
+def _bandwidth(recordings: Sequence[Measured]) -> float:
     """Frequency, Hz, below which the velocity of every joint has nearly all of its power."""
+    slowest = min(one.rate for one in recordings)
+    lines = [_power(one) for one in recordings]
+    frequency = np.concatenate([own for own, _ in lines])
+    order = np.argsort(frequency, kind="stable")
+    summed = np.cumsum(np.concatenate([power for _, power in lines])[order], axis=0)
+    moved = summed[-1] > 0
+    if not moved.any():
+        return slowest / 10.0
+    share = summed[:, moved] / summed[-1, moved]
+    ends = frequency[order][np.argmax(share > _MOTION_SHARE, axis=0)]
+    # A joint with as much noise as motion is not used.
+    sound = ends < slowest / 10.0
+    return float(ends[sound].max()) if sound.any() else slowest / 50.0
+
+
+def _power(recording: Measured) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (k,) Hz, and the energy (k, joints) of the velocities there above the noise."""
     position = uniform(recording).position
     rate = recording.rate
-    moved = np.ptp(position, axis=0) > 0
-    if not moved.any():
-        return rate / 10.0
-    velocity: FloatArray = np.diff(position[:, moved], axis=0)
+    velocity: FloatArray = np.diff(position, axis=0) * rate
     velocity = velocity - velocity.mean(axis=0)
     window = np.hanning(len(velocity))[:, None]
-    power = np.abs(np.fft.rfft(velocity * window, axis=0)) ** 2
-    frequency = np.fft.rfftfreq(len(velocity), 1.0 / rate)
+    power = np.abs(np.fft.rfft(velocity * window, axis=0)) ** 2 / len(velocity) / rate
+    frequency: FloatArray = np.asarray(np.fft.rfftfreq(len(velocity), 1.0 / rate), dtype=np.float64)
     # White position noise, differentiated, is the reference; motion must be well above its mean.
     shape = np.sin(np.pi * frequency / rate)[:, None] ** 2
     upper = slice(3 * len(frequency) // 4, None)
     noise = np.median(power[upper] / shape[upper], axis=0) / np.log(2.0) * shape
     power = np.where(power > _ABOVE_NOISE * noise, power, 0.0)
-    share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
-    ends = frequency[np.argmax(share > _MOTION_SHARE, axis=0)]
-    # A joint with as much noise as motion is not used.
-    sound = ends < rate / 10.0
-    return float(ends[sound].max()) if sound.any() else rate / 50.0
+    return frequency, np.asarray(power, dtype=np.float64)
 
 
 def uniform(recording: Measured) -> Measured:

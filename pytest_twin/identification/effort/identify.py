@@ -16,6 +16,8 @@ from pytest_twin.identification.effort.encoders import (
     Encoders,
     Reading,
     encoders_of,
+    slopes_of,
+    widened,
     without_errors,
 )
 from pytest_twin.identification.effort.encoders import said as words_of
@@ -160,9 +162,9 @@ def identify_effort(
         measured, found, delay = _reopened(realization, (measured, right), signals, found, delay)
     else:
         measured = right
-    return _with_scales(realization, measured, signals, replace(found, stages=(
-        delay, encoder, *found.stages,
-    )))  # fmt: skip
+    found = replace(found, stages=(delay, encoder, *found.stages))
+    found = _with_scales(realization, measured, signals, found)
+    return _widened(realization, measured, found)
 
 
 def _with_delay(
@@ -322,6 +324,20 @@ def _encoders(realization: Realization, measured: MeasuredSet, found: EffortResu
         realization, measured.fit, found.regressor, found.base,
         shown.only(np.flatnonzero(~found.unobservable)), found.fitted.values, found.filter,
     )  # fmt: skip
+
+
+def _widened(realization: Realization, measured: MeasuredSet, found: EffortResult) -> EffortResult:
+    """The result with intervals that allow for errors of the encoders."""
+    fitted, readings = found.fitted, found.encoders.readings
+    if not readings or not len(fitted.kept):
+        return found
+    slopes = slopes_of(
+        realization, measured.fit, found.regressor, found.base, fitted.values, found.filter,
+        [(one.joint, one.kind) for one in readings],
+    )  # fmt: skip
+    own = _problem(found.samples, found.regressor, found.base).only(fitted.kept)
+    solution = widened(own, fitted.solution, slopes, found.encoders)
+    return replace(found, fitted=replace(fitted, solution=solution))
 
 
 def _with_scales(

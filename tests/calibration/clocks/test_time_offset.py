@@ -244,6 +244,12 @@ def test_a_hand_at_rest_gives_no_time_offset(tmp_path):
     assert (status, found["verdict"], found["records"]) == (1, "degenerate", {})
 
 
+def test_stamps_in_milliseconds_are_an_error_with_the_unit(tmp_path):
+    write_stream(tmp_path / "s.csv", 1e3 * np.arange(0.0, 3.0, 0.01), np.tile(np.eye(4), (300, 1, 1)))
+    with pytest.raises(FormatError, match="t seems to be in ms"):
+        read_stream(tmp_path / "s.csv")
+
+
 def test_a_large_backward_step_of_the_time_stamps_is_refused_with_its_line(tmp_path):
     time = np.arange(0.0, 30.0, 0.5)
     time[40] -= 5.0
