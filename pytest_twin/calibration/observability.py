@@ -237,8 +237,10 @@ def _simple(null: FloatArray, turning: np.ndarray) -> list[FloatArray]:
         angles = np.where(turning, left, 0.0)
         if angles.max(initial=0.0) > AFFECTED * left.max():
             left = angles
-        source, pivot = np.unravel_index(int(np.argmax(left)), left.shape)
-        rows[[at, at + source]] = rows[[at + source, at]]
+        source, pivot = divmod(int(np.argmax(left)), left.shape[1])
+        order = np.arange(len(rows))
+        order[at], order[at + source] = at + source, at
+        rows = rows[order]
         rows[at] /= rows[at, pivot]
         for other in range(len(rows)):
             if other != at:

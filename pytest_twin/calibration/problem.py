@@ -192,11 +192,8 @@ def _check_terms(plan: Plan, terms: tuple[Term, ...]) -> None:
             "for a pivoting tool",
         )
     tips = [t.name for t in terms if isinstance(t, PointTerm) and t.mounted is None]
-    if (
-        "tcp" in plan.estimate
-        and len(tips) > 1
-        and not any(isinstance(term, PivotTerm) or term.mounted is not None for term in terms)
-    ):
+    # With poses, pivots or markers at known places beside them, these give the tool.
+    if "tcp" in plan.estimate and len(tips) > 1 and len(tips) == len(terms):
         raise plan.error(
             "estimate",
             f"tcp, and several points without a place in the tool: {', '.join(tips)}",

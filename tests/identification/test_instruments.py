@@ -34,7 +34,7 @@ def identified(folder: Path, recordings: list[Measured]) -> EffortResult:
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Measured]]:
     folder = tmp_path_factory.mktemp("noisy")
-    return folder, [simulated_recording(folder, seed, 3e-3) for seed in (1, 2, 3)]
+    return folder, [simulated_recording(folder, seed, 4e-3) for seed in (1, 2, 3)]
 
 
 @pytest.fixture(scope="module")

@@ -245,7 +245,9 @@ def test_a_hand_at_rest_gives_no_time_offset(tmp_path):
 
 
 def test_stamps_in_milliseconds_are_an_error_with_the_unit(tmp_path):
-    write_stream(tmp_path / "s.csv", 1e3 * np.arange(0.0, 3.0, 0.01), np.tile(np.eye(4), (300, 1, 1)))
+    write_stream(
+        tmp_path / "s.csv", 1e3 * np.arange(0.0, 3.0, 0.01), np.tile(np.eye(4), (300, 1, 1))
+    )
     with pytest.raises(FormatError, match="t seems to be in ms"):
         read_stream(tmp_path / "s.csv")
 
