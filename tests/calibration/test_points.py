@@ -138,7 +138,7 @@ def test_markers_with_known_places_in_the_tool_determine_its_full_pose() -> None
 
 def test_points_of_a_mirrored_frame_are_named() -> None:
     rng = np.random.default_rng(5)
-    observations, _, _ = markers(rng, PLACES)
+    observations, _, _ = marker_observations(rng, PLACES)
     mirrored = {name: values * [-1.0, 1.0, 1.0] for name, values in observations.points.items()}
     found = calibrate(
         cells.plan("tcp", "base_world", points=PLACES), replace(observations, points=mirrored), None
@@ -149,7 +149,7 @@ def test_points_of_a_mirrored_frame_are_named() -> None:
 
 def test_a_tip_among_markers_of_unknown_places_is_refused() -> None:
     rng = np.random.default_rng(5)
-    observations, _, _ = markers(rng, PLACES)
+    observations, _, _ = marker_observations(rng, PLACES)
     with pytest.raises(SpecError, match="several points without a place in the tool"):
         calibrate(cells.plan("tcp", "base_world"), observations, None)
 
