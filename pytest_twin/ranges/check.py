@@ -24,7 +24,8 @@ from pytest_twin.ranges.simulate import Traces
 TOO_WIDE = 3.0
 """Ratio of the envelope's width to that of the narrowest envelope with the required coverage, above
 which ranges are too wide if it is also significant. A robot that happens to be near the mean needs
-a narrower envelope than the fleet."""
+a narrower envelope than the fleet. Below the ratio's inverse ranges are too narrow, whatever the
+interval of the coverage: a normal deviation of three envelopes has six standard deviations."""
 ONE_TOO_WIDE = 2.0 * TOO_WIDE
 """The same ratio for one joint. It is more likely that one of several joints is near its mean than
 that all are."""
@@ -94,10 +95,14 @@ def assessed(found: Sequence[Predicted], share: float) -> dict[str, Any]:
     each = {joint: _joint(found, joint, share, level) for joint in joints}
     every = _coverage(found, joints, 1.0 - LEVEL)
     ratio, chance = _sharpness(found, share)
-    narrow = [j for j, one in each.items() if one["coverage_interval"][1] < share]
+    narrow = [
+        j
+        for j, one in each.items()
+        if one["coverage_interval"][1] < share or one["width_over_tightest"] < 1.0 / ONE_TOO_WIDE
+    ]
     wide = [j for j, one in each.items() if one["too_wide"]]
     verdict = "useful"
-    if every.interval[1] < share or narrow:
+    if every.interval[1] < share or ratio < 1.0 / TOO_WIDE or narrow:
         verdict = "too_narrow"
     elif (ratio > TOO_WIDE and chance < _WIDE_LEVEL) or wide:
         verdict = "too_wide"

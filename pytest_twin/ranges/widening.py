@@ -34,6 +34,8 @@ factors are determined again with the wider ranges."""
 _SETTLED = 0.15
 """Tolerance of the ratio of observed to predicted deviation. With 128 robots the latter is accurate
 to 6 %."""
+_UNEXPLAINED = 0.5
+"""The same tolerance, beyond which even the best factor does not explain the observed deviation."""
 LARGEST = 30.0
 """Largest factor. Beyond it, the cause is not the parameters: one with an uncertainty of 1 % would
 have 30 %. With a limit of 10, the coverage of one concealed arm in four was 88 %."""
@@ -75,13 +77,22 @@ def widened(
     level = LEVEL / max(len(first), 1)
     factors = {joint: 1.0 for joint, one in first.items() if one.chance < level and one.ratio > 1.0}
     found = start
+    best = {joint: (1.0, first[joint].ratio) for joint in factors}
+    closest = (_distance(first, factors), found, dict(factors), first)
     for _ in range(ROUNDS if factors else 0):
         for joint, factor in factors.items():
-            factors[joint] = float(np.clip(factor * last[joint].ratio, 1.0, LARGEST))
+            factors[joint] = _next_factor(factor, last[joint].ratio, best[joint])
         found = start.widened([_factor(one, factors, carrying) for one in start.coordinates], _NAME)
         last = deviations(simulate(found), noise, share)
+        for joint, factor in factors.items():
+            if last[joint].ratio < best[joint][1]:
+                best[joint] = (factor, last[joint].ratio)
+        distance = _distance(last, factors)
+        if distance < closest[0]:
+            closest = (distance, found, dict(factors), last)
         if all(_settled(factors[joint], last[joint].ratio) for joint in factors):
             break
+    _, found, factors, last = closest
     return found, {
         "rule": f"where fewer than {100 * LEVEL:.0f} % of the simulated robots deviate as much as "
         "the held-out recordings, standard deviations of a joint's parameters grow by "
@@ -90,7 +101,11 @@ def widened(
         "factors": factors,
         "before": {joint: _json(one) for joint, one in first.items()},
         "after": {joint: _json(one) for joint, one in last.items()},
-        "unexplained": [joint for joint, factor in factors.items() if factor >= LARGEST],
+        "unexplained": [
+            joint
+            for joint, factor in factors.items()
+            if factor >= LARGEST or last[joint].ratio > 1.0 + _UNEXPLAINED
+        ],
     }
 
 
@@ -106,6 +121,26 @@ def _factor(
         return 1.0
     joints = [one.joint] if one.body is None else carrying.get(one.joint, [one.joint])
     return min(factors.get(joint, 1.0) for joint in joints)
+
+
+def _next_factor(factor: float, ratio: float, best: tuple[float, float]) -> float:
+    """The factor to try next.
+
+    Friction that varies too much locks robots, which then deviate less than with narrower ranges:
+    after a factor that made the ratio worse, one between it and the best so far is tried.
+
+    Args:
+        factor, ratio: the last ones tried.
+        best: factor and ratio of the least ratio so far.
+    """
+    if ratio > best[1]:
+        return float(np.sqrt(factor * best[0]))
+    return float(np.clip(factor * ratio, 1.0, LARGEST))
+
+
+def _distance(found: Mapping[str, Deviation], factors: Mapping[str, float]) -> float:
+    """How far the worst of the widened joints is from the ratio 1, as a logarithm."""
+    return max((abs(float(np.log(max(found[j].ratio, 1e-9)))) for j in factors), default=0.0)
 
 
 def _settled(factor: float, ratio: float) -> bool:

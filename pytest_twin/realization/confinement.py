@@ -4,7 +4,7 @@ Run as a script, it gives up all other files and then becomes the command that i
 kernel holds that command, its threads and its children to it, whatever code they run:
 
 - Files of the twin's roots, of Python and of the system's libraries can be read.
-- A scratch folder can be written, nothing else.
+- A scratch folder can be written, and folders that are named for it; nothing else.
 - No TCP connection (Linux 6.7), no signal to another process, no abstract socket (Linux 6.12).
 
 Landlock has no rules yet for UDP and for named Unix sockets: those stay open.
@@ -52,21 +52,24 @@ def obstacle() -> str | None:
     return None
 
 
-def confined_command(command: Iterable[str], read: Iterable[Path], scratch: Path) -> list[str]:
+def confined_command(
+    command: Iterable[str], read: Iterable[Path], scratch: Path, write: Iterable[Path] = ()
+) -> list[str]:
     """The command that runs ``command`` confined.
 
     Args:
         command: starts with the path of a program.
         read: folders and files that it may read besides Python's and the system's.
         scratch: the folder that it may write.
+        write: further folders that it may write.
     """
     home = Path.home().resolve()
     # `python -m pytest` in the user's home puts all of it on the import path.
     imports = [p for p in sys.path if p and not home.is_relative_to(Path(p).resolve())]
     readable = [*_SYSTEM, sys.prefix, sys.base_prefix, *imports, *map(str, read)]
     # -P: no module of the working folder comes before an installed one.
-    start = [sys.executable, "-P", "-m", __name__, str(scratch)]
-    return [*start, *dict.fromkeys(readable), "--", *command]
+    start = [sys.executable, "-P", "-m", __name__, str(scratch), *map(str, write)]
+    return [*start, "--", *dict.fromkeys(readable), "--", *command]
 
 
 def confined_environment(environment: Mapping[str, str], scratch: Path) -> dict[str, str]:
@@ -80,12 +83,12 @@ def confined_environment(environment: Mapping[str, str], scratch: Path) -> dict[
     return kept | {"HOME": place, "TMPDIR": place, "MPLCONFIGDIR": place}
 
 
-def confine(read: Iterable[str], scratch: str) -> None:
+def confine(read: Iterable[str], write: Iterable[str]) -> None:
     """Give up, for this process and those it starts, what the module's docstring excludes.
 
     Args:
         read: folders and files that stay readable, where they exist.
-        scratch: the folder that stays writable.
+        write: folders that stay writable.
 
     Raises:
         OSError: the kernel refuses.
@@ -106,7 +109,8 @@ def confine(read: Iterable[str], scratch: str) -> None:
         elif path.exists():
             rules.allow(path, rules=rights.READ_FILE | rights.EXECUTE)
     rules.allow(os.devnull, rules=rights.READ_FILE | rights.WRITE_FILE)
-    rules.allow(scratch)
+    for folder in write:
+        rules.allow(folder)
     rules.apply()
     abi = plumbing.landlock_abi_version()
     if abi >= _ABI_NETWORK:
@@ -119,9 +123,10 @@ def confine(read: Iterable[str], scratch: str) -> None:
 
 def main(arguments: list[str]) -> None:
     """Confine this process and become the command after ``--``."""
-    scratch, *read = arguments[: arguments.index("--")]
-    command = arguments[arguments.index("--") + 1 :]
-    confine(read, scratch)
+    first = arguments.index("--")
+    second = arguments.index("--", first + 1)
+    command = arguments[second + 1 :]
+    confine(arguments[first + 1 : second], arguments[:first])
     os.execv(command[0], command)
 
 

@@ -43,6 +43,7 @@ class Sandbox:
         cwd: the child's working folder.
         confined_to: folders that the child may read besides Python's own; it may then write its
             scratch folder alone. None for a child with the user's rights.
+        write: further folders that a confined child may write.
 
     A child that was killed or crashed is replaced at the next call. Calls from several threads
     wait for one another.
@@ -55,9 +56,11 @@ class Sandbox:
         seconds: float = SECONDS,
         cwd: Path | None = None,
         confined_to: Collection[Path] | None = None,
+        write: Collection[Path] = (),
     ) -> None:
         self.memory_bytes = memory_bytes
         self.confined_to = confined_to
+        self.write = write
         self.seconds = seconds
         self.cwd = cwd
         self._lock = threading.Lock()
@@ -101,7 +104,7 @@ class Sandbox:
         with self._lock:
             self._output = b""
             if self._child is None:
-                self._child = _Child(self.memory_bytes, self.cwd, self.confined_to)
+                self._child = _Child(self.memory_bytes, self.cwd, self.confined_to, self.write)
             request = {
                 "function": function,
                 "arguments": dict(arguments or {}),
@@ -234,7 +237,11 @@ class _Child:
     """One interpreter and the pipes to it."""
 
     def __init__(
-        self, memory_bytes: int, cwd: Path | None, confined_to: Collection[Path] | None
+        self,
+        memory_bytes: int,
+        cwd: Path | None,
+        confined_to: Collection[Path] | None,
+        write: Collection[Path],
     ) -> None:
         request_read, self.requests = os.pipe()
         self.answers, answer_write = os.pipe()
@@ -255,7 +262,7 @@ class _Child:
         if confined_to is not None:
             scratch = tempfile.TemporaryDirectory(prefix="twin-", ignore_cleanup_errors=True)
             place = Path(scratch.name)
-            command = confined_command(command, confined_to, place)
+            command = confined_command(command, confined_to, place, write)
             environment = confined_environment(environment, place)
         try:
             self.process = subprocess.Popen(

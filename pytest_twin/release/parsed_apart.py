@@ -1,8 +1,8 @@
 """Data sets and policies whose format a library in C or C++ reads: parsed in a child process.
 
 A file from elsewhere may exploit a fault of such a library. The child is bounded in time and
-memory, and what it answers is text. Where stamps are only read and the kernel has Landlock, it can
-open no file outside the data's folder and write none.
+memory, and what it answers is text. Where the kernel has Landlock, it can open no file outside the
+data's folder, and write none there where stamps are only read.
 """
 
 from __future__ import annotations
@@ -56,15 +56,18 @@ def carriers_apart(dataset: Path, *, writable: bool) -> list[Carrier]:
 
     Args:
         dataset: the file or folder.
-        writable: whether stamps are written into it; else the child is confined, if it can be.
+        writable: whether stamps are written into it: the child may then write the data's folder.
 
     Raises:
         TwinError: nothing that holds a stamp.
     """
     place = dataset.resolve()
     folder = place if place.is_dir() else place.parent
-    confined = not writable and obstacle() is None
-    sandbox = Sandbox(seconds=_SECONDS, confined_to=[folder] if confined else None)
+    sandbox = Sandbox(
+        seconds=_SECONDS,
+        confined_to=[folder] if obstacle() is None else None,
+        write=[folder] if writable else [],
+    )
     return [
         ParsedApart(one.path, sandbox) if one.path.suffix.lower() in _BY_LIBRARIES else one
         for one in carriers_of(dataset)

@@ -342,7 +342,9 @@ def test_a_parse_error_in_the_child_process_keeps_its_message(tmp_path: Path) ->
 
 
 @pytest.mark.skipif(confinement.obstacle() is not None, reason=str(confinement.obstacle()))
-def test_reading_a_stamp_opens_no_file_outside_the_data(tmp_path: Path) -> None:
+def test_the_child_that_opens_a_stamped_file_reaches_no_file_outside_the_data(
+    tmp_path: Path,
+) -> None:
     pytest.importorskip("h5py")
     import h5py
 
@@ -360,3 +362,10 @@ def test_reading_a_stamp_opens_no_file_outside_the_data(tmp_path: Path) -> None:
         read.sandbox.call("os:listdir", {"path": str(elsewhere)})
     with pytest.raises(SimulationError, match="PermissionError"):
         read.sandbox.call("os:mkdir", {"path": str(data / "new")})
+    assert isinstance(written, ParsedApart)
+    written.write('{"a": 1}')
+    assert read.read() == '{"a": 1}'
+    for call, arguments in (("listdir", {"path": str(elsewhere)}),
+                            ("mkdir", {"path": str(elsewhere / "new")})):  # fmt: skip
+        with pytest.raises(SimulationError, match="PermissionError"):
+            written.sandbox.call(f"os:{call}", arguments)
