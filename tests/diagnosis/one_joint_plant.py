@@ -55,11 +55,11 @@ def simulate(hidden: Hidden, seconds: float, count: int) -> tuple[np.ndarray, np
     for k in range(steps):
         if k % every == 0:
             out[k // every] = state[0]
-        wanted = command[k // held]
+        setpoint = command[k // held]
 
-        def slope(t: float, x: np.ndarray, wanted: np.ndarray = wanted) -> np.ndarray:
+        def slope(t: float, x: np.ndarray, setpoint: np.ndarray = setpoint) -> np.ndarray:
             q, v = x
-            effort = KP * (wanted - q) - (KV + DAMPING) * v - WEIGHT * np.sin(q)
+            effort = KP * (setpoint - q) - (KV + DAMPING) * v - WEIGHT * np.sin(q)
             return np.array([v, (effort + hidden(t, q, v)) / INERTIA])
 
         t = k * STEP

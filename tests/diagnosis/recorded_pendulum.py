@@ -68,7 +68,7 @@ class Reality:
     driven: bool = False
 
 
-def wanted(seed: int, time: np.ndarray) -> np.ndarray:
+def setpoints(seed: int, time: np.ndarray) -> np.ndarray:
     """(n,) setpoints, rad: four sines; with an odd seed, moves at 3 rad/s with rests between."""
     rng = np.random.default_rng(seed)
     if seed % 2:
@@ -90,7 +90,7 @@ def commanded(seed: int, reality: Reality, time: np.ndarray) -> tuple[np.ndarray
     """Stamps and values of the logged commands, and the setpoints at each time."""
     period = reality.command_period
     stamps = np.arange(0.0, time[-1] + period, period)
-    values = wanted(seed, stamps)
+    values = setpoints(seed, stamps)
     if reality.driven:
         values = 4.0 * values
     index = np.searchsorted(stamps, time + 1e-9, side="right") - 1

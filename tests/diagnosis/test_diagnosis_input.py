@@ -42,11 +42,11 @@ class Bench:
         self.folder = folder
         (folder / "model.xml").write_text(mjcf())
         self.loaded = load_model(folder / "model.xml")
-        wanted = reference(7, 1.5, 2)
-        moved = simulate(wanted)
-        at, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
+        setpoints = reference(7, 1.5, 2)
+        moved = simulate(setpoints)
+        at, seen = np.arange(0, len(setpoints), 100), np.arange(0, len(setpoints), 50)
         noise = 1e-4 * np.random.default_rng(0).standard_normal((len(seen), 2))
-        self.sent_at, self.sent = at * STEP, wanted[at]
+        self.sent_at, self.sent = at * STEP, setpoints[at]
         self.seen_at, self.seen = seen * STEP, moved[seen] + noise
 
     def add(
@@ -206,12 +206,12 @@ def test_a_servo_without_recorded_commands_is_no_mismatch(bench: Bench) -> None:
     """It holds its joint against gravity at a setpoint that no recording contains."""
     files = []
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
-        wanted = reference(seed, 4.0, 2)
-        wanted[:, 1] = 0.4
-        moved = simulate(wanted)
+        setpoints = reference(seed, 4.0, 2)
+        setpoints[:, 1] = 0.4
+        moved = simulate(setpoints)
         settled = round(2.0 / STEP)
-        wanted, moved = wanted[settled:], moved[settled:]
-        sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
+        setpoints, moved = setpoints[settled:], moved[settled:]
+        sent, seen = np.arange(0, len(setpoints), 100), np.arange(0, len(setpoints), 50)
         noise = 1e-4 * np.random.default_rng(seed).standard_normal((len(seen), 2))
         velocity = np.gradient(moved, STEP, axis=0)[seen]
         stamps = [START_NS + np.rint(at * STEP * 1e9).astype(np.int64) for at in (sent, seen)]
@@ -219,7 +219,7 @@ def test_a_servo_without_recorded_commands_is_no_mismatch(bench: Bench) -> None:
         at, measured = stamps[1], moved[seen] + noise
         left = JOINTS[:1]
         commands = JointSeries(
-            "/joint_commands", left, stamps[0], stamps[0], wanted[sent][:, :1], None, None
+            "/joint_commands", left, stamps[0], stamps[0], setpoints[sent][:, :1], None, None
         )
         states = JointSeries("/joint_states", JOINTS, at, at, measured, velocity, None)
         write_recording(path, [commands, states], {"role": role})
@@ -240,14 +240,17 @@ def test_a_recording_may_begin_during_a_motion(bench: Bench, late: float) -> Non
     """It has no velocities, and may have no command at the start."""
     files = []
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
-        wanted = reference(seed, 3.0, 2)
-        moved = simulate(wanted)
+        setpoints = reference(seed, 3.0, 2)
+        moved = simulate(setpoints)
         begun = round(1.0 / STEP)
-        wanted, moved = wanted[begun:], moved[begun:]
-        sent, seen = np.arange(round(late / STEP), len(wanted), 100), np.arange(0, len(wanted), 50)
+        setpoints, moved = setpoints[begun:], moved[begun:]
+        sent, seen = (
+            np.arange(round(late / STEP), len(setpoints), 100),
+            np.arange(0, len(setpoints), 50),
+        )
         noise = 1e-4 * np.random.default_rng(seed).standard_normal((len(seen), 2))
         path = bench.folder / f"{role}{seed}.mcap"
-        write(path, JOINTS, sent * STEP, wanted[sent], seen * STEP, moved[seen] + noise, role)
+        write(path, JOINTS, sent * STEP, setpoints[sent], seen * STEP, moved[seen] + noise, role)
         files.append(path)
     trials = bench.read(*files)
     found = diagnose(bench.loaded.realization, trials, threads=1)

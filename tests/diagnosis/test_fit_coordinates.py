@@ -29,7 +29,7 @@ def test_a_payload_equals_its_coordinates_transformed_back(mass: float, distance
     assert law.from_coordinates(law.coordinates(aside)) == pytest.approx(aside)
 
 
-def test_a_fit_finds_mass_and_distance_of_a_payload_with_the_same_moment(
+def test_a_fit_corrects_mass_and_distance_of_a_payload_whose_moment_is_right(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The linearized search finds the right moment, with half the mass at twice the distance."""

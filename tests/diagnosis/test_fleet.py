@@ -101,6 +101,7 @@ def test_paths_are_relative_to_the_fleet_file(tmp_path: Path) -> None:
             "--jobs, --scheduler: only for a fleet",
         ),
     ],
+    ids=["no input", "model and fleet", "jobs without a fleet"],
 )
 def test_arguments_that_exclude_each_other_give_a_message_of_one_line(
     words: list[str], message: str

@@ -40,12 +40,12 @@ def recorded(
     out = []
     for seed in SEEDS:
         # Motion and noise of a joint do not depend on its index in a message.
-        wanted = reference(seed, 2.2, 2)[:, : len(joints)]
-        moved = simulate(wanted, dry=DRY)
+        setpoints = reference(seed, 2.2, 2)[:, : len(joints)]
+        moved = simulate(setpoints, dry=DRY)
         noise = NOISE * np.random.default_rng([seed, 1]).standard_normal((len(seen), 2))
         measured = moved[seen] + noise[:, : len(joints)]
         path = folder / f"{seed}.mcap"
-        write(path, joints, sent * STEP + later, sign * wanted[sent], seen * STEP + later,
+        write(path, joints, sent * STEP + later, sign * setpoints[sent], seen * STEP + later,
               sign * measured, None)  # fmt: skip
         out.append(path)
     return out

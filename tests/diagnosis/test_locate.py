@@ -178,10 +178,10 @@ def test_recordings_are_grouped_by_their_metadata() -> None:
 
 def test_measured_conditions_are_rounded_if_they_remain_distinguishable() -> None:
     time = np.arange(0.0, 4.0, 0.01)
-    said = ({"volts": "7.28959306204136", "run": "1.00001"}, {"volts": "7.4", "run": "1.00002"})
+    recorded = ({"volts": "7.28959306204136", "run": "1.00001"}, {"volts": "7.4", "run": "1.00002"})
     paths = [
         replace(motion(time, 0.2 * np.sin(5.0 * time + k), f"{k}.mcap"), conditions=conditions)
-        for k, conditions in enumerate(said)
+        for k, conditions in enumerate(recorded)
     ]
     labels = {text for text, _ in regimes(paths, 0, "rad") if text.startswith(("volts", "run"))}
     assert labels == {"volts 7.29", "volts 7.4", "run 1.00001", "run 1.00002"}
@@ -194,9 +194,9 @@ def test_many_measured_temperatures_are_grouped_into_a_colder_and_a_warmer_half(
     paths = [
         replace(
             motion(time, 0.2 * np.sin(5.0 * time + k), f"{k}.mcap"),
-            conditions={"temperature": said, "hall": f"{k}.5"},
+            conditions={"temperature": recorded, "hall": f"{k}.5"},
         )
-        for k, said in enumerate(measured)
+        for k, recorded in enumerate(measured)
     ]
     slices = dict(regimes(paths, 0, "rad"))
     labels = {text for text in slices if text.startswith(("temperature", "hall"))}

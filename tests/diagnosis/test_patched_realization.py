@@ -94,7 +94,11 @@ def hypothesis(prepared: Prepared, effect: str, joint: int, values: dict[str, fl
     return Hypothesis((Term(effect, joint),), np.array(theta))
 
 
-@pytest.mark.parametrize(("effect", "joint", "values", "native"), EFFECTS)
+@pytest.mark.parametrize(
+    ("effect", "joint", "values", "native"),
+    EFFECTS,
+    ids=[f"{effect} in {'MJCF' if native else 'replay'}" for effect, _, _, native in EFFECTS],
+)
 def test_the_written_model_predicts_the_same_motion_as_the_effect(
     bench: tuple[Path, Trial, Prepared],
     tmp_path: Path,

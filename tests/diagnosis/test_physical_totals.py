@@ -38,6 +38,7 @@ def problem() -> Problem:
         (ROTOR, {"inertia": -0.03}, "armature"),
         (SPRING, {"stiffness": -0.5}, "spring stiffness"),
     ],
+    ids=["viscous friction", "dry friction", "Stribeck friction", "armature", "spring"],
 )
 def test_a_correction_below_the_models_own_value_is_impossible(
     problem: Problem, term: Term, values: dict[str, float], name: str
@@ -71,6 +72,7 @@ def test_corrections_of_one_quantity_are_added_before_the_total_is_checked(
         (STRIBECK, {"stiction_excess": 0.1, "stribeck_velocity": 50.0}, "greatest speed"),
         (COGGING, {"sine": 0.1, "harmonic": 190.0}, "190 periods a turn"),
     ],
+    ids=["warm-up time", "Stribeck velocity", "wavenumber"],
 )
 def test_a_shape_parameter_outside_the_identifiable_range_is_rejected(
     problem: Problem, term: Term, values: dict[str, float], why: str
@@ -87,6 +89,7 @@ def test_a_shape_parameter_outside_the_identifiable_range_is_rejected(
         (STRIBECK, {"stiction_excess": 0.1, "stribeck_velocity": 0.1}),
         (COGGING, {"sine": 0.1, "harmonic": 6.0}),
     ],
+    ids=["warm-up time", "Stribeck velocity", "wavenumber"],
 )
 def test_a_shape_parameter_within_the_identifiable_range_is_accepted(
     problem: Problem, term: Term, values: dict[str, float]

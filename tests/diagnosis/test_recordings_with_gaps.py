@@ -39,6 +39,8 @@ def series(topic: str, time: np.ndarray, position: np.ndarray) -> JointSeries:
 
 
 class Bench:
+    """A folder with a pendulum and recordings of it with gaps."""
+
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         (folder / "pend.xml").write_text(MODEL)

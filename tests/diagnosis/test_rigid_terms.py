@@ -18,7 +18,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_models import BatchModels, Rows
 
 UPPER_ARM = 0.3
-"""m from the shoulder to the elbow."""
+"""Distance from the shoulder to the elbow, m."""
 
 
 @pytest.fixture(scope="module")

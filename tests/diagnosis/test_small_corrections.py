@@ -40,7 +40,7 @@ SMALL, LARGE = FindingStub("within the usual accuracy"), FindingStub()
         "small error without findings",
     ],
 )
-def test_small_corrections_of_a_small_error_give_the_verdict_no_mismatch(
+def test_the_verdict_follows_from_the_errors_and_the_size_of_the_corrections(
     before: float, after: float, findings: list[FindingStub], expected: str
 ) -> None:
     error = JointError(before, after, 1e-4, "rad", travel=1.0)

@@ -92,7 +92,7 @@ def test_removals_contain_the_empty_set_and_all_terms_of_a_joint(tmp_path: Path)
     own = EMPTY
     for term in terms:
         own = own.with_term(term, np.array([p.starts[0] for p in term.parameters]))
-    sizes = sorted(len(gone) for gone in removals(own))
+    sizes = sorted(len(removed) for removed in removals(own))
     assert sizes[0] == 0
     assert sizes[-1] == len([t for t in terms if t.joint in (terms[0].joint, -1)])
 

@@ -108,6 +108,7 @@ def test_a_replay_without_temperature_is_refused_and_the_known_temperatures_are_
     ("cold_fraction", "expected"),
     [({"cold": "very"}, "a finite number"), ([1.0], "a table"),
      ({"a": 0.5, "b": 0.5}, "temperatures that differ")],
+    ids=["text instead of a number", "list instead of a table", "equal fractions"],
 )  # fmt: skip
 def test_invalid_temperatures_in_the_effects_file_are_refused(
     folder: Path, tmp_path: Path, cold_fraction: object, expected: str
@@ -142,6 +143,17 @@ def trial(tmp_path: Path, name: str, temperature: str | None) -> Trial:
         (["20", "20.0"], {}),
         (["20", None], {}),
         ([None, None], {}),
+    ],
+    ids=[
+        "numbers",
+        "degrees Celsius",
+        "kelvin",
+        "two names",
+        "three names",
+        "two units",
+        "equal",
+        "one missing",
+        "all missing",
     ],
 )
 def test_cold_fractions_are_known_for_numbers_of_one_unit_and_for_two_names(

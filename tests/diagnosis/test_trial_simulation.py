@@ -70,7 +70,7 @@ def test_each_effect_keeps_its_size_with_the_smallest_cost_and_diverging_sizes_a
     assert found is sizes[1]
 
 
-def test_an_effect_that_failed_is_no_longer_a_candidate() -> None:
+def test_an_effect_that_a_simulation_ruled_out_is_no_longer_a_candidate() -> None:
     play = {"gap": 0.02, "tooth_compliance": 1e-4}
     problem = problem_of("position", {DELAY: {"delay": 0.03}, BACKLASH: play})
     comparison = ModelComparison(problem)

@@ -22,12 +22,17 @@ INERTIA, DAMPING = 0.02, 0.05
 
 def record_pendulums(path: Path, seed: int, scale: float = 1.0, slower: int = 1) -> Path:
     """Record two pendulums with all angles times ``scale``, ``slower`` times as slow."""
-    wanted = np.repeat(reference(seed, 2.0, 2)[: 20000 // slower], slower, axis=0)
-    moved = simulate(wanted, viscous=0.02)
-    sent, seen = np.arange(0, len(wanted), 100), np.arange(0, len(wanted), 50)
+    setpoints = np.repeat(reference(seed, 2.0, 2)[: 20000 // slower], slower, axis=0)
+    moved = simulate(setpoints, viscous=0.02)
+    sent, seen = np.arange(0, len(setpoints), 100), np.arange(0, len(setpoints), 50)
     noise = 1e-4 * np.random.default_rng(seed).standard_normal((len(seen), 2))
     write(
-        path, JOINTS, sent * STEP, scale * wanted[sent], seen * STEP, scale * (moved[seen] + noise)
+        path,
+        JOINTS,
+        sent * STEP,
+        scale * setpoints[sent],
+        seen * STEP,
+        scale * (moved[seen] + noise),
     )
     return path
 

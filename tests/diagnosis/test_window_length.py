@@ -33,23 +33,23 @@ def record_inverted_pendulum(folder: Path, seed: int, role: str, load: float) ->
 
     A payload of ``load`` kg is at its center of mass.
     """
-    wanted = reference(seed, 4.0, 1)[:, 0]
+    setpoints = reference(seed, 4.0, 1)[:, 0]
     mass = MASS + load
     inertia = INERTIA + mass * LENGTH**2 + ARMATURE
     q = v = effort = 0.0
-    moved, sent = np.empty(len(wanted)), []
-    for k, w in enumerate(wanted):
+    moved, sent = np.empty(len(setpoints)), []
+    for k, w in enumerate(setpoints):
         moved[k] = q
         if k % 100 == 0:
             effort = 6.0 * (w - q) - 0.6 * v
             sent.append(effort)
         v += STEP * (effort + mass * GRAVITY * LENGTH * np.sin(q) - DAMPING * v) / inertia
         q += STEP * v
-    seen = np.arange(0, len(wanted), 50)
+    seen = np.arange(0, len(setpoints), 50)
     noise = NOISE * np.random.default_rng([seed, 1]).standard_normal(len(seen))
     path = folder / f"{role}{seed}.mcap"
     write(
-        path, ("arm",), STEP * np.arange(0, len(wanted), 100), np.array(sent)[:, None],
+        path, ("arm",), STEP * np.arange(0, len(setpoints), 100), np.array(sent)[:, None],
         STEP * seen, (moved[seen] + noise)[:, None], role, mode="effort",
     )  # fmt: skip
     return path

@@ -50,7 +50,7 @@ def mjcf(
     )
 
 
-def wanted(seed: int, time: np.ndarray, joints: int) -> np.ndarray:
+def commands(seed: int, time: np.ndarray, joints: int) -> np.ndarray:
     """(n, joints) rad: commands onto the table and off it with one joint, along it with two."""
     rng = np.random.default_rng(seed)
     middle, size = ((0.6,), (0.5,)) if joints == 1 else ((0.15, 0.8), (0.25, 0.5))
@@ -72,7 +72,7 @@ def case(
         data = mujoco.MjData(model)
         count = round(seconds / FINE)
         sent_at = 0.01 * np.arange(round(seconds / 0.01))
-        sent = wanted(seed, sent_at, len(joints))
+        sent = commands(seed, sent_at, len(joints))
         moved = np.empty((count, len(joints)))
         for k in range(count):
             moved[k] = data.qpos
