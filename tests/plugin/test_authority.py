@@ -83,11 +83,11 @@ def test_a_golden_must_run_on_its_authoritative_realization(two_realizations) ->
     result.stdout.fnmatch_lines(["*does not run on 'light', which is authoritative for it*"])
 
 
-def test_newton_steps_a_stage_and_its_difference_is_a_line_of_its_own(
+def test_the_difference_between_newton_and_mujoco_is_reported_for_a_usd_stage(
     twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     warp = pytest.importorskip("newton") and pytest.importorskip("warp")
-    # The home of these tests is empty: Warp would compile its kernels again, for a minute.
+    # The home folder of these tests is empty, so Warp would compile its kernels for a minute.
     monkeypatch.setenv("WARP_CACHE_PATH", str(WARP_CACHE / warp.__version__))
     from pytest_twin.realization import usd
 

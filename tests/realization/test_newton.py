@@ -1,4 +1,4 @@
-"""A USD stage stepped by Newton beside the same robot stepped by MuJoCo."""
+"""Simulation of a USD stage by Newton, compared with the same robot in MuJoCo."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FRICTIONLESS = ARM.replace('friction="0.2"', "")
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The tests' arm without dry friction as a stage."""
+    """The arm without dry friction as a USD stage."""
     folder = tmp_path_factory.mktemp("stage")
     usd.convert(written(folder, FRICTIONLESS, "arm.urdf"), folder / "arm.usda")
     return folder / "arm.usda"
@@ -29,12 +29,12 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def both(stage: Path) -> tuple[Realization, Realization]:
-    """The arm on MuJoCo and on Newton."""
+    """The arm in MuJoCo and in Newton."""
     return load(stage.with_suffix(".urdf")), load(stage, simulator="newton")
 
 
-def fallen(realization: Realization, seconds: float = 0.15) -> simulate.Run:
-    """A fall from a pose, without contacts and ends of ranges, in steps of 1 ms."""
+def simulated_fall(realization: Realization, seconds: float = 0.15) -> simulate.Run:
+    """A fall under gravity with a time step of 1 ms, without contacts and joint limits."""
     model = simulate.bench(realization, contact=False)
     model.opt.timestep = 0.001
     data = simulate.start(model, realization, np.array([0.4, 0.1]))
@@ -42,30 +42,32 @@ def fallen(realization: Realization, seconds: float = 0.15) -> simulate.Run:
 
 
 @needs_newton
-def test_frames_are_where_mujoco_has_them(both: tuple[Realization, Realization]) -> None:
+def test_frame_poses_agree_with_mujoco(both: tuple[Realization, Realization]) -> None:
     mujoco, newton = (simulate.frame_poses(one, np.array([0.7, 0.2])) for one in both)
     for frame in ("base", "upper", "lower", "tool"):
         np.testing.assert_allclose(newton(frame), mujoco(frame), atol=2e-6)
 
 
 @needs_newton
-def test_a_falling_arm_moves_as_in_mujoco(both: tuple[Realization, Realization]) -> None:
-    mujoco, newton = (fallen(one) for one in both)
+def test_the_motion_of_a_falling_arm_agrees_with_mujoco(
+    both: tuple[Realization, Realization],
+) -> None:
+    mujoco, newton = (simulated_fall(one) for one in both)
     motion = np.ptp(mujoco.qpos, axis=0)
     assert (motion > 0.01).all()
     assert (np.abs(newton.qpos - mujoco.qpos).max(axis=0) < 0.01 * motion).all()
 
 
 @needs_newton
-def test_nothing_but_drives_and_damping_changes_the_energy(
+def test_the_energy_of_a_falling_arm_has_no_numerical_drift(
     both: tuple[Realization, Realization],
 ) -> None:
-    run = fallen(both[1])
+    run = simulated_fall(both[1])
     assert abs(run.constraint_work[-1]) < 1e-3 * np.ptp(run.energy)
 
 
 @needs_newton
-def test_a_locked_joint_stays(both: tuple[Realization, Realization]) -> None:
+def test_a_locked_joint_does_not_move(both: tuple[Realization, Realization]) -> None:
     newton = both[1]
     model = simulate.bench(newton, contact=False, locked=["elbow"])
     data = simulate.start(model, newton, np.array([0.4, 0.1]))
@@ -76,7 +78,7 @@ def test_a_locked_joint_stays(both: tuple[Realization, Realization]) -> None:
 
 
 @needs_newton
-def test_contacts_are_refused(both: tuple[Realization, Realization]) -> None:
+def test_a_simulation_with_contacts_is_refused(both: tuple[Realization, Realization]) -> None:
     newton = both[1]
     model = simulate.bench(newton)
     data = simulate.start(model, newton, np.zeros(2))

@@ -39,7 +39,7 @@ def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def write_recording(path: Path) -> None:
-    """A slow sweep that the robot follows to some milliradians."""
+    """Write a slow sweep that the robot follows with an error of some milliradians."""
     rows = ["time,elbow.position,elbow.command"]
     for k in range(200):
         wanted = 0.3 * math.sin(0.02 * k)
