@@ -1,1 +1,1 @@
-"""Excitation: motion within approved limits, and what it will and will not identify."""
+"""Excitation: design motions within approved limits, and predict what they identify."""

@@ -1,4 +1,4 @@
-"""What a qualified person approved for excitation, read from ``excitation:`` of ``twin.yaml``."""
+"""Data classes of the approved limits for excitation, ``excitation:`` of ``twin.yaml``."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 
 DEFAULT_MARGIN = 0.05
-"""Share of each approved limit that the motion leaves free."""
+"""Default share of each approved limit that motions do not use."""
 MECHANISMS = ("delay", "closed_loop", "friction", "backlash", "gravity", "payload", "inertia")
-"""What can be asked for, in the order in which it is identified."""
+"""Mechanisms that can be identified, in the order of identification."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +22,14 @@ class JointLimits:
     """Approved limits of one joint, in the model's sign and zero.
 
     Attributes:
-        lower, upper: position, rad or m.
-        velocity, acceleration: rad/s, rad/s^2, or m/s, m/s^2.
-        effort: N*m or N.
-        start: where every trajectory begins and ends, rad or m.
+        name: name of the joint.
+        lower, upper: position limits, rad or m.
+        velocity, acceleration: largest values, rad/s and rad/s^2, or m/s and m/s^2.
+        effort: largest effort, N*m or N.
+        start: position at the begin and end of every trajectory, rad or m.
         is_slide: whether it is a slide and not a hinge.
-        effort_noise, position_noise: standard deviation of one sample, where it is declared.
+        effort_noise, position_noise: standard deviation of one sample, N*m or N and rad or m;
+            None if not declared.
         stop_lower, stop_upper: the joint's own range in the model, rad or m; infinite without one.
     """
 
@@ -46,18 +48,18 @@ class JointLimits:
 
     @property
     def unit(self) -> str:
-        """Of positions."""
+        """Return the unit of positions."""
         return "m" if self.is_slide else "rad"
 
     @property
     def effort_unit(self) -> str:
-        """Of efforts."""
+        """Return the unit of efforts."""
         return "N" if self.is_slide else "N*m"
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A box in the world, m, that the origin of a frame stays in."""
+    """A box in the world frame, m, that the origin of a frame must not leave."""
 
     frame: str
     lower: FloatArray
@@ -66,12 +68,12 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Clearance:
-    """Least distances in m.
+    """Smallest permitted distances, m.
 
     Attributes:
-        between_links: of any two moving bodies that can collide.
-        to_environment: of a moving body and one that stands still.
-        pairs: two bodies or geoms -> a distance of their own.
+        between_links: for two moving bodies that can collide.
+        to_environment: for a moving and a fixed body.
+        pairs: two bodies or geoms -> distance for this pair.
         ignored: pairs of bodies that may touch.
     """
 
@@ -83,12 +85,12 @@ class Clearance:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """How the motion is stopped.
+    """Stop of the robot after an abort.
 
     Attributes:
         category: 0, 1 or 2 of IEC 60204-1.
-        reaction: s from the abort to the first braking.
-        plan: who stops the robot, and how.
+        reaction: time from the abort to the start of braking, s.
+        plan: description of who stops the robot, and how.
     """
 
     category: int
@@ -98,21 +100,21 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Approved:
-    """Everything that a trajectory must keep to.
+    """All limits that a trajectory must satisfy.
 
     Attributes:
-        approved_by: who approved it.
-        mechanisms: what is asked for.
+        approved_by: person who approved the limits.
+        mechanisms: mechanisms to identify.
         duration: longest time of one trajectory, s.
-        rate: commands per second, Hz.
+        rate: rate of commands, Hz.
         band: lowest and highest frequency of the task's motion, Hz.
-        margin: share of each limit that is left free.
-        joints: those that move.
-        workspace: boxes.
-        clearance: least distances; None where a person approved to go without.
-        power: W that the supply gives without end.
-        stop: how the motion is stopped.
-        source: the section as it is written.
+        margin: share of each limit that motions do not use.
+        joints: moving joints.
+        workspace: boxes for frames.
+        clearance: smallest distances; None if a person approved motion without this check.
+        power: continuous power of the supply, W.
+        stop: stop after an abort.
+        source: the section as written.
     """
 
     approved_by: str
@@ -130,46 +132,46 @@ class Approved:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the joints that move."""
+        """Return the names of the moving joints."""
         return tuple(joint.name for joint in self.joints)
 
     def array(self, attribute: str) -> FloatArray:
-        """(j,) one attribute of every joint."""
+        """Return one attribute of all joints, (j,)."""
         return np.array([getattr(joint, attribute) for joint in self.joints], dtype=np.float64)
 
     @property
     def start(self) -> FloatArray:
-        """(j,) where every trajectory begins and ends."""
+        """Return the (j,) start positions, rad or m."""
         return self.array("start")
 
     @property
     def room(self) -> tuple[FloatArray, FloatArray]:
-        """(j,) lowest and highest position with the margin left free, about the start."""
+        """Return (j,) lowest and highest position within the margin, relative to the start."""
         lower, upper, start = self.array("lower"), self.array("upper"), self.start
         free = self.margin * (upper - lower) / 2.0
         return np.minimum(lower + free, start), np.maximum(upper - free, start)
 
     @property
     def speed(self) -> FloatArray:
-        """(j,) greatest speed with the margin left free."""
+        """Return the (j,) largest speeds within the margin."""
         return self.array("velocity") * (1.0 - self.margin)
 
     @property
     def acceleration(self) -> FloatArray:
-        """(j,) greatest acceleration with the margin left free."""
+        """Return the (j,) largest accelerations within the margin."""
         return self.array("acceleration") * (1.0 - self.margin)
 
     @property
     def effort(self) -> FloatArray:
-        """(j,) greatest effort with the margin left free."""
+        """Return the (j,) largest efforts within the margin."""
         return self.array("effort") * (1.0 - self.margin)
 
 
 def missing_lines(section: Mapping[str, Any], joints: Sequence[str]) -> list[str]:
-    """Dotted fields of ``excitation:`` that are not filled in.
+    """Return the dotted fields of ``excitation:`` that are missing.
 
     Args:
-        section: as written.
+        section: the section as written.
         joints: all joints of the model that can be moved.
     """
     missing = [name for name in _SCALARS if section.get(name) is None]
@@ -196,7 +198,7 @@ def missing_lines(section: Mapping[str, Any], joints: Sequence[str]) -> list[str
 
 
 NO_CLEARANCE = "none"
-"""Written for ``clearance:`` where a person approves motion without a check of distances."""
+"""Value of ``clearance:`` with which a person approves motion without a check of distances."""
 _SCALARS = ("approved_by", "mechanisms", "duration", "rate", "task_band", "workspace")
 _OF_A_JOINT = ("position", "velocity", "acceleration", "effort", "start")
 

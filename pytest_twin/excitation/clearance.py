@@ -1,4 +1,4 @@
-"""Distances of a robot's shapes and places of its frames along a motion (coal, MuJoCo)."""
+"""Compute distances of a robot's shapes and positions of its frames along a motion."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pytest_twin.realization.first_state import follow_joint_equalities
 from pytest_twin.realization.model import Realization
 
 GRID = 0.01
-"""Poses that lie within one cell of this size (rad or m in every joint) count as one: 1 cm at a
-reach of 1 m."""
+"""Poses within one cell of this size (rad or m in every joint) count as one: 1 cm at a reach of
+1 m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Nearest:
-    """The pair that comes closest to, or furthest below, the distance that it must keep.
+    """The pair with the smallest distance relative to the required one.
 
     Attributes:
         pair: two bodies or geoms.
-        distance: m, negative where they overlap.
-        required: m.
+        distance: distance, m, negative for an overlap.
+        required: smallest permitted distance, m.
         at: index of the pose.
     """
 
@@ -38,7 +38,7 @@ class Nearest:
 
     @property
     def spare(self) -> float:
-        """Distance beyond what is required, m."""
+        """Return the distance minus the required one, m."""
         return self.distance - self.required
 
 
@@ -50,11 +50,11 @@ class _GeomPair:
 
 
 class Surroundings:
-    """What a robot must not come near, and where its frames must stay.
+    """Checks of clearances and workspace boxes.
 
     Args:
         realization: the robot.
-        approved: least distances, boxes, joints that move; other joints stand at the reference.
+        approved: smallest distances, boxes, moving joints; other joints are at the reference.
     """
 
     def __init__(self, realization: Realization, approved: Approved) -> None:
@@ -74,11 +74,11 @@ class Surroundings:
 
     @property
     def pairs(self) -> int:
-        """How many pairs of shapes are kept apart."""
+        """Return the number of pairs of shapes that are checked."""
         return len(self._pairs)
 
     def place(self, position: FloatArray) -> mujoco.MjData:
-        """Frames and shapes at one pose (j,); followers of joint equalities follow."""
+        """Compute frames and shapes at one pose (j,), with joint equalities satisfied."""
         data = self._data
         data.qpos[:] = self._model.qpos0
         data.qpos[self._columns] = position
@@ -87,7 +87,7 @@ class Surroundings:
         return data
 
     def nearest(self, positions: FloatArray) -> Nearest | None:
-        """The pair with the least spare distance over poses (n, j); None without pairs."""
+        """Return the pair with the smallest spare distance over poses (n, j), or None."""
         least: Nearest | None = None
         for at in distinct(positions):
             data = self.place(positions[at])
@@ -102,7 +102,7 @@ class Surroundings:
         return least
 
     def too_near(self, position: FloatArray) -> list[Nearest]:
-        """The nearest shapes of all pairs that are closer at one pose (j,) than they may be."""
+        """Return the nearest shapes of all pairs that are too close at one pose (j,)."""
         data = self.place(position)
         found: dict[tuple[str, str], Nearest] = {}
         for index in np.flatnonzero(self._spare_bounds(data) < 0.0):
@@ -114,7 +114,7 @@ class Surroundings:
         return list(found.values())
 
     def is_clear(self, position: FloatArray) -> bool:
-        """Whether one pose (j,) keeps all distances and boxes."""
+        """Whether one pose (j,) satisfies all distances and boxes."""
         data = self.place(position)
         for index in np.flatnonzero(self._spare_bounds(data) < 0.0):
             pair = self._pairs[index]
@@ -123,10 +123,11 @@ class Surroundings:
         return all(spare >= 0.0 for spare, _ in self._spare_in_boxes(data))
 
     def spare(self, position: FloatArray, most: float) -> float:
-        """Least distance beyond what is required at one pose (j,), of pairs and boxes, m.
+        """Return the smallest spare distance of pairs and boxes at one pose (j,), m.
 
         Args:
-            most: larger distances count as this one.
+            position: the pose, (j,), rad or m.
+            most: upper bound of the result, m.
         """
         data = self.place(position)
         least = min((most, *(spare for spare, _ in self._spare_in_boxes(data))))
@@ -139,8 +140,9 @@ class Surroundings:
         return least
 
     def least_box_spare(self, positions: FloatArray) -> tuple[float, str, int] | None:
-        """Least distance of a frame to the sides of its box, m: negative outside; the frame, and
-        the index of the pose. None without boxes."""
+        """Return the smallest distance of a frame to the sides of its box, m, negative outside.
+
+        The frame and the index of the pose follow. The result is None without boxes."""
         least: tuple[float, str, int] | None = None
         if not self._approved.workspace:
             return None
@@ -156,13 +158,13 @@ class Surroundings:
             yield float(np.minimum(origin - box.lower, box.upper - origin).min()), box.frame
 
     def _spare_bounds(self, data: mujoco.MjData) -> FloatArray:
-        """(pairs,) lower bounds of the spare distances, m, from the spheres around the shapes."""
+        """Return (pairs,) lower bounds of the spare distances from bounding spheres, m."""
         centres = data.geom_xpos[self._geoms]
         between = np.linalg.norm(centres[:, 0] - centres[:, 1], axis=1)
         return np.asarray(between - self._reach - self._required)
 
     def _distance(self, data: mujoco.MjData, pair: _GeomPair) -> float:
-        """Signed distance of two shapes, m: by coal, by MuJoCo where coal does not converge."""
+        """Return the signed distance of two shapes by coal, or MuJoCo if coal fails, m."""
         first, second = (frozenset({geom}) for geom in pair.geoms)
         found = self._shapes.distance_by_coal(data, first, second)
         return found if np.isfinite(found) else self._shapes.distance(data, first, second)
@@ -205,17 +207,17 @@ class Surroundings:
         return True
 
     def _adjacent(self, names: Sequence[str]) -> bool:
-        """Whether one body carries the other by a joint: their shapes may overlap there."""
+        """Whether a joint connects the two bodies, whose shapes may overlap there."""
         welds = [int(self._model.body_weldid[self._body(name)]) for name in names]
         above = [int(self._model.body_weldid[self._model.body_parentid[weld]]) for weld in welds]
-        # Geoms of the world itself are surroundings, those of a base that is fixed to it are not.
+        # Geoms of the world are surroundings; geoms of a base fixed to the world are not.
         if any(self._body(name) == 0 for name in names):
             return False
         return welds[0] == above[1] or welds[1] == above[0]
 
 
 def distinct(positions: FloatArray) -> FloatArray:
-    """Indices of poses (n, j) that are more than a cell of ``GRID`` apart, in order."""
+    """Return indices of poses (n, j) in different cells of ``GRID``, in order."""
     cells = np.round(positions / GRID).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     return np.sort(first)

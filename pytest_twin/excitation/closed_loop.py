@@ -1,4 +1,4 @@
-"""What the robot does under a motion's commands, as its model predicts it in the closed loop."""
+"""Simulate the robot's closed-loop response to a motion's commands."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from pytest_twin.trial import Trial
 WORSE = 1.2
 """Factor on masses, inertias, friction and armature of the worse model."""
 _GAINS = {"stiffness": 1, "damping": 2}
-"""Gain of a servo -> its place in ``biasprm``."""
+"""Gain of a servo -> its index in ``biasprm``."""
 _CHANGE = 0.02
-"""Share by which a gain is changed for its derivative."""
+"""Relative change of a gain in the difference quotient."""
 _SETTLE = 2.0
-"""Time in s before the motion, at rest: a servo gives way to gravity until it carries it."""
+"""Time at rest before the motion, s, in which servos settle under gravity."""
 
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """What a model does under commands, in the model's sign and zero.
+    """Response of a model to commands, in the model's sign and zero.
 
     Attributes:
-        position, velocity, effort: (n, j) at the motion's stamps.
-        error: why the rest is NaN, where the simulation diverged.
+        position, velocity, effort: (n, j) at the motion's stamps, SI units.
+        error: error of a diverged simulation, whose later values are NaN, or None.
     """
 
     position: FloatArray
@@ -48,15 +48,15 @@ class Response:
 
 
 class ClosedLoop:
-    """One robot, with or without payload, as it stands or worse.
+    """One robot with a payload, as the nominal model or one scaled by a factor.
 
-    Joints whose actuators take positions or velocities are simulated with these servos. Where one
-    takes neither, all follow their commands exactly, and efforts come from inverse dynamics.
+    If every joint has a position or velocity servo, these are simulated. Otherwise all joints
+    follow their commands exactly, and efforts come from inverse dynamics.
 
     Args:
-        realization: with the payload.
-        approved: the joints that are commanded.
-        factor: on all masses, inertias, friction and armature.
+        realization: the model, with the payload.
+        approved: limits, with the commanded joints.
+        factor: factor on all masses, inertias, friction and armature.
     """
 
     def __init__(self, realization: Realization, approved: Approved, factor: float = 1.0) -> None:
@@ -68,7 +68,7 @@ class ClosedLoop:
         self.modes = servo_modes(realization, approved.names)
 
     def responses(self, motions: Sequence[Motion]) -> list[Response]:
-        """What the model does under each motion."""
+        """Return the response to each motion."""
         if self.modes is None:
             return [self._followed(motion) for motion in motions]
         rows = [self._row(motion, self._model) for motion in motions]
@@ -82,11 +82,11 @@ class ClosedLoop:
     def servo_derivatives(
         self, motion: Motion, joint: int
     ) -> dict[str, tuple[float, str, FloatArray]]:
-        """How the gains of a joint's servo change its motion.
+        """Compute the derivatives of a joint's motion by the gains of its servo.
 
         Returns:
             ``stiffness`` and ``damping`` -> nominal value at the joint, its unit, and the
-            derivative (n,) of the joint's position by the value, in rad or m per unit.
+                derivative (n,) of the joint's position by the value, in rad or m per unit.
         """
         if self.modes is None or self.modes[joint] != "position":
             return {}
@@ -146,9 +146,9 @@ class ClosedLoop:
         )
 
     def _followed(self, motion: Motion) -> Response:
-        """Efforts of a robot that follows its commands exactly (inverse dynamics of MuJoCo)."""
+        """Return the efforts of a robot that follows its commands exactly (inverse dynamics)."""
         model = copy.copy(self._model)
-        # Contacts and stops are looked at elsewhere; here they would push.
+        # Other checks cover contacts and stops; here they would add forces.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         data = mujoco.MjData(model)
         columns = model.jnt_qposadr[self._joint_ids]
@@ -167,7 +167,7 @@ class ClosedLoop:
 
 
 def servo_modes(realization: Realization, joints: Sequence[str]) -> tuple[CommandMode, ...] | None:
-    """Which command each joint's servo takes, position or velocity; None where one has no servo."""
+    """Return each servo's command, position or velocity; None if a joint has no servo."""
     found: list[CommandMode] = []
     for joint in joints:
         for mode in ("position", "velocity"):
@@ -184,9 +184,9 @@ def servo_modes(realization: Realization, joints: Sequence[str]) -> tuple[Comman
 
 
 def worse(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
-    """A copy with masses, inertias, friction and armature times ``factor``.
+    """Return a copy with masses, inertias, friction and armature times ``factor``.
 
-    What a drive compensates of gravity stays as it is: the controller knows the nominal masses.
+    Gravity compensation is unchanged, because the controller knows the nominal masses.
     """
     heavier = copy.copy(model)
     for name in (
@@ -205,5 +205,5 @@ def worse(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
 
 
 def as_read(realization: Realization, approved: Approved, position: FloatArray) -> FloatArray:
-    """Positions (n, j) as the robot's encoders read them and as its controller takes them."""
+    """Convert model positions (n, j) to encoder readings, the positions for the controller."""
     return Encoders.of(calibration_of(realization), approved.names).read_position(position)

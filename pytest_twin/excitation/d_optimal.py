@@ -1,4 +1,4 @@
-"""Fourier coefficients with the most information about the base parameters (D-optimal)."""
+"""Optimize Fourier coefficients for information about the base parameters (D-optimal design)."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ STARTS = 3
 _ITERATIONS = 40
 _NEAR_ITERATIONS = 15
 _NEAR_SAMPLES = 2
-"""Every second pose is looked at for what it comes near to."""
+"""Step between poses that are checked for nearness: every second one."""
 _TOLERANCE = 1e-5
 """Relative change of log det at which a start ends: 0.005 for a log det of 500."""
 _SAMPLES_PER_PERIOD = 8
-"""Of the highest harmonic, where the information is summed up while it is optimized."""
+"""Samples per period of the highest harmonic, in the sum of information during optimization."""
 _SHARPNESS = 40.0
-"""Exponent of the p-norm that approximates the maximum of a signal smoothly, 1 to 15 % too high."""
+"""Exponent of the p-norm, a smooth approximation of a signal's maximum, 1 to 15 % too high."""
 _RIDGE = 1e-9
 _EFFORT_WEIGHT = 200.0
 _SPARE_WEIGHT = 20.0
 _SPARE = 0.02
-"""Spare distance in m from which on a pose is pushed away from what it comes near to."""
+"""Spare distance below which a pose is penalized, m."""
 _DIFFERENCE = 1e-5
 _OFF_CENTRE = 0.3
-"""Distance of the start from the middle as a share of half the range, in the worst joint, from
-which on the series swings about the middle: the way there and back costs time."""
+"""Distance of the start from the middle of the range, as a share of half the range, above which
+the series swings about the middle. Below it, the move to the middle is not worth its time."""
 _POSE_DIFFERENCE = 1e-4
-"""rad or m: distances are known to 1e-8 m."""
+"""Step of difference quotients, rad or m: distances are accurate to 1e-8 m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
-    """Coefficients and what they are worth.
+    """Optimal coefficients and their information.
 
     Attributes:
         coefficients: (j, m) of :class:`Series`, rad/s or m/s, within all limits.
-        log_det: of the information matrix of one period, natural logarithm.
-        starts: log det that each start reached.
+        log_det: natural logarithm of the determinant of one period's information matrix.
+        starts: log det of the result of each start.
     """
 
     coefficients: FloatArray
@@ -60,16 +60,16 @@ class Optimum:
 class Design:
     """Information about base parameters as a function of free coefficients.
 
-    The vector that is optimized has, for each joint, its m coefficients, of which only the
-    direction counts, and the logit of its amplitude as a share of what the limits allow. No
-    vector breaks a limit, and none needs a constraint.
+    The free vector has, for each joint, its m coefficients, of which only the direction matters,
+    and the logit of its amplitude as a share of the largest permitted one. Every vector therefore
+    satisfies the limits, without constraints.
 
     Args:
         approved: limits with their margins.
-        regressor: of the approved joints.
-        base: parameters that are to be identified.
+        regressor: regressor of the approved joints.
+        base: parameters to identify.
         std: (joints,) standard deviation of the effort's noise, N*m or N.
-        spare: distance beyond what is required at a pose (j,), at most a given one, m.
+        spare: function of a pose (j,) and an upper bound: spare distance, m.
         minimize: solver.
     """
 
@@ -99,7 +99,7 @@ class Design:
         self._effort = np.minimum(approved.effort, approved.array("effort") / WORSE)
 
     def optimum(self, seed: int, starts: int = STARTS) -> Optimum:
-        """The best of several starts, with exact derivatives of the information."""
+        """Return the best result of several starts, using exact derivatives of the information."""
         random = np.random.default_rng(seed)
         found = []
         for _ in range(starts):
@@ -108,7 +108,7 @@ class Design:
             free = self._minimized(first, _ITERATIONS, near=False)
             found.append((self.log_det(self.coefficients(free)), free))
         best = max(found, key=lambda one: one[0])[1]
-        # Distances cost far more than the information: they are left to the best start.
+        # Distances are expensive to compute, so only the best start includes them.
         if self._nearness(self._states(self.coefficients(best))[0])[0] > 0.0:
             best = self._minimized(best, _NEAR_ITERATIONS, near=True)
         coefficients = self.coefficients(best)
@@ -119,32 +119,32 @@ class Design:
         return self._minimize(objective, first.ravel(), iterations, _TOLERANCE).reshape(first.shape)
 
     def random(self, seed: int) -> FloatArray:
-        """(j, m) coefficients of a random motion that uses the same limits to the full."""
+        """Return (j, m) coefficients of a random motion that uses the limits fully."""
         random = np.random.default_rng(seed)
         free = random.standard_normal((len(self._up), self.series.width + 1))
         free[:, -1] = np.inf
         return self.coefficients(free)
 
     def coefficients(self, free: FloatArray) -> FloatArray:
-        """(j, m) within all limits at every command, from the free vector (j, m + 1)."""
+        """Return (j, m) coefficients within all limits from the free vector (j, m + 1)."""
         z = free[:, :-1]
         most = _most_used(self._fine, z, self._up, self._down, self._approved)
         share = 1.0 / (1.0 + np.exp(-free[:, -1]))
         return np.asarray(z * (share / most)[:, None])
 
     def log_det(self, coefficients: FloatArray) -> float:
-        """log det of the information of one period; -inf where a parameter is left open."""
+        """Return log det of the information of one period; -inf if a parameter is undetermined."""
         sign, value = np.linalg.slogdet(
             self._information(self._matrix(*self._states(coefficients)))
         )
         return float(value) if sign > 0 else -np.inf
 
     def drawn(self, coefficients: FloatArray, scale: float = 1.0) -> Drawn:
-        """The whole motion: to the centre, as many periods as fit, and back.
+        """Return the whole motion: to the centre, as many periods as fit, and back.
 
         Args:
             coefficients: (j, m), rad/s or m/s.
-            scale: share of the amplitude and of the way to the centre.
+            scale: share of the amplitude and of the distance to the centre.
         """
         approved, own = self._approved, self._fine
         centre = approved.start + scale * (self.centre - approved.start)
@@ -162,10 +162,9 @@ class Design:
     # -- inside
 
     def _centre_and_travel(self) -> tuple[FloatArray, float]:
-        """Pose that the series swings about, and s for the way there and back.
+        """Return the centre pose of the series, and the time to it and back, s.
 
-        The middle of the range where the start lies far off it and the way is clear: both sides
-        then have the most room.
+        The centre is the start, or the middle of the range if that is far away and reachable.
         """
         approved = self._approved
         start = approved.start
@@ -199,7 +198,7 @@ class Design:
         return np.asarray(stacked.T @ stacked)
 
     def _objective(self, flat: FloatArray, near: bool) -> tuple[float, FloatArray]:
-        """Minus log det with penalties on effort and nearness, and its derivative by ``flat``."""
+        """Return minus log det plus penalties on effort and nearness, and its gradient."""
         free = flat.reshape(len(self._up), -1)
         z, logit = free[:, :-1], free[:, -1]
         used, used_by_z = _smooth_used(self.series, z, self._up, self._down, self._approved)
@@ -227,7 +226,7 @@ class Design:
     def _value(
         self, states: tuple[FloatArray, FloatArray, FloatArray]
     ) -> tuple[float, list[FloatArray]]:
-        """The objective and its derivatives (n, j) by position, velocity and acceleration."""
+        """Return the objective and its (n, j) derivatives by position, velocity, acceleration."""
         matrix = self._matrix(*states)
         information = self._information(matrix)
         sizes = np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -258,7 +257,7 @@ class Design:
         return value, found
 
     def _nearness(self, position: FloatArray) -> tuple[float, FloatArray]:
-        """Penalty on poses that come near to something, and its derivative (n, j)."""
+        """Return the penalty on poses with small distances, and its derivative (n, j)."""
         spares = np.full(len(position), _SPARE)
         spares[::_NEAR_SAMPLES] = [self._spare(pose, _SPARE) for pose in position[::_NEAR_SAMPLES]]
         short = 1.0 - spares / _SPARE
@@ -275,7 +274,7 @@ class Design:
 def _used(
     own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: Approved
 ) -> FloatArray:
-    """(5, n, j) each signal as a share of its limit: both sides of position, speed, both signs."""
+    """Return (4, n, j) shares of limits: position above and below, speed, acceleration."""
     away = own.basis @ z.T
     return np.stack(
         [
@@ -290,14 +289,14 @@ def _used(
 def _most_used(
     own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: Approved
 ) -> FloatArray:
-    """(j,) the greatest share of a limit."""
+    """Return the (j,) largest share of a limit."""
     return np.asarray(_used(own, z, up, down, approved).max(axis=(0, 1)))
 
 
 def _smooth_used(
     own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: Approved
 ) -> tuple[FloatArray, FloatArray]:
-    """(j,) a smooth bound on the greatest share of a limit, and its derivative (j, m) by z."""
+    """Return a (j,) smooth upper bound of the largest share, and its derivative (j, m) by z."""
     shares = _used(own, z, up, down, approved)
     most = shares.max(axis=(0, 1))
     powers = (shares / most) ** _SHARPNESS

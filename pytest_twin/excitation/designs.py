@@ -1,4 +1,4 @@
-"""Which motions are drawn for the mechanisms that are asked for."""
+"""Choose the motions for the requested mechanisms."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ _POSES = 60
 def single_joint_designs(
     approved: Approved, loads: Sequence[Sequence[FloatArray]], seed: int
 ) -> list[Design]:
-    """Steps, chirps and reversals of each joint.
+    """Return designs of steps, chirps and reversals of each joint.
 
     Args:
-        loads: for each joint, poses (j,) that load it differently.
+        approved: limits.
+        loads: for each joint, poses (j,) with different loads on it.
+        seed: seed of all random choices.
     """
     asked, found = set(approved.mechanisms), []
     for joint, limits in enumerate(approved.joints):
@@ -62,13 +64,13 @@ def several_joint_designs(
     optimal: d_optimal.Design | None,
     seed: int,
 ) -> list[Design]:
-    """The static grid, once for each payload, and the Fourier series.
+    """Return designs of the static grid, once for each payload, and the Fourier series.
 
     Args:
         std: (joints,) standard deviation of the effort's noise, N*m or N.
         payloads: ids of payloads.
-        optimal: of the series; None where none is asked for.
-        seed: of all random choices.
+        optimal: design of the series; None if not requested.
+        seed: seed of all random choices.
     """
     asked, found = set(approved.mechanisms), []
     static = tuple(one for one in ("gravity", "payload") if one in asked)
@@ -86,7 +88,7 @@ def several_joint_designs(
                     for name in payloads
                 ]  # fmt: skip
         if optimal is not None:
-            # Held-out motion has to be another one in the same limits, not the best one.
+            # Held-out motion has to differ within the same limits; it need not be optimal.
             starts = d_optimal.STARTS if role == "fit" else 1
             series = _series(optimal, starts)
             found.append(
@@ -103,10 +105,10 @@ def loading_poses(
     is_clear: Callable[[FloatArray], bool],
     seed: int,
 ) -> list[list[FloatArray]]:
-    """For each joint, poses of the others that load it least and most; the start where it is all
-    the same.
+    """Return for each joint the poses of the others that load it least and most.
 
-    The joint itself stands in the middle of its range, where its reversals have the most room.
+    The start is returned if they do not affect the load. The joint itself is in the middle of its
+    range, where reversals have the largest amplitude.
     """
     random = np.random.default_rng(seed)
     lower, upper = approved.room

@@ -1,4 +1,4 @@
-"""``excitation.json`` and ``abort.json``: what was designed, its margins, what it will tell."""
+"""Build ``excitation.json`` and ``abort.json``: motions, margins and predictions."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ NOTICE = (
 )
 _DRAWN_SAMPLES = 500
 _TRACKING_FACTOR = 2.0
-"""Times the largest simulated distance from the command: beyond it something is wrong."""
+"""Abort at this multiple of the largest simulated tracking error."""
 _LEAST_TRACKING = 0.01
-"""Share of the approved range below which a distance from the command is no reason to abort."""
+"""Smallest tracking error that causes an abort, as a share of the approved range."""
 _KINDS = ("position", "velocity", "acceleration", "effort", "power", "stop", "workspace:",
           "clearance")  # fmt: skip
 
 
 def document_of(found: Excitation, written: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """The content of ``excitation.json``, without the model's digests."""
+    """Return the content of ``excitation.json``, without the model's digests."""
     approved = found.approved
     reached = {one.mechanism for one in found.predicted}
     without = [name for name in approved.mechanisms if name not in reached]
@@ -69,7 +69,7 @@ def document_of(found: Excitation, written: Mapping[str, Sequence[str]]) -> dict
 
 
 def on_abort(found: Excitation) -> dict[str, Any]:
-    """The content of ``abort.json``: when to stop, and how; as the robot's encoders read."""
+    """Return the content of ``abort.json``: when and how to stop, in encoder readings."""
     approved = found.approved
     encoders = Encoders.of(calibration_of(found.realization), approved.names)
     ends = np.sort(
@@ -115,7 +115,7 @@ def on_abort(found: Excitation) -> dict[str, Any]:
 
 
 def courses(one: Safe, approved: Approved) -> dict[str, Any]:
-    """Position, speed and effort over time as shares of what is approved, thinned for a plot.
+    """Return position, speed and effort over time as shares of their limits, for a plot.
 
     Positions are 1 at the highest approved position and -1 at the lowest.
     """
@@ -217,7 +217,7 @@ def _noise(found: Excitation) -> dict[str, Any]:
 
 
 def _summary(found: Excitation) -> dict[str, Any]:
-    """Worst relative deviation of each mechanism, over parameters that the model states."""
+    """Return the worst relative deviation of each mechanism's parameters with nominal values."""
     summary: dict[str, Any] = {}
     for mechanism in found.approved.mechanisms:
         own = [one for one in found.predicted if one.mechanism == mechanism]
@@ -294,7 +294,7 @@ def _notes(found: Excitation) -> list[str]:
         if column.inertial and not np.any(found.base.combination[:, at])
     ]
     if free and "inertia" in found.approved.mechanisms:
-        notes.append(f"without any influence on the efforts: {', '.join(free)}")
+        notes.append(f"without influence on the efforts: {', '.join(free)}")
     notes += found.realization.notes
     return notes
 

@@ -1,4 +1,4 @@
-"""From a twin and its approved limits to safe motions, their predicted covariance, and files."""
+"""Design safe motions for a twin within approved limits, predict covariances, write files."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ FOLDER = "trajectories"
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
-    """Everything that was designed.
+    """Result of a design.
 
     Attributes:
-        realization, approved, noise: what it was designed for.
-        regressor, base: of the approved joints.
-        safe, refused: motions, and designs without a safe one.
-        predicted: what the motions to fit will determine.
-        seed: of all random choices.
-        solver: of the D-optimal series.
+        realization, approved, noise: model, limits and measurement noise.
+        regressor, base: regressor and base parameters of the approved joints.
+        safe, refused: safe motions, and designs without a safe motion.
+        predicted: parameters that the motions of role fit determine.
+        seed: seed of all random choices.
+        solver: solver for the D-optimal series.
     """
 
     realization: Realization
@@ -69,7 +69,7 @@ class Excitation:
 def missing_template(
     model: str, packages: Mapping[str, str] | None = None, roots: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """The lines that are missing for a model, as YAML to fill in; empty where none is.
+    """Return the missing lines of a twin as YAML to fill in; empty if none is missing.
 
     Args:
         model: MJCF, URDF or ``twin.yaml``.
@@ -98,7 +98,7 @@ def excite_file(
 
     Returns:
         ``document`` and ``abort``, the content of ``excitation.json`` and ``abort.json``, and
-        ``drawn``, courses over time for the page.
+            ``drawn``, series over time for the page.
     """
     path = Path(model)
     realization, twin = _loaded(path, SearchFolders.of(roots, packages))
@@ -108,7 +108,7 @@ def excite_file(
 
 
 def written(found: Excitation, twin: Path, out: Path) -> dict[str, Any]:
-    """Write the motions and return their document, as :func:`excite_file` does."""
+    """Write the motions and return their document, as for :func:`excite_file`."""
     document = document_of(found, _write(found, out))
     document["model"] = {
         "file": str(found.realization.path),
@@ -127,13 +127,13 @@ def excite(
     solver: str = "scipy",
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Excitation:
-    """Design all motions that are asked for, and predict what they determine.
+    """Design all requested motions, and predict the parameters that they determine.
 
     Args:
         solver: one of :data:`~pytest_twin.excitation.minimizers.SOLVERS`.
 
     Raises:
-        SpecError: lines are missing, a value cannot be, the start is not safe, or the solver is
+        SpecError: lines are missing, a value is invalid, the start is not safe, or the solver is
             not installed.
     """
     minimize = minimizer(solver)
@@ -220,9 +220,9 @@ def _predicted(
     robots: Mapping[str | None, Robot],
     carrier: str,
 ) -> list[Predicted]:
-    """What the motions to fit determine, mechanism by mechanism.
+    """Predict the parameters that motions of role fit determine, for each mechanism.
 
-    ``carrier``: joint that moves the body with the payloads.
+    ``carrier`` is the joint that moves the body with the payloads.
     """
     fit = [one for one in safe if one.motion.role == "fit"]
     found: list[Predicted] = []
@@ -256,7 +256,7 @@ _SINGLE = ("steps", "chirp", "reversals")
 
 
 def _carrier(twin: Twin, realization: Realization, regressor: Regressor) -> str:
-    """Joint that moves the body which payloads are declared on; by default the last joint."""
+    """Return the joint that moves the body with declared payloads; by default the last joint."""
     model = realization.model
     for bodies in twin.payloads.values():
         for name in bodies:
@@ -271,7 +271,7 @@ def _carrier(twin: Twin, realization: Realization, regressor: Regressor) -> str:
 
 
 def modes_of(found: Excitation) -> tuple[CommandMode, ...]:
-    """What each joint's controller takes; positions where the model has no servo."""
+    """Return each joint's command mode; position without servos in the model."""
     modes = servo_modes(found.realization, found.approved.names)
     if modes is not None:
         return modes
@@ -280,7 +280,7 @@ def modes_of(found: Excitation) -> tuple[CommandMode, ...]:
 
 
 def _write(found: Excitation, out: Path) -> dict[str, list[str]]:
-    """Motion -> its files, relative to ``out``."""
+    """Write all motions; return motion -> its files, relative to ``out``."""
     folder = out / FOLDER
     names = portable_names([one.motion.name for one in found.safe])
     encoders = Encoders.of(calibration_of(found.realization), found.approved.names)
@@ -294,7 +294,7 @@ def _write(found: Excitation, out: Path) -> dict[str, list[str]]:
             position, modes_of(found),
         )  # fmt: skip
         written[one.motion.name] = [str(path.relative_to(out)) for path in paths]
-    # Of an earlier run with other limits: nobody should find these beside the new report.
+    # Delete files of an earlier run, whose limits may differ from the new report.
     kept = {out / name for names_ in written.values() for name in names_}
     for path in folder.glob("*"):
         if path not in kept and path.name.endswith(files.SUFFIXES):

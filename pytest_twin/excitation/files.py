@@ -1,4 +1,4 @@
-"""A motion as files: CSV, MCAP commands, and a ROS 2 JointTrajectory."""
+"""Write a motion as CSV, MCAP commands, and a ROS 2 JointTrajectory."""
 
 from __future__ import annotations
 
@@ -29,20 +29,21 @@ def write(
     position: FloatArray,
     modes: Sequence[CommandMode],
 ) -> list[Path]:
-    """Write one motion in all forms, each whole or not at all.
+    """Write one motion in all formats, each atomically.
 
     Args:
-        path: without suffix.
+        path: path without suffix.
+        motion: the motion.
         joints: names of the columns.
         slope: (j,) derivative of the reading by the model's position, for velocities and
             accelerations.
-        position: (n, j) as the robot's controller takes it, rad or m.
-        modes: (j,) what each joint's controller takes, for CSV and MCAP.
+        position: (n, j) positions for the robot's controller, rad or m.
+        modes: (j,) command modes, for CSV and MCAP.
 
     Returns:
         the files.
     """
-    # One rounding for all forms: whoever evaluates a file sees what was checked to 1e-12.
+    # Round equally in all formats, so that files agree with the checked motion to 1e-12.
     position = np.round(position, _DIGITS)
     velocity = np.round(slope * motion.velocity, _DIGITS)
     acceleration = np.round(slope * motion.acceleration, _DIGITS)
@@ -99,7 +100,7 @@ def _trajectory(
     velocity: FloatArray,
     acceleration: FloatArray,
 ) -> str:
-    """``trajectory_msgs/msg/JointTrajectory`` as YAML, for ``ros2 topic pub`` and for a node."""
+    """Return ``trajectory_msgs/msg/JointTrajectory`` as YAML, for ``ros2 topic pub`` or a node."""
     lines = [
         "# trajectory_msgs/msg/JointTrajectory. Only for the robot, limits and supervision that",
         "# excitation.json names, after a qualified person has approved it.",

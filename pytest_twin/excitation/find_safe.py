@@ -1,4 +1,4 @@
-"""Motions that keep everything that was approved: scaled down or drawn again until they do."""
+"""Find motions within all approved limits by scaling down or drawing again."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from pytest_twin.realization.model import Realization
 _FIRST_SCALES = (1.0, 0.9, 0.75, 0.6)
 _LAST_SCALES = (0.45, 0.3, 0.2, 0.1)
 _DRAWN_AGAIN = 2
-"""How often a motion of several joints is drawn anew before it is scaled far down."""
+"""Number of new draws of a motion of several joints before it is scaled far down."""
 _SEVERAL_JOINTS = frozenset({"grid", "fourier"})
 _SEED_STEP = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class Safe:
-    """A motion that keeps all limits.
+    """A motion within all limits.
 
     Attributes:
         motion: the commands.
-        verdict: every limit with its worst value, of commands and simulations.
-        response: of the nominal model.
+        verdict: all limits with their worst values, for commands and simulations.
+        response: response of the nominal model.
     """
 
     motion: Motion
@@ -37,12 +37,12 @@ class Safe:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A design of which no motion is safe.
+    """A design without a safe motion.
 
     Attributes:
-        design: what was tried.
-        attempts: how many motions.
-        why: the limits that the last attempt broke.
+        design: the design.
+        attempts: number of motions that were tested.
+        why: limits that the last attempt exceeded.
     """
 
     design: Design
@@ -51,10 +51,10 @@ class Refused:
 
 
 class Robot:
-    """Nominal and worse model of a robot with one payload.
+    """Nominal model and worse model (see ``WORSE``) of a robot with one payload.
 
     Args:
-        realization: with the payload.
+        realization: the model, with the payload.
         approved: limits.
     """
 
@@ -70,14 +70,14 @@ def find_safe(
     robots: Mapping[str | None, Robot],
     progress: Callable[[float], None],
 ) -> tuple[list[Safe], list[Refused]]:
-    """For each design the largest motion that is safe, or why none is.
+    """Find the largest safe motion of each design, or the reason why there is none.
 
     Args:
         robots: payload -> the robot with it.
-        progress: told the fraction done.
+        progress: called with the fraction done.
 
     Returns:
-        in the order of the designs.
+        Safe motions and refused designs, in the order of the designs.
     """
     safe: dict[int, Safe] = {}
     broken: dict[int, tuple[int, tuple[str, ...]]] = {}

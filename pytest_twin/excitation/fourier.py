@@ -1,4 +1,4 @@
-"""Fourier series that begin and end at rest, with coefficients free of any further condition."""
+"""Fourier series that begin and end at rest for arbitrary coefficients."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _LONGEST_PERIOD = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Position of one joint about its centre: ``basis @ z``, and its derivatives.
+    """Basis of one joint's position about its centre, ``basis @ z``, and its derivatives.
 
     The functions are sin(w t) and 1 - cos(w t) of some harmonics (Swevers and others, IEEE
     Transactions on Robotics and Automation 13, 1997), combined so that velocity and acceleration
-    are 0 at both ends of a period: any z gives a motion from rest to rest at the centre.
+    are 0 at both ends of a period. Any z then gives a motion from rest to rest at the centre.
 
     Attributes:
-        time: (n,) s over one period, the end left out.
-        period: s, whole samples of the command rate.
-        frequencies: (k,) Hz, all within the task's band.
-        basis, velocity, acceleration: (n, m) in 1, 1/s and 1/s^2.
+        time: (n,) times over one period without its end, s.
+        period: period, s, a multiple of the command interval.
+        frequencies: (k,) frequencies within the task's band, Hz.
+        basis, velocity, acceleration: (n, m) functions and derivatives, 1, 1/s and 1/s^2.
     """
 
     time: FloatArray
@@ -42,15 +42,16 @@ class Series:
 
     @property
     def width(self) -> int:
-        """m, coefficients of each joint."""
+        """Return m, the number of coefficients of each joint."""
         return int(self.basis.shape[1])
 
 
 def period_and_frequencies(approved: Approved, travel: float) -> tuple[float, FloatArray]:
-    """Period in s and the harmonics in Hz of a series within the task's band.
+    """Return the period [s] and the harmonics [Hz] of a series within the task's band.
 
     Args:
-        travel: s that the way from the start and back takes.
+        approved: limits.
+        travel: time from the start to the centre and back, s.
     """
     low, high = approved.band
     free = free_time(approved, travel)
@@ -60,7 +61,8 @@ def period_and_frequencies(approved: Approved, travel: float) -> tuple[float, Fl
         if len(numbers) >= MOST_HARMONICS:
             break
     if len(numbers) > MOST_HARMONICS:
-        # The lowest move furthest at a given speed, the highest accelerate most.
+        # Low frequencies give the largest motion at a given speed, high ones the largest
+        # acceleration.
         spread = np.geomspace(numbers[0], numbers[-1], MOST_HARMONICS)
         picked = numbers[np.abs(numbers[:, None] - spread).argmin(axis=0)]
         rest = [number for number in numbers if number not in picked]
@@ -69,18 +71,18 @@ def period_and_frequencies(approved: Approved, travel: float) -> tuple[float, Fl
 
 
 def free_time(approved: Approved, travel: float) -> float:
-    """s of the approved duration that are left for whole periods."""
+    """Return the part of the approved duration available for whole periods, s."""
     return approved.duration - 2.0 * REST - travel
 
 
 def series(approved: Approved, travel: float = 0.0, samples: int | None = None) -> Series:
-    """The functions at ``samples`` instants of a period; by default at every command."""
+    """Return the functions at ``samples`` instants of a period; by default at every command."""
     period, frequencies = period_and_frequencies(approved, travel)
     count = round(period * approved.rate) if samples is None else samples
     time = np.arange(count) * period / count
     omega = 2.0 * math.pi * frequencies
     phase = time[:, None] * omega
-    # Each function divided by its w: velocities of one size.
+    # Dividing each function by its w gives velocities of equal size.
     sines, cosines = np.sin(phase), np.cos(phase)
     free_sines = scipy.linalg.null_space(np.ones((1, len(omega))))
     free_cosines = scipy.linalg.null_space(omega[None] / omega.max())

@@ -1,4 +1,4 @@
-"""Poses at rest that determine gravity, chosen one by one for the most information (D-optimal)."""
+"""Choose poses at rest that determine gravity parameters (greedy D-optimal design)."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from pytest_twin.identification.regressor.regressor import Regressor
 DWELL = 0.4
 """Time at rest in each pose, s."""
 SETTLE = 0.1
-"""Time after a move in which the effort is not counted, s."""
+"""Time after a move in which efforts are ignored, s."""
 APPROACH = 0.02
-"""Each pose is reached from both sides, this far away (rad or m): dry friction then cancels."""
+"""Distance of the approach to each pose from both sides, which cancels dry friction, rad or m."""
 _CANDIDATES = 120
 _ON_THE_WAY = 6
 _RIDGE = 1e-6
 
 
 def static_base(regressor: Regressor, approved: Approved) -> BaseParameters:
-    """The base parameters that poses at rest determine: gravity, and constant efforts."""
+    """Return the base parameters that poses at rest determine: gravity and constant efforts."""
     poses = random_poses(regressor, approved)
     return base_of(static_matrix(regressor, poses), regressor.columns)
 
 
 def random_poses(regressor: Regressor, approved: Approved, seed: int = 0) -> FloatArray:
-    """(n, joints) poses anywhere in the approved range, enough to tell all columns apart."""
+    """Return (n, joints) random poses in the approved range, enough to separate all columns."""
     lower, upper = approved.room
     count = max(40, 4 * len(regressor.columns) // len(approved.joints))
     return np.random.default_rng(seed).uniform(lower, upper, (count, len(approved.joints)))
 
 
 def static_matrix(regressor: Regressor, poses: FloatArray) -> FloatArray:
-    """(n, joints, p) the regressor of poses (n, joints) at rest."""
+    """Return the (n, joints, p) regressor of poses (n, joints) at rest."""
     still = np.zeros_like(poses)
     return regressor.matrix(poses, still, still)
 
@@ -48,15 +48,16 @@ def grid(
     std: FloatArray,
     is_clear: Callable[[FloatArray], bool],
 ) -> Callable[[float, int], Drawn]:
-    """Poses at rest, each reached from both sides, as many as the duration allows.
+    """Return a design of poses at rest, each approached from both sides.
 
-    Each next pose adds the most to log det of the information about the static base parameters
-    (greedy D-optimal design; Fedorov, Theory of Optimal Experiments, 1972), among random ones
-    that can be reached on a straight line in joint space, and left to the start.
+    Each next pose adds most to log det of the information about the static base parameters
+    (greedy D-optimal design; Fedorov, Theory of Optimal Experiments, 1972). Candidates are random
+    poses that straight lines in joint space connect to the last pose and to the start. The number
+    of poses is limited by the duration.
 
     Args:
         std: (joints,) standard deviation of the effort's noise, N*m or N.
-        is_clear: whether a pose (j,) keeps distances and boxes.
+        is_clear: whether a pose (j,) satisfies distances and boxes.
     """
     base = static_base(regressor, approved)
 
@@ -72,7 +73,7 @@ def grid(
         ridge = _RIDGE * float(np.einsum("njb,njb->", weighted, weighted)) / len(poses)
         information = ridge * np.eye(len(base))
         approach = np.minimum(APPROACH * scale, 0.1 * (upper - lower))
-        # Slower too: a servo that overshoots breaks the speed limit on moves of any length.
+        # Scale the speed too: overshoot of a servo exceeds the speed limit on moves of any length.
         speed, acceleration = scale * approved.speed, scale * approved.acceleration
         path = Path(start, speed, acceleration, approved.rate)
         path.dwell(0.5 / approved.band[1])
@@ -93,7 +94,7 @@ def grid(
             free.remove(found)
             pose = poses[found]
             if not _fits(path, approved, pose, approach, scale):
-                # A nearer pose may still fit; the search for one is not worth many tries.
+                # A nearer pose may still fit, so try a few more.
                 if len(free) < len(poses) // 2:
                     break
                 continue
@@ -133,7 +134,7 @@ def _first_reachable(
 def _fits(
     path: Path, approved: Approved, pose: FloatArray, approach: FloatArray, scale: float
 ) -> bool:
-    """Whether a pose and the way back to the start fit in the time that is left."""
+    """Whether a pose and the return to the start fit in the remaining time."""
     there = path.time_to(pose)
     small = Path(pose, scale * approved.speed, scale * approved.acceleration, approved.rate)
     near = small.time_to(pose + approach)

@@ -1,4 +1,4 @@
-"""IPOPT through casadi, for objectives that give their own derivatives."""
+"""Minimize with IPOPT through casadi, for objectives with derivatives."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.excitation.minimizers import Objective
 
 _MEMORY = 10
-"""Steps that the approximate Hessian is made of, as many as L-BFGS-B of scipy keeps."""
+"""Number of steps in the approximate Hessian, as in scipy's L-BFGS-B."""
 _ANY = 1e20
-"""Optimality error that never stops a run: the change of the objective does."""
+"""Optimality tolerance so large that only the change of the objective stops a run."""
 
 
 def ipopt(objective: Objective, first: FloatArray, iterations: int, tolerance: float) -> FloatArray:
-    """(n,) where IPOPT ends; see :class:`~pytest_twin.excitation.minimizers.Minimizer`."""
+    """Return the (n,) minimum; see :class:`~pytest_twin.excitation.minimizers.Minimizer`."""
     value = _Value(objective, len(first))
     free = casadi.MX.sym("free", len(first))
     options = {
@@ -35,7 +35,7 @@ def ipopt(objective: Objective, first: FloatArray, iterations: int, tolerance: f
         },
     }
     solver = casadi.nlpsol("solver", "ipopt", {"x": free, "f": value(free)}, options)
-    # A long trial step can overflow: IPOPT takes a shorter one where the value is not finite.
+    # A long trial step can overflow: IPOPT shortens it if the value is not finite.
     with np.errstate(over="ignore", invalid="ignore"):
         solved = solver(x0=first)
     if value.error is not None:
@@ -44,10 +44,10 @@ def ipopt(objective: Objective, first: FloatArray, iterations: int, tolerance: f
 
 
 class _Value(casadi.Callback):  # type: ignore[misc]
-    """The objective's value, with its gradient as the Jacobian.
+    """casadi function of the objective's value, with its gradient as Jacobian.
 
     Attributes:
-        error: raised by the objective; casadi itself takes it for a step that is too long.
+        error: exception of the objective, which casadi would treat as a too long step, or None.
     """
 
     def __init__(self, objective: Objective, size: int) -> None:
@@ -56,7 +56,7 @@ class _Value(casadi.Callback):  # type: ignore[misc]
         self._at = np.full(size, np.nan)
         self._known: tuple[float, FloatArray] = (np.nan, self._at)
         self._size = size
-        # casadi itself keeps no reference to it.
+        # casadi keeps no reference to the callback.
         self._gradient: _Gradient | None = None
         self.error: Exception | None = None
         self.construct("value", {})
@@ -84,7 +84,7 @@ class _Value(casadi.Callback):  # type: ignore[misc]
         return self._gradient
 
     def known_at(self, free: Any) -> tuple[float, FloatArray]:
-        """Value and gradient (n,); the last ones are kept, as IPOPT asks for them one by one."""
+        """Return value and (n,) gradient, cached because IPOPT requests them separately."""
         at = np.asarray(free, dtype=float).ravel()
         if not np.array_equal(at, self._at):
             try:
@@ -97,7 +97,7 @@ class _Value(casadi.Callback):  # type: ignore[misc]
 
 
 class _Gradient(casadi.Callback):  # type: ignore[misc]
-    """(1, n) by the free vector (n,)."""
+    """casadi function of the objective's (1, n) gradient."""
 
     def __init__(self, value: _Value, name: str, size: int, options: Any) -> None:
         casadi.Callback.__init__(self)

@@ -1,4 +1,4 @@
-"""L-BFGS-B of scipy."""
+"""Minimize with scipy's L-BFGS-B."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pytest_twin.excitation.minimizers import Objective
 def lbfgs_b(
     objective: Objective, first: FloatArray, iterations: int, tolerance: float
 ) -> FloatArray:
-    """(n,) where L-BFGS-B ends; see :class:`~pytest_twin.excitation.minimizers.Minimizer`."""
+    """Return the (n,) minimum; see :class:`~pytest_twin.excitation.minimizers.Minimizer`."""
     solved = scipy.optimize.minimize(
         objective,
         first,

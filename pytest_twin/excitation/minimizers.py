@@ -1,6 +1,6 @@
-"""Solvers that the D-optimal series can be found by.
+"""Solvers for the D-optimal series.
 
-Each is imported when it is asked for: the command names them without loading one.
+A solver is imported when it is used, so that the command can list them without an import.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ from pytest_twin.errors import SpecError
 
 SOLVERS = ("scipy", "ipopt")
 Objective = Callable[[FloatArray], tuple[float, FloatArray]]
-"""Value and gradient (n,) at a free vector (n,)."""
+"""Function of a free vector (n,) that returns value and gradient (n,)."""
 
 
 class Minimizer(Protocol):
-    """Minimizes an objective whose vector has no bounds and no constraints."""
+    """Minimizes an objective without bounds and constraints."""
 
     def __call__(
         self, objective: Objective, first: FloatArray, iterations: int, tolerance: float
     ) -> FloatArray:
-        """(n,) where the solver ends.
+        """Return the (n,) minimum.
 
         Args:
-            objective: value and gradient.
-            first: (n,) where it begins.
-            iterations: at most.
-            tolerance: relative change of the objective at which it ends.
+            objective: function that returns value and gradient.
+            first: (n,) start.
+            iterations: largest number of iterations.
+            tolerance: relative change of the objective at which the solver stops.
         """
 
 
 def minimizer(solver: str) -> Minimizer:
-    """One of :data:`SOLVERS`.
+    """Return the solver with a name of :data:`SOLVERS`.
 
     Raises:
-        SpecError: casadi, which IPOPT comes with, is not installed.
+        SpecError: casadi, which contains IPOPT, is not installed.
     """
     if solver == "scipy":
         from pytest_twin.excitation.lbfgs_b import lbfgs_b
@@ -46,7 +46,7 @@ def minimizer(solver: str) -> Minimizer:
         from pytest_twin.excitation.ipopt import ipopt
     except ImportError:
         raise SpecError(
-            "IPOPT comes with casadi, which is not installed",
+            "casadi, which contains IPOPT, is not installed",
             where="--solver",
             value=solver,
             expected="pip install 'pytest-twin[ipopt]', or --solver scipy",

@@ -1,4 +1,4 @@
-"""A motion that is designed, sampled at the command rate; and the pieces that it is made of."""
+"""Data classes of a designed motion, and its construction from moves, dwells and sweeps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_twin.arrays import FloatArray
 
 Role = Literal["fit", "held_out"]
 _QUINTIC_SPEED, _QUINTIC_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
-"""Peaks of 10 s^3 - 15 s^4 + 6 s^5 over a unit distance in unit time."""
+"""Peak speed and acceleration of 10 s^3 - 15 s^4 + 6 s^5 over unit distance in unit time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,17 +21,17 @@ class Motion:
     """Commands of the approved joints over time, in the model's sign and zero.
 
     Attributes:
-        name: of its files.
-        mechanisms: what it identifies.
+        name: name of its files.
+        mechanisms: mechanisms that it identifies.
         kind: ``steps``, ``chirp``, ``reversals``, ``grid`` or ``fourier``.
-        role: to fit, or to hold out.
-        seed: it was drawn from.
-        moved: joints that it identifies; others only take a pose.
-        time: (n,) s from 0.
+        role: ``fit`` or ``held_out``.
+        seed: seed of its random choices.
+        moved: joints that it identifies; others hold a pose.
+        time: (n,) time from 0, s.
         position, velocity, acceleration: (n, j) rad or m and their derivatives.
-        payload: id under ``payloads:`` of ``twin.yaml``, None for the robot without.
-        scale: share of the designed amplitude that was found safe.
-        settings: what describes it, for the report.
+        payload: id under ``payloads:`` of ``twin.yaml``, or None.
+        scale: safe share of the designed amplitude.
+        settings: description for the report.
     """
 
     name: str
@@ -51,13 +51,13 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A motion before it is known to be safe.
+    """A motion that has not been checked for safety.
 
     Attributes:
         name, mechanisms, kind, role, moved, payload: as of :class:`Motion`.
-        make: from a share of the amplitude, 0 to 1, and a seed, the motion's time and states. At
-            share 0 the robot stays at its start.
-        seed: to begin with.
+        make: function of a share of the amplitude (0 to 1) and a seed that returns time and
+            states. At share 0 the robot stays at its start.
+        seed: first seed.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Design:
     payload: str | None = None
 
     def motion(self, scale: float, seed: int) -> Motion:
-        """The motion at a share of its amplitude."""
+        """Return the motion at a share of its amplitude."""
         drawn = self.make(scale, seed)
         return Motion(
             name=self.name,
@@ -91,12 +91,12 @@ class Design:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """States over time.
+    """States of the joints over time.
 
     Attributes:
-        time: (n,) s from 0.
-        position, velocity, acceleration: (n, j).
-        settings: what describes them.
+        time: (n,) time from 0, s.
+        position, velocity, acceleration: (n, j) rad or m and their derivatives.
+        settings: description for the report.
     """
 
     time: FloatArray
@@ -106,17 +106,17 @@ class Drawn:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def described(self, **settings: Any) -> Drawn:
-        """The same with settings."""
+        """Return a copy with settings."""
         return replace(self, settings=settings)
 
 
 class Path:
-    """States that are joined piece by piece, each from where the last one ended, at rest.
+    """States built from segments that begin and end at rest.
 
     Args:
-        start: (j,) where it begins.
-        speed, acceleration: (j,) greatest of each joint.
-        rate: samples per second, Hz.
+        start: (j,) start position, rad or m.
+        speed, acceleration: (j,) largest speed and acceleration.
+        rate: sample rate, Hz.
     """
 
     def __init__(
@@ -132,11 +132,11 @@ class Path:
 
     @property
     def seconds(self) -> float:
-        """Time from its first to its last state."""
+        """Return the time from the first to the last state, s."""
         return (self.samples - 1) / self._rate
 
     def time_to(self, target: FloatArray) -> float:
-        """Least time in s of a move to ``target`` (j,), whole samples."""
+        """Return the shortest time of a move to ``target`` (j,), in whole samples, s."""
         distance = np.abs(target - self._at)
         least = max(
             float((_QUINTIC_SPEED * distance / self._speed).max()),
@@ -145,7 +145,7 @@ class Path:
         return math.ceil(least * self._rate - 1e-9) / self._rate
 
     def move(self, target: FloatArray) -> None:
-        """Move all joints to ``target`` (j,) in least time, from rest to rest (quintic)."""
+        """Append the fastest quintic move of all joints to ``target`` (j,), from rest to rest."""
         seconds = self.time_to(target)
         count = round(seconds * self._rate)
         if count == 0:
@@ -159,23 +159,23 @@ class Path:
         )
 
     def dwell(self, seconds: float) -> None:
-        """Stay for at least ``seconds``."""
+        """Append a rest of at least ``seconds``."""
         count = math.ceil(seconds * self._rate - 1e-9)
         still = np.zeros((count, len(self._at)))
         self._add(np.tile(self._at, (count, 1)), still, still)
 
     def sweep(self, joint: int, speeds: Sequence[tuple[float, float]]) -> None:
-        """Turn one joint at constant speeds, one after another, and end at rest.
+        """Append motion of one joint at successive constant speeds, ending at rest.
 
         Args:
-            joint: its column.
-            speeds: (speed in rad/s or m/s, time in s at that speed with half of both blends).
+            joint: index of the joint.
+            speeds: (speed in rad/s or m/s, time in s at this speed including half of both blends).
         """
         knots = [(0.0, 0.0)]
         now, last = 0.0, 0.0
         blends: list[tuple[float, float, float, float]] = []
         for speed, seconds in (*speeds, (0.0, 0.0)):
-            # A raised cosine: its steepest slope is pi/2 times the mean one.
+            # The steepest slope of a raised cosine is pi/2 times the mean slope.
             blend = 0.5 * math.pi * abs(speed - last) / float(self._acceleration[joint])
             blends.append((now, blend, last, speed))
             now += blend + max(seconds - blend, 0.0)
@@ -201,9 +201,9 @@ class Path:
     def repeat(
         self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, times: int
     ) -> None:
-        """States (n, j) that begin at rest where the path is and end there, several times.
+        """Append (n, j) states of a period several times; it begins and ends here at rest.
 
-        The first state is the one where the path is; the end of the last period is left out.
+        The first state equals the present one, and the end of the last period is omitted.
         """
         for part in range(times):
             first = 1 if part == 0 else 0
@@ -212,7 +212,7 @@ class Path:
         self._add(position[:1], rest, rest)
 
     def drawn(self) -> Drawn:
-        """All states so far."""
+        """Return all states so far."""
         position, velocity, acceleration = (
             np.concatenate([piece[i] for piece in self._pieces]) for i in range(3)
         )
@@ -229,7 +229,7 @@ class Path:
 def _blended(
     time: FloatArray, blend: float, before: float, after: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity and acceleration of a change of speed by a raised cosine, then held."""
+    """Return position, velocity and acceleration of a raised-cosine change of speed, then held."""
     if blend <= 0.0:
         return after * time, np.full_like(time, after), np.zeros_like(time)
     inside = np.minimum(time, blend)

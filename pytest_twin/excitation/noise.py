@@ -1,4 +1,4 @@
-"""Noise of measured efforts and positions: declared, in the model, or assumed and said so."""
+"""Determine the noise of measured efforts and positions: declared, from the model, or assumed."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pytest_twin.excitation.approved import Approved, JointLimits
 from pytest_twin.realization.model import Realization
 
 ASSUMED_EFFORT = 0.01
-"""Of the approved effort: all predicted deviations scale with it where nothing is declared."""
+"""Assumed noise as a share of the approved effort; predicted deviations are proportional to it."""
 ASSUMED_POSITION = 1e-4
-"""rad or m, where nothing is declared: a 16-bit encoder has 1e-4 rad."""
+"""Assumed noise, rad or m: a 16-bit encoder has 1e-4 rad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations of one sample, independent from sample to sample.
+    """Standard deviations of one sample; samples are independent.
 
     Attributes:
         effort: (j,) N*m or N.
@@ -34,7 +34,7 @@ class Noise:
 
 
 def noise_of(realization: Realization, approved: Approved) -> Noise:
-    """What is known of the noise of each joint's measurements."""
+    """Return the measurement noise of each joint."""
     efforts = [_effort(realization, joint) for joint in approved.joints]
     positions = [_position(realization, joint) for joint in approved.joints]
     return Noise(

@@ -1,4 +1,4 @@
-"""What each motion will determine, and how surely, before anything is measured."""
+"""Predict the parameters that each motion determines, and their standard deviations."""
 
 from __future__ import annotations
 
@@ -20,34 +20,35 @@ from pytest_twin.identification.regressor.covariance import predicted_covariance
 from pytest_twin.identification.regressor.regressor import Regressor
 
 SMALL_EFFORT = 0.01
-"""Of the approved effort: dry friction and constant efforts within it are small, and viscous
-friction that stays within it at the approved speed."""
+"""Share of the approved effort below which dry friction, constant efforts, and viscous friction at
+the approved speed count as small."""
 SMALL_INERTIA = 0.1
-"""Of the largest moment of the same order of the same link: moments within it are small. A product
-of inertia that is 0 in the drawing is determined once its interval shows that it is small."""
+"""Share of the largest moment of equal order of a link below which its moments count as small. A
+product of inertia with nominal value 0 is determined if its interval shows that it is small."""
 _TWO_SIDED = 1.96
 _STATED = 1e-6
-"""Of the robot's largest moment: below it, a link's moments are rounding or were never stated."""
+"""Share of the robot's largest moment below which a link's moments count as unstated."""
 _ROUNDING = 1e-6
 _FRICTION = {"viscous_friction": "viscous friction", "coulomb_friction": "Coulomb friction"}
 LOADS_APART = 0.02
-"""Of the approved effort: loads that differ by less do not separate load-dependent friction."""
+"""Smallest difference of loads that separates load-dependent friction, as a share of the approved
+effort."""
 
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """One parameter that a motion would determine.
+    """Predicted accuracy of one parameter.
 
     Attributes:
-        mechanism: it belongs to.
-        name: ``JOINT.KIND``.
-        expression: in the symbols of the literature; the name where there are none.
-        words: what it is.
-        unit: of value and deviation.
-        nominal: what the model states; None where it states nothing.
-        std: predicted standard deviation; infinite where the motion leaves it open.
-        resolution: value below which its effect is small; an interval within it is as good.
-        why: why it is open, empty where it is not.
+        mechanism: mechanism of the parameter.
+        name: name, ``JOINT.KIND``.
+        expression: expression in the symbols of the literature, or the name.
+        words: description.
+        unit: unit of value and deviation.
+        nominal: the model's value, or None.
+        std: predicted standard deviation; infinite if the motion does not determine it.
+        resolution: value below which its effect is small.
+        why: reason why it is not determined, or empty.
     """
 
     mechanism: str
@@ -62,7 +63,7 @@ class Predicted:
 
     @property
     def is_identifiable(self) -> bool:
-        """Whether the 95 % interval leaves out 0, or holds only values of small effect."""
+        """Whether the 95 % interval excludes 0, or contains only values of small effect."""
         if not math.isfinite(self.std):
             return False
         reach = max(abs(self.nominal or 0.0), self.resolution)
@@ -70,12 +71,12 @@ class Predicted:
 
     @property
     def small(self) -> bool:
-        """Whether the nominal value is one of small effect."""
+        """Whether the nominal value has a small effect."""
         return self.nominal is not None and abs(self.nominal) <= self.resolution
 
     @property
     def relative_std(self) -> float | None:
-        """Deviation over the nominal value; None where that is 0 or unknown."""
+        """Return deviation divided by nominal value; None if that is 0 or unknown."""
         return self.std / abs(self.nominal) if self.nominal else None
 
 
@@ -87,16 +88,21 @@ def of_base(
     approved: Approved,
     noise: Noise,
 ) -> list[Predicted]:
-    """Base parameters from the full regressor along motions.
+    """Predict base parameters from the full regressor along motions.
 
     Args:
-        matrix: (n, joints, p) the regressor at each instant that will be measured.
+        mechanism: mechanism of the parameters.
+        base: the base parameters.
+        regressor: regressor of the approved joints.
+        matrix: (n, joints, p) regressor at each measured instant.
+        approved: limits.
+        noise: measurement noise.
     """
     own = base.matrix(matrix)
     predicted = predicted_covariance(own, noise.effort)
     nominal = base.values(regressor.prior)
     resolution = _small(base, nominal, approved)
-    # Sums that cancel leave rounding.
+    # Cancellation leaves rounding errors.
     nominal = np.where(np.abs(nominal) < _ROUNDING * resolution, 0.0, nominal)
     return [
         Predicted(
@@ -108,7 +114,7 @@ def of_base(
             float(nominal[at]),
             float(predicted.std[at]),
             float(resolution[at]),
-            "the motion does not tell it from the others" if predicted.undetermined[at] else "",
+            "not separable from the others by this motion" if predicted.undetermined[at] else "",
         )
         for at, (name, expression, words, unit) in enumerate(
             zip(base.names, base.expressions, base.words, base.units, strict=True)
@@ -117,7 +123,7 @@ def of_base(
 
 
 def _small(base: BaseParameters, nominal: FloatArray, approved: Approved) -> FloatArray:
-    """(b,) value of each parameter below which its effect is small, in its own unit."""
+    """Return the (b,) values below which each parameter's effect is small, in its unit."""
     limits = {joint.name: joint for joint in approved.joints}
     kinds = [base.columns[index] for index in base.independent]
     sizes: dict[str, dict[str, float]] = {}
@@ -134,7 +140,7 @@ def _small(base: BaseParameters, nominal: FloatArray, approved: Approved) -> Flo
         else:
             links = sizes[column.unit]
             stated = _STATED * max(links.values())
-            # A link that the model gives no moments counts as the smallest that it gives some.
+            # A link without moments in the model gets the scale of the smallest link with moments.
             least = min((size for size in links.values() if size > stated), default=0.0)
             found[at] = SMALL_INERTIA * max(links[column.joint], least)
     return found
@@ -147,7 +153,7 @@ def inertia(
     approved: Approved,
     noise: Noise,
 ) -> list[Predicted]:
-    """All base parameters with friction, from Fourier series."""
+    """Predict all base parameters with friction, from Fourier series."""
     matrix = np.concatenate(
         [regressor.matrix(m.position, m.velocity, m.acceleration) for m in motions]
     )
@@ -161,7 +167,7 @@ def gravity(
     approved: Approved,
     noise: Noise,
 ) -> list[Predicted]:
-    """Static base parameters, from poses at rest."""
+    """Predict static base parameters, from poses at rest."""
     still = at_rest(motion, approved.rate)
     matrix = regressor.matrix(
         motion.position[still],
@@ -172,7 +178,7 @@ def gravity(
 
 
 def at_rest(motion: Motion, rate: float) -> NDArray[np.intp]:
-    """Indices of samples at rest for longer than ``SETTLE``; the ends at the start count too."""
+    """Return indices of samples at rest for longer than ``SETTLE``, including both ends."""
     resting = np.all(motion.velocity == 0.0, axis=1) & np.all(motion.acceleration == 0.0, axis=1)
     count = max(1, round(SETTLE * rate))
     settled = resting.copy()
@@ -188,7 +194,7 @@ def friction(
     approved: Approved,
     noise: Noise,
 ) -> list[Predicted]:
-    """Viscous, Coulomb and load-dependent friction of one joint, from reversals under loads.
+    """Predict viscous, Coulomb and load-dependent friction of a joint, from reversals under loads.
 
     The joint's other base parameters are fitted at the same time.
     """
@@ -216,7 +222,7 @@ def friction(
     for kind, what in _FRICTION.items():
         name, words = f"{limits.name}.{kind}", f"{what} of '{limits.name}'"
         if name not in base.names:
-            found.append(_open("friction", name, words, "the motion does not tell it from others"))
+            found.append(_open("friction", name, words, "not separable from others by this motion"))
             continue
         at = base.names.index(name)
         found.append(
@@ -237,22 +243,22 @@ def friction(
                 "payloads: in twin.yaml, or approve a wider range of the other joints",
             )
         )  # fmt: skip
-    # Where nothing loads the joint, there is no friction that depends on its load.
+    # Without load on the joint there is no load-dependent friction.
     return found
 
 
 def backlash(motions: Sequence[Motion], joint: int, approved: Approved, noise: Noise) -> Predicted:
-    """Width of the position's hysteresis between both directions, at the joint's side."""
+    """Predict backlash: the position's hysteresis between both directions, on the joint side."""
     limits = approved.joints[joint]
     moving = sum(int((motion.velocity[:, joint] != 0.0).sum()) for motion in motions)
     std = 2.0 * float(noise.position[joint]) / math.sqrt(max(moving, 1))
     name = f"{limits.name}.backlash"
-    words = f"backlash of '{limits.name}', where its encoder is at the joint's side of the gear"
+    words = f"backlash of '{limits.name}', if its encoder is on the joint side of the gear"
     return Predicted("backlash", name, name, words, limits.unit, None, std)
 
 
 def delay(responses: Sequence[Response], joint: int, approved: Approved, noise: Noise) -> Predicted:
-    """Delay of one joint's motion, from how fast it moves: std = noise / sqrt(sum v^2)."""
+    """Predict the delay of a joint's motion from its speed: std = noise / sqrt(sum v^2)."""
     limits = approved.joints[joint]
     energy = sum(float((one.velocity[:, joint] ** 2).sum()) for one in responses)
     name, words = f"{limits.name}.delay", f"delay of '{limits.name}'"
@@ -270,10 +276,15 @@ def closed_loop(
     approved: Approved,
     noise: Noise,
 ) -> list[Predicted]:
-    """Gains of one joint's servo, fitted together with its delay.
+    """Predict the gains of one joint's servo, fitted together with its delay.
 
     Args:
-        gains: of :meth:`ClosedLoop.servo_derivatives`.
+        motion: the commanded motion.
+        response: response of the nominal model.
+        gains: result of :meth:`ClosedLoop.servo_derivatives`.
+        joint: index of the joint.
+        approved: limits.
+        noise: measurement noise.
     """
     limits = approved.joints[joint]
     if not gains:
@@ -300,12 +311,16 @@ def payload(
     approved: Approved,
     noise: Noise,
 ) -> list[Predicted]:
-    """Mass and first moments of what a link carries, from the same poses with and without it.
+    """Predict mass and first moments of a payload, from equal poses with and without it.
 
-    Where no pose loads a joint by one of them, it has no influence and is not listed.
+    A parameter without influence on the effort at any pose is omitted.
 
     Args:
-        carrier: joint that moves the link which carries it.
+        motion: the static grid.
+        carrier: joint that moves the link with the payload.
+        regressor: regressor of the approved joints.
+        approved: limits.
+        noise: measurement noise.
     """
     places = [
         at
@@ -323,7 +338,9 @@ def payload(
         name = f"payload.{columns[index].kind}"
         words = f"{columns[index].words.partition(' of the link')[0]} of the payload on '{carrier}'"
         if predicted.undetermined[at]:
-            found.append(_open("payload", name, words, "the poses do not tell it from the others"))
+            found.append(
+                _open("payload", name, words, "not separable from the others by these poses")
+            )
             continue
         found.append(
             Predicted(

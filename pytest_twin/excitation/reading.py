@@ -1,4 +1,4 @@
-"""``excitation:`` of a twin, compared with its model; nothing that is missing is made up."""
+"""Read ``excitation:`` of a twin and compare it with the model; missing values are errors."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from pytest_twin.realization.patch import suggest
 from pytest_twin.twin import Twin
 
 MOST_COMMANDS = 200_000
-"""Of one trajectory: 33 minutes at 100 Hz."""
+"""Largest number of commands in one trajectory: 33 minutes at 100 Hz."""
 COMMANDS_PER_PERIOD = 10.0
-"""At the task's highest frequency: fewer commands would not draw its motion."""
+"""Smallest number of commands per period of the task's highest frequency."""
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def movable_joints(realization: Realization) -> tuple[str, ...]:
-    """Hinges and slides that follow no other joint, in the model's order."""
+    """Return hinges and slides that follow no other joint, in the model's order."""
     model = realization.model
     followers = {
         int(model.eq_obj1id[i])
@@ -54,10 +54,10 @@ def movable_joints(realization: Realization) -> tuple[str, ...]:
 
 
 def read_approved(realization: Realization, twin: Twin) -> Approved:
-    """The approved limits of a twin.
+    """Read the approved limits of a twin.
 
     Raises:
-        SpecError: lines are missing, or a value cannot be: with line, value and unit.
+        SpecError: lines are missing, or a value is invalid; with line, value and unit.
         ModelError: the robot's base floats.
     """
     section: Mapping[str, Any] = twin.excitation or {}
@@ -114,7 +114,7 @@ def read_approved(realization: Realization, twin: Twin) -> Approved:
 
 
 def missing_error(path: Path, missing: Sequence[str], twin: Twin | None) -> SpecError:
-    """That lines of ``excitation:`` are missing, and which."""
+    """Build the error for missing lines of ``excitation:``."""
     shown = ", ".join(f"excitation.{name}" for name in missing)
     line = None if twin is None else twin.lines.get("excitation")
     return MissingApprovalError(
@@ -127,7 +127,7 @@ def missing_error(path: Path, missing: Sequence[str], twin: Twin | None) -> Spec
 
 
 class MissingApprovalError(SpecError):
-    """Lines of ``excitation:`` that nobody has filled in."""
+    """Lines of ``excitation:`` are missing."""
 
 
 def _refuse_floating_base(realization: Realization) -> None:
@@ -135,7 +135,7 @@ def _refuse_floating_base(realization: Realization) -> None:
     floating = (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)) & (
         model.body_parentid[model.jnt_bodyid] == 0
     )
-    # A free body without joints of its own is an object beside the robot.
+    # A free body without joints is an object, not the robot.
     for joint in np.flatnonzero(floating):
         root = int(model.jnt_bodyid[joint])
         own = (model.body_rootid[model.jnt_bodyid] == root) & (np.arange(model.njnt) != joint)
@@ -196,12 +196,12 @@ def _joint(realization: Realization, name: str, own: Mapping[str, Any], twin: Tw
         )  # fmt: skip
     own_range = model_range(realization.model, index)
     encoder = Encoders.of(calibration_of(realization), [name])
-    # Limits are what the robot's own encoder reads; from here on the model's zero and sign count.
+    # Limits are encoder readings; below they are in the model's zero and sign.
     lower, upper = sorted(float(encoder.model_position(np.array([v]))[0]) for v in (low, high))
     start = float(encoder.model_position(np.array([float(own["start"])]))[0])
     if own_range is not None and (lower < own_range[0] or upper > own_range[1]):
         raise twin.error(
-            f"{where}.position", "beyond the joint's own range", value=f"{low:g} to {high:g}",
+            f"{where}.position", "beyond the joint's range", value=f"{low:g} to {high:g}",
             unit=unit, expected=f"within {own_range[0]:.6g} to {own_range[1]:.6g} {unit}",
         )  # fmt: skip
     if not lower < start < upper:
@@ -254,7 +254,7 @@ def _box(realization: Realization, at: int, box: Mapping[str, Any], twin: Twin) 
     for axis, least, most in zip("xyz", lower, upper, strict=True):
         if not least < most:
             raise twin.error(
-                f"{where}.max", f"a box without inside along {axis}", value=float(most), unit="m",
+                f"{where}.max", f"an empty box along {axis}", value=float(most), unit="m",
                 expected=f"more than {least:g} m",
             )  # fmt: skip
     return Box(frame, lower, upper)

@@ -1,4 +1,4 @@
-"""Whether a motion keeps everything that was approved, and by how much."""
+"""Check a motion against all approved limits, and compute the margins."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from pytest_twin.excitation.closed_loop import Response
 from pytest_twin.excitation.motion import Motion
 
 _ROUNDING = 1e-9
-"""Share of a limit that sums of floats may be off by."""
+"""Relative rounding error that is tolerated at a limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """One limit, and what a motion makes of it.
+    """One limit and the worst value of a motion.
 
     Attributes:
-        what: the limit in words, ``velocity of elbow, commanded``.
+        what: description of the limit, ``velocity of elbow, commanded``.
         value: the worst value along the motion.
-        limit: what it must not pass.
-        unit: of both.
-        share: of the limit that is used; 1 is at the limit, more is beyond.
+        limit: the limit.
+        unit: unit of both.
+        share: used share of the limit; above 1 the limit is exceeded.
     """
 
     what: str
@@ -42,7 +42,7 @@ class Kept:
 
     @property
     def words(self) -> str:
-        """Limit, value and unit in a line."""
+        """Return limit, value and unit as a line of text."""
         return f"{self.what}: {self.value:.4g} {self.unit}, limit {self.limit:.4g} {self.unit}"
 
 
@@ -51,9 +51,9 @@ class Verdict:
     """All limits of a motion.
 
     Attributes:
-        kept: each with its worst value.
+        kept: limits with their worst values.
         tracking: (j,) largest distance of a simulated position from its command, rad or m.
-        notes: what was not checked.
+        notes: limits that were not checked.
     """
 
     kept: tuple[Kept, ...]
@@ -67,17 +67,17 @@ class Verdict:
 
     @property
     def worst(self) -> Kept:
-        """The limit of which the largest share is used."""
+        """Return the limit with the largest used share."""
         return max(self.kept, key=lambda one: one.share)
 
     def of_kind(self, kind: str) -> Kept | None:
-        """The limit of one kind (the first word of ``what``) with the largest share."""
+        """Return the limit of one kind (first word of ``what``) with the largest used share."""
         own = [one for one in self.kept if one.what.split(" ")[0] == kind]
         return max(own, key=lambda one: one.share) if own else None
 
 
 def commanded(motion: Motion, approved: Approved, around: Surroundings) -> Verdict:
-    """Limits of the commands themselves: derivatives by differences of what will be sent."""
+    """Check the commands, with derivatives by differences of the sent values."""
     lower, upper = approved.room
     rate = approved.rate
     velocity = np.diff(motion.position, axis=0) * rate
@@ -102,7 +102,7 @@ def simulated(
     nominal: Response,
     worse: Response,
 ) -> Verdict:
-    """Limits of the simulated motion and efforts, of the nominal and of the worse model."""
+    """Check simulated motion and efforts of the nominal and of the worse model."""
     kept: list[Kept] = []
     tracking = np.zeros(len(approved.joints))
     for name, response in (("nominal model", nominal), ("20 % worse model", worse)):
@@ -123,7 +123,7 @@ def simulated(
         limit = share * approved.power
         kept.append(Kept(f"power of all drives, {name}", most, limit, "W", most / limit))
         tracking = np.maximum(tracking, np.abs(response.position - motion.position).max(axis=0))
-    # Where joints follow exactly, the commands have been looked at already.
+    # If joints follow exactly, the checks of the commands suffice.
     if nominal.position is not motion.position and all(one.holds for one in kept):
         kept += _around(nominal.position, around, ", nominal model")
     return Verdict(tuple(kept), tracking)
@@ -134,7 +134,7 @@ def _positions(
 ) -> list[Kept]:
     found = []
     for at, joint in enumerate(approved.joints):
-        # As shares of the way from the start to the limit.
+        # As shares of the distance from the start to the limit.
         up = (position[:, at].max() - joint.start) / max(upper[at] - joint.start, 1e-12)
         down = (joint.start - position[:, at].min()) / max(joint.start - lower[at], 1e-12)
         value, limit, share = (
@@ -176,7 +176,7 @@ def _sizes(
 
 
 def _stops(motion: Motion, approved: Approved) -> list[Kept]:
-    """Where each joint comes to rest if the motion is aborted at any moment."""
+    """Check the rest positions of each joint after an abort at any time."""
     found = []
     reaction = approved.stop.reaction
     for at, joint in enumerate(approved.joints):
@@ -219,13 +219,13 @@ def _around(position: FloatArray, around: Surroundings, whose: str = "") -> list
 
 
 def _share(spare: float, required: float = 0.0) -> float:
-    """1 where no distance is spare, less with more of it, more where it is below."""
+    """Return the used share of a distance: 1 if none is spare, above 1 if it is too small."""
     scale = max(required, 0.01)
     return scale / (scale + spare) if spare >= 0.0 else 1.0 - spare / scale
 
 
 def reasons(verdicts: Sequence[Verdict]) -> list[str]:
-    """The limits that verdicts do not keep, in words, each once, the worst first."""
+    """Return descriptions of all exceeded limits, each once, the worst first."""
     broken = [one for verdict in verdicts for one in verdict.kept if not one.holds]
     broken.sort(key=lambda one: -one.share)
     return list(dict.fromkeys(one.words for one in broken))

@@ -1,4 +1,4 @@
-"""Motion of one joint at a time: steps, chirps, slow reversals under several loads."""
+"""Motions of one joint: steps, chirps, and slow reversals under several loads."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pytest_twin.excitation.approved import Approved
 from pytest_twin.excitation.motion import Drawn, Path, Role
 
 STEP_SHARE = 0.05
-"""Amplitude of steps and chirps as a share of the approved range: small, so that gravity and
-inertia hardly change along them."""
+"""Amplitude of steps and chirps as a share of the approved range, so small that gravity and
+inertia are almost constant."""
 SPEEDS = (0.02, 0.05, 0.1, 0.25, 0.6)
-"""Of slow reversals, as shares of the approved speed: Stribeck friction shows at the lowest,
-viscous friction at the highest."""
+"""Speeds of slow reversals as shares of the approved speed: the lowest determines Stribeck
+friction, the highest viscous friction."""
 _CYCLES = 2
-"""Reversals at each speed and direction, at least: a second cycle shows whether they repeat."""
+"""Smallest number of reversals at each speed and direction; the second tests repeatability."""
 
 Make = Callable[[float, int], Drawn]
 
 
 def steps(approved: Approved, joint: int) -> Make:
-    """Steps of random height and length about the start, each as quick as the limits allow."""
+    """Return steps of random height and length about the start, as fast as the limits allow."""
 
     def make(scale: float, seed: int) -> Drawn:
         random = np.random.default_rng(seed)
@@ -53,7 +53,7 @@ def steps(approved: Approved, joint: int) -> Make:
 
 
 def chirp(approved: Approved, joint: int, role: Role) -> Make:
-    """A sine whose frequency sweeps the task's band, upwards to fit and downwards to hold out."""
+    """Return a sine sweep over the task's band, upwards for fit and downwards for held-out."""
 
     def make(scale: float, seed: int) -> Drawn:
         random = np.random.default_rng(seed)
@@ -70,7 +70,7 @@ def chirp(approved: Approved, joint: int, role: Role) -> Make:
             scale * share * _amplitude(approved, joint),
             scale * np.minimum(0.9 * speed / omega, 0.9 * acceleration / omega**2),
         )
-        # One period at each end, or a tenth of the time, to come from rest and go back to it.
+        # Fade in and out over one period at each end, or a tenth of the time.
         ramp = min(1.0 / low, 0.1 * seconds)
         amplitude = amplitude * _smooth(time / ramp) * _smooth((seconds - time) / ramp)
         wave = amplitude * np.sin(phase)
@@ -83,13 +83,13 @@ def chirp(approved: Approved, joint: int, role: Role) -> Make:
 
 
 def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> Make:
-    """Slow symmetric reversals at several speeds, while the other joints hold ``pose`` (j,)."""
+    """Return slow symmetric reversals at several speeds; other joints hold ``pose`` (j,)."""
 
     low, high = approved.band
 
     def make(scale: float, seed: int) -> Drawn:
         centre = approved.start + scale * (pose - approved.start)
-        # Fewer speeds, then shorter periods, until all fits in the duration.
+        # Use fewer speeds, then shorter periods, until the motion fits in the duration.
         for count in range(len(SPEEDS), 0, -1):
             for period in np.geomspace(1.0 / low, 1.0 / high, 8):
                 random = np.random.default_rng(seed)
@@ -114,11 +114,11 @@ def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> M
         for share in shares:
             jitter = 1.0 if role == "fit" else float(random.uniform(0.7, 1.0))
             speed = scale * share * jitter * approved.speed[joint]
-            # Half a period each way, no further than the room and no faster than the limits.
+            # Half a period in each direction, within the position and speed limits.
             blend = math.pi * speed / (scale * approved.acceleration[joint])
             half = min(0.5 * period, 0.95 * room / speed)
             if half <= 1.2 * blend:
-                # The room or the period is too short for this speed: as fast as still fits.
+                # The range or the period is too short for this speed: use the largest possible one.
                 half = 0.5 * period
                 speed = min(
                     half * scale * approved.acceleration[joint] / (1.2 * math.pi),
@@ -131,7 +131,7 @@ def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> M
                 sweeps += [(-speed, half), (speed, half)]
             sweeps[-1] = (speed, 0.5 * half)
             path.sweep(joint, sweeps)
-            # Blends at the ends are shorter than between: come back to the very centre.
+            # Blends at the ends are shorter than in between, so move back to the exact centre.
             path.move(centre)
             used.append(float(speed))
         path.move(approved.start)
@@ -142,13 +142,13 @@ def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> M
 
 
 def _path(approved: Approved, scale: float) -> Path:
-    """A path that is slower too where the motion is scaled down: servos overshoot."""
+    """Return a path whose speed is scaled as well, because servos overshoot."""
     speed, acceleration = scale * approved.speed, scale * approved.acceleration
     return Path(approved.start, speed, acceleration, approved.rate)
 
 
 def _amplitude(approved: Approved, joint: int) -> float:
-    """Amplitude of a small motion about the start, with the margin left free."""
+    """Return the amplitude of a small motion about the start, within the margin."""
     lower, upper = approved.room
     start = approved.start[joint]
     whole = approved.joints[joint].upper - approved.joints[joint].lower
@@ -165,7 +165,7 @@ def _of_one(approved: Approved, joint: int, time: FloatArray, wave: FloatArray) 
 
 
 def _within_limits(wave: FloatArray, approved: Approved, joint: int) -> float:
-    """Factor of 1 or less at which a wave keeps speed and acceleration."""
+    """Return the factor (at most 1) at which a wave satisfies speed and acceleration limits."""
     speed = np.abs(np.diff(wave)).max() * approved.rate
     acceleration = np.abs(np.diff(wave, 2)).max() * approved.rate**2
     return float(

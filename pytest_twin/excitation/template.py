@@ -1,4 +1,4 @@
-"""The lines of ``excitation:`` that are missing, to be filled in by a qualified person."""
+"""Write a template of missing lines of ``excitation:``, for a qualified person to complete."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ _COMMENTS = {
 _TABLES = {
     "clearance": (
         ("self", "m, least distance between two links"),
-        ("environment", "m, least distance between a link and what does not move"),
+        ("environment", "m, least distance between a link and fixed objects"),
     ),
-    "supply": (("voltage", "V"), ("current", "A, that it gives without end")),
+    "supply": (("voltage", "V"), ("current", "A, continuous current")),
     "stop": (
         ("category", "0, 1 or 2 of IEC 60204-1"),
-        ("reaction", "s, from the abort to the first braking"),
+        ("reaction", "s, from the abort to the start of braking"),
         ("plan", "who stops the robot, and how"),
     ),
 }
 
 
 def template(realization: Realization, missing: Sequence[str]) -> str:
-    """YAML with the missing lines left empty; comments say what the model itself allows."""
+    """Return YAML with empty missing lines; comments state the limits of the model."""
     lines = ["excitation:"]
     for name, comment in _COMMENTS.items():
         if name in missing:
@@ -59,7 +59,7 @@ def _of_joints(realization: Realization, missing: Sequence[str]) -> list[str]:
             of_joint.setdefault(joint, []).append(field)
     if not of_joint:
         return []
-    lines = ["  # Joints that shall not move: hold: [NAME, ...] instead of their lines."]
+    lines = ["  # For joints that must not move: hold: [NAME, ...] instead of their lines."]
     lines.append("  joints:")
     for joint, fields in of_joint.items():
         lines.append(f"    {_text(joint)}:")

@@ -1,1 +1,1 @@
-"""What people read: failure texts, plots, the HTML report."""
+"""Reports for people: failure texts, plots, HTML pages."""

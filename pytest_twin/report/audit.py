@@ -1,4 +1,4 @@
-"""The findings of an audit: text for the terminal, and a self-contained page."""
+"""Format the findings of an audit as text for the terminal and as an HTML page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pytest_twin.report.text import number, printable
 from pytest_twin.words import counted
 
 MARKS: Mapping[str, str] = {"critical": "X", "warning": "!", "unknown": "?", "info": "."}
-"""By severity, the gravest first."""
+"""Mark of each severity, most severe first."""
 _TITLES: Mapping[str, str] = {
     "tree": "Tree",
     "joints": "Joints",
@@ -29,7 +29,7 @@ _TITLES: Mapping[str, str] = {
     "planning": "Planning groups, poses and disabled pairs",
 }
 MAX_ROWS = 200
-"""Findings of one kind that the page lists; all are in the JSON."""
+"""Largest number of findings of one kind on the page; the JSON file has all."""
 _NAMES = 4
 _CRITICAL = 5
 
@@ -44,19 +44,19 @@ class Group:
 
     @property
     def first(self) -> Mapping[str, Any]:
-        """The first of them."""
+        """Return the first finding."""
         return self.findings[0]
 
     @property
     def elements(self) -> str:
-        """Names of the elements that it is about."""
+        """Return the names of the affected elements."""
         names = list(dict.fromkeys(str(row["element"]) for row in self.findings))
         more = f" and {len(names) - _NAMES} more" if len(names) > _NAMES else ""
         return ", ".join(names[:_NAMES]) + more
 
 
 def groups(findings: Iterable[Mapping[str, Any]]) -> list[Group]:
-    """Findings of the same code and severity together, the gravest first."""
+    """Group findings by code and severity, most severe first."""
     found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in findings:
         found.setdefault((str(row["severity"]), str(row["code"])), []).append(row)
@@ -70,10 +70,10 @@ def groups(findings: Iterable[Mapping[str, Any]]) -> list[Group]:
 
 
 def table(audit: Mapping[str, Any], *, every: bool = False) -> str:
-    """Text for the terminal: critical findings and warnings, then what the file does not state.
+    """Return text for the terminal: critical findings, warnings, and unstated properties.
 
-    Critical findings are printed in full, warnings by kind, and properties that the file does not
-    state by the source that settles them. ``every``: each finding in full.
+    Critical findings are printed in full, warnings by kind, and unstated properties by the source
+    that resolves them. With ``every``, all findings are printed in full.
     """
     lines = [headline(audit)]
     for group in groups(audit["findings"]):
@@ -94,7 +94,7 @@ def table(audit: Mapping[str, Any], *, every: bool = False) -> str:
 
 
 def summary(audit: Mapping[str, Any]) -> str:
-    """One line: what the file describes."""
+    """Return a line with the content of the file."""
     facts = audit["facts"]
     if audit["kind"] == "srdf":
         return (
@@ -110,7 +110,7 @@ def summary(audit: Mapping[str, Any]) -> str:
 
 
 def _kind(group: Group) -> list[str]:
-    """A kind of finding: what, how often, where first, and what to do next."""
+    """Return lines on a kind of finding: title, count, first place and next step."""
     first = group.first
     if len(group.findings) == 1:
         return _full(first)
@@ -125,14 +125,14 @@ def _kind(group: Group) -> list[str]:
 
 
 def _not_stated(audit: Mapping[str, Any]) -> list[str]:
-    """Properties that the file does not state, by the source that settles them."""
+    """Return lines on properties that the file does not state, by the source that resolves them."""
     sources = audit["sources"]
     if not sources:
         return []
     total = audit["counts"]["unknown"]
     lines = [
         "",
-        f"{total} properties are not stated in the file (--all lists each). To settle them:",
+        f"{total} properties are not stated in the file (--all lists each). Their sources:",
     ]
     for source in sources:
         count = source["count"]
@@ -144,7 +144,7 @@ def _not_stated(audit: Mapping[str, Any]) -> list[str]:
 
 
 def _layers(audit: Mapping[str, Any]) -> list[str]:
-    """One line for each layer, one column for each severity."""
+    """Return a line for each layer, with a column for each severity."""
     width = max(len(layer) for layer in audit["layers"])
     lines = [" " * width + "".join(f"{severity:>10}" for severity in MARKS)]
     for layer, counts in audit["layers"].items():
@@ -154,7 +154,7 @@ def _layers(audit: Mapping[str, Any]) -> list[str]:
 
 
 def headline(audit: Mapping[str, Any]) -> str:
-    """One line: the verdict and the counts."""
+    """Return a line with the verdict and the counts."""
     counts = audit["counts"]
     said = "CRITICAL" if counts["critical"] else "clean"
     return f"{audit['asset']}: {said}: " + ", ".join(
@@ -163,7 +163,7 @@ def headline(audit: Mapping[str, Any]) -> str:
 
 
 def place(row: Mapping[str, Any]) -> str:
-    """File and line, short."""
+    """Return file name and line."""
     if row["file"] is None:
         return ""
     name = Path(str(row["file"])).name
@@ -171,7 +171,7 @@ def place(row: Mapping[str, Any]) -> str:
 
 
 def value(row: Mapping[str, Any]) -> str:
-    """Value with its unit."""
+    """Return the value with its unit."""
     found, unit = row["value"], row["unit"]
     if found is None:
         return ""
@@ -193,10 +193,10 @@ def _full(row: Mapping[str, Any]) -> list[str]:
 
 
 def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> str:
-    """The page.
+    """Return the audit as an HTML page.
 
     Args:
-        audit: the content of the JSON file.
+        audit: content of the JSON file.
         renders: ``title``, ``caption`` and ``png`` (base64) of each picture.
     """
     style = style_of("report.css", "audit.css")
@@ -224,7 +224,7 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
 
 
 def _title(layer: str) -> str:
-    """The heading of a layer that an installed package adds."""
+    """Return the heading of a layer from an installed package."""
     return layer.replace("_", " ").capitalize()
 
 

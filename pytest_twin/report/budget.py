@@ -1,4 +1,4 @@
-"""The error budget of a twin as a page."""
+"""Write the error budget of a twin as an HTML page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STATES = {
 
 
 def render(document: Mapping[str, Any]) -> str:
-    """The budget as one HTML document without external files.
+    """Return the budget as one HTML document without external files.
 
     Args:
         document: ``budget.json``.
@@ -28,7 +28,7 @@ def render(document: Mapping[str, Any]) -> str:
     share = document["total"]["share"]
     stated = [value for value in share.values() if value is not None]
     unmeasured = [one for one in document["categories"] if one["state"] == "not_measured"]
-    # Within the tolerance is good news once everything is measured.
+    # The page is green if the error is within tolerance and everything is measured.
     mood = "bad" if max(stated, default=0.0) > 1.0 else "good"
     mood = "part" if mood == "good" and (unmeasured or not stated) else mood
     figures = {}
@@ -57,7 +57,7 @@ def render(document: Mapping[str, Any]) -> str:
 def _headline(document: Mapping[str, Any]) -> str:
     found = document["total"]["sampled"]
     if found is None:
-        return "No record of this twin moves the frame"
+        return "No record of this twin affects the frame"
     words = f"{1e3 * found['position']:.3g} mm and {1e3 * found['rotation']:.3g} mrad"
     shares = [
         f"{100 * value:.3g} % of the {name}"

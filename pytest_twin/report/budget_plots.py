@@ -1,4 +1,4 @@
-"""Figures of an error budget: a bar for each category, and the way from causes to the output."""
+"""Figures of an error budget: a bar for each category, and a waterfall chart of causes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SHOWN = 34
 
 
 def categories_figure(document: Mapping[str, Any], quantity: str) -> bytes:
-    """A bar for each category: what it moves, and what the task allows, as SVG.
+    """Draw a bar for each category's error, and the task's tolerance, as SVG.
 
     Args:
         document: ``budget.json``.
@@ -56,10 +56,10 @@ def categories_figure(document: Mapping[str, Any], quantity: str) -> bytes:
 
 
 def waterfall_figure(document: Mapping[str, Any], quantity: str) -> bytes | None:
-    """How independent causes add up to the output, as SVG; None where none is known.
+    """Draw how independent causes add up to the output, as SVG; None without known causes.
 
-    Steps are squares: standard deviations of causes that vary on their own add up as squares. Bars
-    above a cause are its parts alone; they vary together, and do not add up.
+    Steps are squares, because variances of independent causes add up. Bars above a cause are its
+    parts, which are correlated and do not add up.
     """
     scale, unit = _SIZES[quantity]
     lines = [line for line in document["lines"] if (line["sampled"] or {}).get(quantity)]
@@ -126,7 +126,7 @@ def _names(names: Sequence[str]) -> list[str]:
 
 
 def _beside(axes: Axes, end: float, row: int, label: str) -> None:
-    """A label a little to the right of a bar's end: SVG drops a space that it starts with."""
+    """Place a label right of a bar's end, with an offset because SVG drops leading spaces."""
     axes.annotate(
         label, (end, row), (4, 0), textcoords="offset points", va="center", color=INK, fontsize=7
     )

@@ -1,4 +1,4 @@
-"""The report of a calibration as a page."""
+"""Write the report of a calibration as an HTML page."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from pytest_twin.report.page import style_of, svg_uri, template
 from pytest_twin.report.text import printable
 
 MOST_OVERLAYS = 6
-"""Images that are shown, those with the largest reprojection error first."""
+"""Largest number of images on the page, largest reprojection errors first."""
 
 _VERDICT = {
     "accepted": ("Accepted: the held-out errors are within what the plan accepts", "good"),
     "rejected": ("Rejected", "bad"),
-    "degenerate": ("Degenerate: the observations do not determine what was asked for", "bad"),
+    "degenerate": ("Degenerate: the observations do not determine a requested parameter", "bad"),
 }
 
 
 def render(document: Mapping[str, Any], images: Path) -> str:
-    """The report as one HTML document without external files.
+    """Return the report as one HTML document without external files.
 
     Args:
         document: ``calibration.json``.
-        images: folder that the images' paths are relative to.
+        images: base folder of the images' relative paths.
     """
     style = style_of("report.css", "diagnosis.css")
     headline, mood = _VERDICT[document["verdict"]]
@@ -65,7 +65,7 @@ def render(document: Mapping[str, Any], images: Path) -> str:
 
 
 def _estimates(records: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
-    """Rows of record, coordinate, value, half of its 95 % interval, and unit."""
+    """Yield rows of record, coordinate, value, half of its 95 % interval, and unit."""
     scales = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms")}
     for name, record in records.items():
         title = printable(name.replace("_", " "))
@@ -89,7 +89,7 @@ def _estimates(records: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str,
 
 
 def _proposed(document: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Heading and rows of the proposed poses, and what they would bring."""
+    """Return heading and rows of the proposed poses, and their predicted gain."""
     found = document.get("next_poses", {})
     poses = found.get("poses", [])
     if not poses:
@@ -121,7 +121,7 @@ def _overlays(seen: Mapping[str, Any], images: Path) -> list[tuple[str, str]]:
         try:
             image = read_grey(images / one["file"])
         except TwinError:
-            continue  # removed since; the page shows the others
+            continue  # the image was removed after the calibration; show the others
         data = base64.b64encode(overlay_figure(image, one, title)).decode()
         found.append((title, f"data:image/png;base64,{data}"))
     return found

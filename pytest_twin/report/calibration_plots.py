@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ARROW_SHARE = 0.03
-"""Length of an arrow that 95 % are shorter than, as a share of the image's width."""
+"""Length of the 95 % quantile of arrows, as a share of the image's width."""
 _ARROW_REACH = 0.12
-"""The same for errors in space, as a share of the scene's extent."""
+"""Length of the 95 % quantile of error arrows in space, as a share of the scene's extent."""
 _LONGEST_BAR = 2.5
-"""Length of the longest bar against the median: one solver that failed hides no other."""
+"""Largest ratio of a bar to the median, so that a failed solver does not hide the others."""
 _ELLIPSE = 2.4477
 """Radius of a 95 % ellipse in standard deviations (chi-square with two degrees of freedom)."""
 
 
 def solvers_figure(document: Mapping[str, Any]) -> bytes:
-    """Held-out translation error of each solver, as SVG."""
+    """Draw the held-out translation error of each solver, as SVG."""
     errors = {
         name: 1e3 * one["translation_rms"]
         for name, one in document["solvers"].items()
@@ -53,7 +53,7 @@ def solvers_figure(document: Mapping[str, Any]) -> bytes:
 
 
 def speeds_figure(document: Mapping[str, Any]) -> bytes:
-    """Angular speeds of two streams on one clock, as SVG."""
+    """Draw the angular speeds of two streams on one clock, as SVG."""
     speeds = document["angular_speeds"]
 
     def draw(figure: Figure) -> None:
@@ -70,7 +70,7 @@ def speeds_figure(document: Mapping[str, Any]) -> bytes:
 
 
 def residuals_figure(document: Mapping[str, Any]) -> bytes:
-    """Reprojection residuals of all images over the image plane, enlarged, as SVG."""
+    """Draw magnified reprojection residuals of all images over the image plane, as SVG."""
     images = list(document["images"].values())
     places = np.concatenate([np.array(one["pixels"]) for one in images])
     residuals = np.concatenate([np.array(one["residuals"]) for one in images])
@@ -87,7 +87,7 @@ def residuals_figure(document: Mapping[str, Any]) -> bytes:
         axes.set_xlim(0, width)
         axes.set_ylim(height, 0)
         axes.set_aspect("equal")
-        axes.set_title(f"arrows {scale:.0f} times enlarged; 95 % are shorter than {usual:.2f} px")
+        axes.set_title(f"arrows {scale:.0f} times magnified; 95 % are shorter than {usual:.2f} px")
         axes.set_xlabel("x [px]")
         axes.set_ylabel("y [px]")
 
@@ -95,7 +95,7 @@ def residuals_figure(document: Mapping[str, Any]) -> bytes:
 
 
 def scene_figure(document: Mapping[str, Any]) -> bytes:
-    """The chain in one pose, the frames around it, and errors over the workspace, as SVG."""
+    """Draw the chain at one pose, its frames, and errors over the workspace, as SVG."""
     scene = document["scene"]
     arrows = scene["arrows"]
     places = np.array([one["at"] for one in arrows]).reshape(-1, 3)
@@ -110,7 +110,7 @@ def scene_figure(document: Mapping[str, Any]) -> bytes:
         axes: Any = figure.add_axes((0.0, 0.02, 1.0, 0.92), projection="3d")
         _connections(axes, scene)
         for number, one in enumerate(scene["frames"]):
-            # The flange's name above, and that of what it carries below: they are near each other.
+            # The labels of the flange and of its payload are close: put one above, one below.
             _axes_of_frame(axes, one, 0.07 * reach, 0.6 if number == 1 else -0.5)
         for kind, colour in (("fitted", DIM), ("held_out", NOW)):
             chosen = np.array([one["kind"] == kind for one in arrows], dtype=bool)
@@ -131,7 +131,7 @@ def scene_figure(document: Mapping[str, Any]) -> bytes:
             axes.legend(loc="upper right")
         figure.text(
             0.02, 0.96,
-            f"arrows {scale:.0f} times enlarged; 95 % are shorter than {1e3 * usual:.2f} mm",
+            f"arrows {scale:.0f} times magnified; 95 % are shorter than {1e3 * usual:.2f} mm",
             color=INK,
         )  # fmt: skip
 
@@ -139,7 +139,7 @@ def scene_figure(document: Mapping[str, Any]) -> bytes:
 
 
 def _connections(axes: Any, scene: Mapping[str, Any]) -> None:
-    """The arm from the base to the flange, and dashed lines to what both carry."""
+    """Draw the arm from base to flange, and dashed lines to attached frames."""
     base, flange, *others = (np.array(one["xyz"]) for one in scene["frames"])
     if scene["chain"]:
         chain = np.array([one["xyz"] for one in scene["chain"]])
@@ -160,7 +160,7 @@ def _axes_of_frame(axes: Any, frame: Mapping[str, Any], length: float, place: fl
 
 
 def covariance_figure(record: Mapping[str, Any], name: str) -> bytes:
-    """95 % ellipses of a transform's position and orientation, as SVG."""
+    """Draw 95 % confidence ellipses of a transform's position and orientation, as SVG."""
     covariance = np.array(record["covariance"])
 
     def draw(figure: Figure) -> None:
@@ -185,7 +185,7 @@ def covariance_figure(record: Mapping[str, Any], name: str) -> bytes:
 
 
 def overlay_figure(image: NDArray[np.uint8], one: Mapping[str, Any], title: str) -> bytes:
-    """An image around the target, with detected corners and their reprojections, as PNG."""
+    """Draw the image near the target, with detected corners and reprojections, as PNG."""
     pixels, residuals = np.array(one["pixels"]), np.array(one["residuals"])
     room = 0.15 * float(np.ptp(pixels, axis=0).max())
     low = np.maximum(pixels.min(axis=0) - room, 0).astype(int)
@@ -207,7 +207,7 @@ def overlay_figure(image: NDArray[np.uint8], one: Mapping[str, Any], title: str)
 
 
 def _ellipse(block: FloatArray) -> FloatArray:
-    """(2, n) points of the 95 % ellipse of a (2, 2) covariance."""
+    """Return (2, n) points of the 95 % ellipse of a (2, 2) covariance."""
     angle = np.linspace(0.0, 2.0 * np.pi, 120)
     values, axes = np.linalg.eigh(block)
     radii = _ELLIPSE * np.sqrt(np.maximum(values, 0.0))

@@ -1,4 +1,4 @@
-"""The report of a diagnosis for a terminal and as a page."""
+"""Write the report of a diagnosis as text for the terminal and as an HTML page."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from pytest_twin.report.page import style_of, svg_uri, template
 from pytest_twin.report.text import number, quantity
 
 MAX_FIGURES = 12
-"""Joints with a figure, those with the largest error first."""
+"""Largest number of joints with a figure, largest errors first."""
 _MOST_SPANS = 8
-"""Time intervals that are listed for one recording."""
+"""Largest number of time intervals listed for one recording."""
 
 _VERDICT = {
     "no_mismatch": "No mismatch: the model agrees with the recordings to the noise floor",
@@ -56,7 +56,7 @@ _MOOD = {"no_mismatch": "good", "explained": "good", "improved": "part", "unexpl
 
 
 def words(said: Mapping[str, Any]) -> list[str]:
-    """Lines for a terminal: the verdict, each finding, errors, what is unexplained, notes.
+    """Return lines for a terminal: verdict, findings, errors, unexplained residuals, notes.
 
     Args:
         said: ``diagnosis.json``.
@@ -93,7 +93,7 @@ def words(said: Mapping[str, Any]) -> list[str]:
 
 
 def headline(said: Mapping[str, Any]) -> str:
-    """The verdict of ``diagnosis.json`` as a sentence."""
+    """Return the verdict of ``diagnosis.json`` as a sentence."""
     if said["verdict"] == "no_mismatch" and said.get("small_corrections"):
         return _NO_MISMATCH_WITH_CORRECTIONS
     if said["verdict"] == "unexplained" and said.get("not_tried"):
@@ -102,7 +102,7 @@ def headline(said: Mapping[str, Any]) -> str:
 
 
 def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:
-    """RMS errors of a joint before and after, and its noise floor, in one readable unit."""
+    """Return RMS errors of a joint before and after, and its noise floor, in one readable unit."""
     factor, unit = readable(max(error["rms_before"], error["floor"]), error["unit"])
     before, after, floor = (
         f"{number(factor * error[key])} {unit}" for key in ("rms_before", "rms_after", "floor")
@@ -111,12 +111,12 @@ def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:
 
 
 def _score_shown(score: float | None) -> str:
-    """A score of the search; nothing where none was computed."""
+    """Return a score of the search as text; empty if none was computed."""
     return "" if score is None else f"{score:.1f}"
 
 
 def render(view: DiagnosisView) -> str:
-    """The report as one HTML document without external files."""
+    """Return the report as one HTML document without external files."""
     style = style_of("report.css", "diagnosis.css")
     said = view.said
     drawn = view.joints[:MAX_FIGURES]
@@ -181,7 +181,7 @@ def _modelled(unexplained: Mapping[str, Any]) -> str:
 
 
 def spans_said(windows: Sequence[Sequence[float]]) -> str:
-    """Time intervals of a recording in order; of many only the longest."""
+    """Return time intervals of a recording in order; if there are many, only the longest."""
     longest = sorted(windows, key=lambda w: w[0] - w[1])[:_MOST_SPANS]
     said = ", ".join(
         f"{number(start)} to {number(end)}" for start, end in sorted((w[0], w[1]) for w in longest)

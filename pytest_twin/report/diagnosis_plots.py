@@ -24,14 +24,14 @@ _WIDTH, _HEIGHT = 9.6, 9.0
 _STRETCHES = 700
 _BINS = 24
 _MOST_REGIMES = 9
-# Of the width: where panels begin and end, the gap between two, and a character of a regime's name.
-# A layout that measures all text takes as long as the drawing.
+# Shares of the width: start and end of panels, the gap between them, and a character of a regime's
+# name. Fixed values, because a layout that measures all text takes as long as the drawing.
 _LEFT, _MIDDLE, _RIGHT, _GAP = 0.098, 0.42, 0.985, 0.022
 _CHARACTER = 0.0058
 
 
 def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
-    """One joint's figure as SVG (or PNG).
+    """Draw one joint's figure as SVG (or PNG).
 
     Top to bottom: measured, before and after over time; residual over time; residual
     against velocity, position and load; its spectrum; its root mean square by regime.
@@ -90,7 +90,7 @@ def _panel(
     sharex: Axes | None = None,
     sharey: Axes | None = None,
 ) -> Axes:
-    """Full-width axes; positions as fractions of the figure."""
+    """Add axes; positions are fractions of the figure."""
     return figure.add_axes((left, bottom, right - left, top - bottom), sharex=sharex, sharey=sharey)
 
 
@@ -140,7 +140,7 @@ def _floor_band(axes: Axes, view: JointView) -> None:
 
 
 def _against(axes: Axes, view: JointView, values: FloatArray, label: str, *, first: bool) -> None:
-    """Median and middle 80 % of the residual, in bins with equal numbers of samples."""
+    """Draw median and middle 80 % of the residual, in bins with equal numbers of samples."""
     good = np.isfinite(values) & np.isfinite(view.left_before) & np.isfinite(view.left_after)
     edges = np.unique(np.quantile(values[good], np.linspace(0.0, 1.0, _BINS + 1)))
     _floor_band(axes, view)
@@ -169,7 +169,7 @@ def _against(axes: Axes, view: JointView, values: FloatArray, label: str, *, fir
 
 
 def _spectrum(axes: Axes, view: JointView) -> None:
-    """Amplitude spectral density, averaged over the tested recordings."""
+    """Draw the amplitude spectral density, averaged over the test recordings."""
     from scipy.signal import welch
 
     rate = 1.0 / view.interval
@@ -189,7 +189,7 @@ def _spectrum(axes: Axes, view: JointView) -> None:
             total = p * n if total is None else total + p * n
             weight += n
         if total is not None:
-            # The lowest bin is what does not change; it has no place on a logarithmic axis.
+            # The lowest bin is the constant part, which a logarithmic axis cannot show.
             f, power = _by_octaves(f[1:], total[1:] / weight)
             axes.plot(f, np.sqrt(power), color=colour, linewidth=1.3, label=name)
     axes.axhline(view.floor * np.sqrt(2.0 / rate), color=GOLDEN, linewidth=0.9,
@@ -201,7 +201,7 @@ def _spectrum(axes: Axes, view: JointView) -> None:
 
 
 def _regimes(axes: Axes, view: JointView, shown: Sequence[Regime]) -> None:
-    """RMS error of both models in each regime."""
+    """Draw the RMS error of both models in each regime."""
     rows = np.arange(len(shown))
     scale = max(view.floor, 1e-300)
     for row, r in zip(rows, shown, strict=True):
@@ -225,7 +225,7 @@ def _regime_name(regime: Regime) -> str:
 
 
 def _by_octaves(frequency: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Means over eight bands per octave, which smooths the high end."""
+    """Return means over eight bands per octave, which smooth high frequencies."""
     band = np.floor(8.0 * np.log2(frequency / frequency[0]))
     _, first = np.unique(band, return_index=True)
     count = np.diff(np.append(first, len(power)))

@@ -1,4 +1,4 @@
-"""The data that the report of a diagnosis shows."""
+"""Collect the data for the report of a diagnosis."""
 
 from __future__ import annotations
 
@@ -37,10 +37,12 @@ class JointView:
     """Data of one joint's figure.
 
     Attributes:
-        joint, unit: name; ``rad`` or ``m``.
-        recording: file that is drawn over time.
-        time, measured, before, after: (n,) in that recording.
-        command_time, command: (m,) where positions are commanded, else None.
+        joint: name of the joint.
+        unit: ``rad`` or ``m``.
+        recording: recording that is drawn over time.
+        time, measured, before, after: (n,) time [s], measured position, and predictions of model
+            and patched model in this recording.
+        command_time, command: (m,) time and position commands, or None.
         floor: noise floor.
         left_before, left_after: (s,) residuals, measured minus predicted, in the test recordings.
         velocity, position, load: (s,) motion at these samples; rad/s or m/s, and N*m or N.
@@ -110,7 +112,7 @@ class DiagnosisView:
 def view_of(
     found: Diagnosis, said: Mapping[str, Any], patched: Patched, model: str
 ) -> DiagnosisView:
-    """The content of the report.
+    """Return the content of the report.
 
     Args:
         found: the diagnosis.
@@ -150,7 +152,7 @@ def _at(effect: AppliedEffect) -> str:
 
 
 def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
-    """Figure data of every joint, the largest error in noise floors first."""
+    """Return figure data of all joints, the largest error in noise floors first."""
     from pytest_twin.diagnosis.locate import motions, regimes
 
     tested = found.tested

@@ -1,4 +1,4 @@
-"""Figures drawn into bytes; matplotlib is imported when something is drawn."""
+"""Draw figures as bytes; matplotlib is imported only when needed."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 
 def svg(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
-    """A figure of ``width`` by ``height`` inches, for white and black pages."""
+    """Draw an SVG figure of ``width`` by ``height`` inches, for light and dark pages."""
     data = _drawn(draw, width, height, "svg")
     return finish(data.decode("utf-8")).encode("utf-8")
 
 
 def png(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
-    """A figure of ``width`` by ``height`` inches, 120 dots an inch, on white."""
+    """Draw a PNG figure of ``width`` by ``height`` inches, 120 dots per inch, on white."""
     return _drawn(draw, width, height, "png")
 
 

@@ -1,4 +1,4 @@
-"""How far long work is, for a log."""
+"""Progress lines of long work for a log, at most one each minute."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ _INTERVAL_SECONDS = 60.0
 
 
 class EachMinute:
-    """Says once a minute how much of the work is done and how long it still takes.
+    """Reports the fraction done and the remaining time once a minute.
 
     Args:
-        work: what is done.
+        work: description of the work.
     """
 
     def __init__(self, work: str) -> None:
@@ -19,11 +19,11 @@ class EachMinute:
         self.started = self.last = time.monotonic()
 
     def line(self, fraction: float, stage: str = "") -> str | None:
-        """Return one line of text, or None where the last is less than a minute old.
+        """Return one line of text, or None if the last line is less than a minute old.
 
         Args:
-            fraction: done so far, 0 to 1.
-            stage: what is done at the moment.
+            fraction: fraction done, 0 to 1.
+            stage: name of the present stage.
         """
         now = time.monotonic()
         if now - self.last < _INTERVAL_SECONDS:
@@ -32,7 +32,7 @@ class EachMinute:
         elapsed = now - self.started
         line = f"{self.work} {100.0 * fraction:3.0f} % after {elapsed / 60.0:.0f} min"
         if 0.0 < fraction < 1.0:
-            # At the pace so far.
+            # extrapolated from the speed so far
             left = elapsed * (1.0 - fraction) / fraction
             line += f", about {max(1.0, left / 60.0):.0f} min left"
         return f"{line}: {stage}" if stage else line

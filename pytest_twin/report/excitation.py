@@ -1,4 +1,4 @@
-"""The report of an excitation as a page."""
+"""Write the report of an excitation as an HTML page."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pytest_twin.report.excitation_plots import deviations_figure, motion_figure
 from pytest_twin.report.page import style_of, svg_uri, template
 
 _VERDICT = {
-    "identifiable": ("All that is asked for is identifiable", "good"),
-    "not_identifiable": ("Something that is asked for is not identifiable", "bad"),
+    "identifiable": ("All requested parameters are identifiable", "good"),
+    "not_identifiable": ("Some requested parameters are not identifiable", "bad"),
 }
 _KIND = {
     "steps": "Steps of one joint",
@@ -27,12 +27,12 @@ MARGINS = ("position", "velocity", "acceleration", "effort", "power", "stop", "w
 
 
 def render(document: Mapping[str, Any], abort: Mapping[str, Any], drawn: Mapping[str, Any]) -> str:
-    """The report as one HTML document without external files.
+    """Return the report as one HTML document without external files.
 
     Args:
         document: ``excitation.json``.
         abort: ``abort.json``.
-        drawn: name of a motion -> its courses, as :func:`excitation.document.courses` gives them.
+        drawn: name of a motion -> its series, from :func:`excitation.document.courses`.
     """
     style = style_of("report.css", "diagnosis.css")
     headline, mood = _VERDICT[document["verdict"]]

@@ -19,7 +19,7 @@ _SHOWN_EXPRESSION = 46
 
 
 def motion_figure(course: Mapping[str, Any]) -> bytes:
-    """Position, speed and effort of one motion as shares of what is approved, as SVG."""
+    """Draw position, speed and effort of one motion as shares of their limits, as SVG."""
 
     def draw(figure: Figure) -> None:
         several = len(course["joints"]) > 1
@@ -47,10 +47,10 @@ def motion_figure(course: Mapping[str, Any]) -> bytes:
 
 
 def deviations_figure(parameters: Sequence[Mapping[str, Any]]) -> bytes:
-    """Predicted relative standard deviation of each parameter, logarithmic, as SVG.
+    """Draw the predicted relative standard deviation of each parameter, logarithmic, as SVG.
 
     Args:
-        parameters: of one mechanism, those with a relative deviation.
+        parameters: parameters of one mechanism that have a relative deviation.
     """
     least = min(100 * one["relative_std"] for one in parameters)
     most = max(100 * one["relative_std"] for one in parameters)

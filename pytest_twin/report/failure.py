@@ -1,4 +1,4 @@
-"""The text of a failed golden: which measure exceeded its tolerance, when, and by how much."""
+"""Text on a failed golden: the measure that exceeded its tolerance, the time, and the excess."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ MAX_REASONS = 8
 
 
 def headline(outcome: Outcome) -> str:
-    """One line: the golden, and its worst measure or error."""
+    """Return a line with the golden and its worst measure or error."""
     return printable(f"{outcome.key}: {what(outcome)}")
 
 
 def what(outcome: Outcome) -> str:
-    """One line without the name of the golden: its worst measure or error."""
+    """Return a line with the golden's worst measure or error, without its name."""
     worst = outcome.worst
     if outcome.status == "error" or worst is None:
         return printable(outcome.error or "nothing was measured")
@@ -31,7 +31,7 @@ def what(outcome: Outcome) -> str:
 def failure_text(
     outcome: Outcome, *, location: str, plot: str | None = None, advice: str = ""
 ) -> str:
-    """The report of a failed golden for a terminal.
+    """Return the report of a failed golden for a terminal.
 
     Args:
         outcome: a golden that did not pass.
@@ -66,7 +66,7 @@ def failure_text(
 
 
 def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list[str]:
-    """A table of measures, the worst first."""
+    """Return a table of measures, the worst first."""
     ordered = sorted(measures, key=use_of_tolerance, reverse=True)
     timed = any(measure.time is not None for measure in ordered[:max_rows])
     head = (

@@ -1,4 +1,4 @@
-"""Sentences about a finding: what is wrong, what the correction gains, what else it may be."""
+"""Sentences about a finding: deviation, gain of the correction, alternatives."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from pytest_twin.effects import Parameter, catalogue
 from pytest_twin.report.text import number
 
 SURE = 0.9
-"""Confidence from which no further test is asked for; a rival above the rest of it is named."""
+"""Confidence above which no further test is recommended; less likely alternatives are not named."""
 _SMALL = 0.1
-"""s, rad or m below which a thousandth of the unit reads better."""
+"""Value in s, rad or m below which thousandths of the unit are used."""
 _THOUSANDTHS = {"s": "ms", "rad": "mrad", "m": "mm"}
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 
 def finding_sentence(finding: Mapping[str, Any]) -> str:
-    """One sentence: which quantity of which joint, how much, and its 95 % interval.
+    """Return a sentence with the quantity, the joint, the value and its 95 % interval.
 
     Args:
         finding: of ``diagnosis.json``.
@@ -43,7 +43,7 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
 
 
 def law_sentence(finding: Mapping[str, Any]) -> str:
-    """What a law without a name does, and the known effect of the same shape, if there is one."""
+    """Return a sentence on an unnamed law, and the known effect of the same shape, if any."""
     law = finding["law"]
     text = f"No known effect explains joint {finding['joint']}; a fitted law does: {law['words']}"
     if law["resembles"] is None:
@@ -52,7 +52,7 @@ def law_sentence(finding: Mapping[str, Any]) -> str:
 
 
 def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:
-    """What the correction does to the squared error that the other findings leave."""
+    """Return the change of the remaining squared error by the correction, as text."""
     share = finding["held_out_gain"]
     verb = "adds {} to" if share < 0.0 else "removes {} of"
     error = "held-out" if held_out else "fitted"
@@ -60,20 +60,20 @@ def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:
 
 
 def ambiguous(finding: Mapping[str, Any]) -> str:
-    """The effects that the recordings do not separate from a finding; empty without any."""
+    """Return a sentence with effects that the recordings do not separate from a finding, or ""."""
     rivals = [a for a in finding["alternatives"] if a["confidence"] >= 1.0 - SURE]
     listed = " or ".join(f"{place_of_set(a)} ({percent(a['confidence'])})" for a in rivals)
     return f"Ambiguous: it may also be {listed}." if listed else ""
 
 
 def to_confirm(finding: Mapping[str, Any]) -> str:
-    """The next recording to make, as a sentence."""
+    """Return a sentence with the next recording to make."""
     test = str(finding["next_test"])
     return f"To confirm: {test}{'' if test.endswith('.') else '.'}"
 
 
 def place(item: Mapping[str, Any]) -> str:
-    """Effect and joint of a finding or an alternative, ``command delay at joint elbow``."""
+    """Return effect and joint of a finding or an alternative: ``command delay at joint elbow``."""
     words = (_PROPER_NAMES.get(word, word) for word in str(item["effect"]).split("_"))
     name = " ".join(words)
     if "variable" in item:
@@ -82,7 +82,7 @@ def place(item: Mapping[str, Any]) -> str:
 
 
 def place_of_set(item: Mapping[str, Any]) -> str:
-    """All effects of an alternative and, of a set, the findings that it replaces."""
+    """Return all effects of an alternative and the findings that it replaces."""
     names = [place(item), *(place(other) for other in item.get("together_with", ()))]
     replaced = [place(other) for other in item.get("instead_of", ())]
     instead = f" instead of {_listed(replaced)}" if replaced else ""
@@ -95,7 +95,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def table_row(finding: Mapping[str, Any], key: str) -> tuple[str, str, str]:
-    """(meaning, value, 95 % interval) of one parameter for a table."""
+    """Return (meaning, value, 95 % interval) of one parameter, for a table."""
     known = {p.reported_name: p for p in _parameters(finding["effect"])}
     parameter, estimate = known.get(key), finding["parameters"][key]
     meaning = _meaning(key, parameter)
@@ -106,24 +106,24 @@ def table_row(finding: Mapping[str, Any], key: str) -> tuple[str, str, str]:
 
 
 def meaning_of(effect: str, key: str) -> str:
-    """What a parameter of ``diagnosis.json`` is, ``servo stiffness``."""
+    """Return the meaning of a parameter of ``diagnosis.json``, such as ``servo stiffness``."""
     return _meaning(key, {p.reported_name: p for p in _parameters(effect)}.get(key))
 
 
 def readable(value: float, unit: str) -> tuple[float, str]:
-    """Factor and unit in which a value reads well: 0.012 s as 12 ms."""
+    """Return factor and unit for a readable value: 0.012 s as 12 ms."""
     if unit in _THOUSANDTHS and 0.0 < abs(value) < _SMALL:
         return 1e3, _THOUSANDTHS[unit]
     return 1.0, unit
 
 
 def percent(share: float) -> str:
-    """Three significant digits, ``96.5 %``."""
+    """Format a share with three significant digits, ``96.5 %``."""
     return f"{100 * share:.3g} %"
 
 
 def chosen(parameter: Parameter, value: float) -> str:
-    """The phrase of a choice's value, the value itself where it has none."""
+    """Return the phrase of a choice's value, or the value itself."""
     for start, words in zip(parameter.starts, parameter.choices, strict=True):
         if start == value:
             return words
@@ -131,7 +131,7 @@ def chosen(parameter: Parameter, value: float) -> str:
 
 
 def _parameters(effect: str) -> Sequence[Parameter]:
-    # A diagnosis of another environment may name an effect that is not installed here.
+    # The diagnosis may name an effect that is not installed in this environment.
     known = catalogue().get(effect)
     return () if known is None else known.parameters
 
@@ -150,7 +150,7 @@ def _amount(estimate: Mapping[str, Any], parameter: Parameter | None) -> str:
 def _value_and_interval(
     estimate: Mapping[str, Any], parameter: Parameter | None
 ) -> tuple[str, str]:
-    """The value in relation to the model's own, and the interval; empty for a discrete value."""
+    """Return the value relative to the model's, and the interval; empty for a discrete value."""
     value, unit, (low, high) = estimate["value"], estimate["unit"], estimate["ci95"]
     relation = "" if parameter is None else parameter.relation
     side = f" {'below' if value < 0.0 else 'above'} the model's" if relation else ""

@@ -1,4 +1,4 @@
-"""The section of a report on frequency responses: a row and a figure for each joint."""
+"""Report section on frequency responses, with a row and a figure for each joint."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_FIGURES = 12
-"""A page draws no more; the table has all."""
+"""Largest number of figures on a page; the table has all responses."""
 _PANELS = (("magnitude_db", "magnitude [dB]"), ("phase", "phase [rad]"), ("coherence", "coherence"))
 
 
 def rows_of(responses: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
-    """One row for each response: band, bandwidth and resonance, measured and predicted."""
+    """Return a row for each response: band, bandwidth and resonance, measured and predicted."""
     return [
         {
             "joint": one["joint"],
@@ -35,7 +35,7 @@ def rows_of(responses: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
 
 
 def figures_of(responses: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """(name, address of the image) of each response that is drawn."""
+    """Return (name, image URI) of each response with a figure."""
     return [
         (f"{one['joint']}: {one['input']} to {one['response']}", svg_uri(_drawn(one)))
         for one in responses[:_MOST_FIGURES]

@@ -1,7 +1,7 @@
-"""The report of one run: a single HTML file that needs nothing but itself.
+"""Write the report of one run as a self-contained HTML file.
 
-No script, no external resource, and a content security policy that allows none: the names in it
-come from robots' files.
+The page has no script and no external resource, and a content security policy forbids them,
+because its names come from untrusted files.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from pytest_twin.report.page import style_of, svg_uri, template
 from pytest_twin.report.text import number, quantity, use
 
 MAX_PLOT_BYTES = 32 * 2**20
-"""All plots of one report together; the failed ones are shown first."""
+"""Total size of the plots in a report, bytes; plots of failed goldens come first."""
 MAX_MEASURES = 400
-"""Rows for one golden; the worst are shown."""
+"""Largest number of measures for a golden; the worst are shown."""
 MAX_ALL_MEASURES = 12_000
-"""Rows for all goldens together; once they are used up each shows its worst."""
+"""Largest number of measures for all goldens; beyond it each golden shows only its worst."""
 MAX_CHANGES = 200
-"""Reasons why goldens are stale; the most frequent are shown."""
+"""Largest number of reasons for stale goldens; the most frequent are shown."""
 MAX_PARTS = 60
-"""Parts listed for one golden."""
+"""Largest number of parts listed for a golden."""
 MAX_ALL_PARTS = 30_000
-"""Parts listed for all goldens together."""
+"""Largest number of parts listed for all goldens."""
 
 _WORDS: Mapping[Verdict, str] = {
     "released": "Released",
@@ -44,7 +44,7 @@ _ORDER = {"failed": 0, "error": 1, "passed": 2}
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """An entry as the page shows it."""
+    """An entry of the page."""
 
     entry: Entry
     anchor: str
@@ -59,7 +59,7 @@ class _Row:
 
 
 def render(report: Report) -> str:
-    """The report as one HTML document."""
+    """Return the report as one HTML document."""
     style = style_of("report.css")
     rows = _rows(report.entries)
     ran = [row for row in rows if row.entry.release is None and not row.entry.not_run]
@@ -82,7 +82,7 @@ def render(report: Report) -> str:
 
 
 def _rows(entries: Iterable[Entry]) -> list[_Row]:
-    """The worst first, with plots up to the size limit of the page."""
+    """Return rows, the worst first, with plots up to the size limit of the page."""
 
     def gravity(entry: Entry) -> tuple[int, int, float, str]:
         outcome = entry.outcome
@@ -139,7 +139,7 @@ def _counts(
 
 
 def _changes(stale: Sequence[_Row]) -> list[tuple[Reason, int]]:
-    """Every reason why goldens are stale, with their number; the most frequent first."""
+    """Return reasons for stale goldens with the number of goldens, the most frequent first."""
     found: dict[Reason, int] = {}
     for row in stale:
         for reason in dict.fromkeys(row.entry.outcome.reasons):
@@ -148,7 +148,7 @@ def _changes(stale: Sequence[_Row]) -> list[tuple[Reason, int]]:
 
 
 def _flat(ids: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
-    """(dotted name, text) of nested tables."""
+    """Yield (dotted name, text) of nested tables."""
     for key, value in ids.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{key} / ")
@@ -159,7 +159,7 @@ def _flat(ids: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]
 
 
 def _bar_width(used: float, full: float = 100.0) -> str:
-    """Length of the bar of a measure: linear up to the tolerance at half of it, then to its end."""
+    """Return a bar's length: linear, the tolerance at half of ``full``, limited to ``full``."""
     share = used / 2 if used <= 1 else 1 - 0.5 / used
     return f"{full * min(max(share, 0.01), 1.0):.1f}"
 

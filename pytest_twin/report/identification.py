@@ -1,4 +1,4 @@
-"""The report of an identification: lines for a terminal, and a page."""
+"""Write the report of an identification as text for the terminal and as an HTML page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _VERDICT = {
 
 
 def render(document: Mapping[str, Any]) -> str:
-    """``identification.json`` as one HTML document without external files."""
+    """Return ``identification.json`` as one HTML document without external files."""
     style = style_of("report.css", "diagnosis.css")
     headline, mood = _VERDICT[document["verdict"]]
     if any(one.get("fatal") for one in document.get("suspected", ())):
@@ -46,7 +46,7 @@ def render(document: Mapping[str, Any]) -> str:
 
 
 def error_lines(document: Mapping[str, Any]) -> list[str]:
-    """One line for each joint: how far prediction and measurement are apart."""
+    """Return a line for each joint with the errors of the prediction."""
     lines = []
     for joint, error in document["held_out"].items():
         parts = []
@@ -77,7 +77,7 @@ def error_lines(document: Mapping[str, Any]) -> list[str]:
 
 
 def signal_rows(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """A row for each joint: what its positions and efforts are."""
+    """Return a row for each joint with source and filter of its positions and efforts."""
     rows = []
     for joint, own in document.get("signals", {}).items():
         position = [own["position"]["unit"], f"{own['position']['side']} side of the gear"]
@@ -107,7 +107,7 @@ def signal_rows(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _told(signal: Mapping[str, Any]) -> list[str]:
-    """Source, filter, clock and rate, as far as they are stated."""
+    """Return the stated source, filter, clock and rate."""
     words = ["inferred from commands"] if signal["source"] == "inferred" else []
     words += [f"{key}: {signal[key]}" for key in ("filter", "clock") if signal[key]]
     if signal["rate"] is not None:
@@ -116,7 +116,7 @@ def _told(signal: Mapping[str, Any]) -> list[str]:
 
 
 def encoder_rows(document: Mapping[str, Any]) -> list[dict[str, str]]:
-    """A row for each encoder whose error was estimated: error, and relation before and after."""
+    """Return a row for each calibrated encoder: error, and calibration before and after."""
     changes = document.get("encoders", {})
     joints: dict[str, list[str]] = {joint: [] for joint in changes}
     for name, one in document["parameters"].items():
@@ -144,7 +144,7 @@ def _relation(one: Mapping[str, float]) -> str:
 
 
 def by_motion(document: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Motion -> the parameters that it would identify, and that the recordings do not."""
+    """Return motion -> parameters that it would identify and the recordings do not."""
     found: dict[str, list[str]] = {}
     for one in document.get("unobservable", ()):
         found.setdefault(one["motion"], []).append(one["expression"])
@@ -152,7 +152,7 @@ def by_motion(document: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def spread_rows(document: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
-    """How contact estimates change with the simulation: a row for each option that differs."""
+    """Return the contact estimates of each changed simulation option, one row each."""
     rows = []
     for one in document.get("contact", {}).get("spread", ()):
         cells = [f"{name} {value:.4g}" for name, value in one["parameters"].items()]
@@ -167,7 +167,7 @@ def spread_rows(document: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
 
 
 def _toss_words(error: Mapping[str, Any]) -> str:
-    """Mean errors over whole tosses, beside the nominal model's."""
+    """Return mean errors over whole tosses, with those of the nominal model."""
     said = (
         f"position {1e3 * error['toss_position']:.3g} mm "
         f"({100 * error['toss_position_widths']:.3g} % of its width)"

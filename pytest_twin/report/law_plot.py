@@ -1,4 +1,4 @@
-"""Figure of a law without a name: the curve with its band, and where the recordings have data."""
+"""Figure of an unnamed law: curve, confidence band, and distribution of the data."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pytest_twin.report.plot_style import BAND, DIM, INK, NOW, STYLE, finish
 from pytest_twin.report.text import printable
 
 _SIZE = (6.4, 3.4)
-# Share of the samples, times the number of knots, below which the curve is drawn thin: a tenth of
-# what an even spread would give.
+# The curve is thin where the share of samples times the number of knots is smaller: a tenth of the
+# value for a uniform distribution.
 _FEW = 0.1
 
 
 def law_figure(law: Mapping[str, Any], joint: str) -> bytes:
-    """The SVG of a law.
+    """Draw an unnamed law as SVG.
 
     Args:
         law: the object ``law`` of a finding of ``diagnosis.json``.
@@ -44,7 +44,7 @@ def law_figure(law: Mapping[str, Any], joint: str) -> bytes:
         curve.plot(knots, values, color=NOW, linewidth=0.7)
         known = samples * len(samples) >= _FEW
         curve.plot(knots, np.where(known, values, np.nan), color=NOW, linewidth=1.8)
-        # The band is wide where there are no data: it must not hide the curve.
+        # The band is wide without data, so limit the axis to keep the curve visible.
         room = 2.0 * float(np.max(np.abs(values[known]), initial=1e-12))
         curve.set_ylim(
             max(float(np.min([*low[known], 0.0], initial=0.0)) * 1.1, -room),

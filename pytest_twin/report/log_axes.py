@@ -10,13 +10,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _FEW_DECADES = 1.5
-"""Decades up to which 2 and 5 have labels too: a narrower band may have one decade or none."""
+"""Number of decades up to which 2 and 5 are labelled too: a band may contain at most one decade."""
 
 
 def logarithmic(axes: Axes, *which: str) -> None:
-    """Make the axes ``x`` or ``y`` logarithmic, after what they show was drawn.
+    """Make the axes ``x`` or ``y`` logarithmic; call this after drawing.
 
-    Labels are plain numbers: matplotlib's own are formulas, which no plot of a report interprets.
+    Labels are plain numbers, because reports do not interpret matplotlib's formulas.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 

@@ -1,4 +1,4 @@
-"""What a report tells: plain facts, no files."""
+"""Data classes of a report, without file access."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ class Entry:
     """One golden on one realization.
 
     Attributes:
-        outcome: what came of it, now or when it was proven.
+        outcome: its result, now or in the release that proved it.
         title: the golden's title.
         location: the spec's file and line, ``golden/fk/home.yaml:12``.
-        release: number of the release that proved it, None where it ran now.
-        at: RFC 3339, when that release was made.
-        parts: ids of what it depends on.
-        plot: SVG, None where there is none.
-        diagnosis: reference to the page of its full diagnosis, None where there is none.
-        not_run: whether it is stale and this run left it out; ``outcome`` then says so.
+        release: number of the release that proved it, None if it ran now.
+        at: time of that release, RFC 3339.
+        parts: ids of the parts that it depends on.
+        plot: plot as SVG, or None.
+        diagnosis: link to the page of its full diagnosis, or None.
+        not_run: whether it is stale and was omitted in this run; ``outcome`` states this too.
     """
 
     outcome: Outcome
@@ -43,19 +43,19 @@ class Report:
     """One run of the gate on one twin.
 
     Attributes:
-        twin: its name.
-        verdict: ``released`` signed now, ``holds`` nothing new to sign, ``refused`` not signed,
-            ``passed`` and ``failed`` runs that were not to be signed.
-        headline: one sentence under the verdict.
-        created: RFC 3339, UTC.
+        twin: name of the twin.
+        verdict: ``released``: signed now; ``holds``: nothing new to sign; ``refused``: not
+            signed; ``passed`` and ``failed``: results of runs without a release.
+        headline: one sentence below the verdict.
+        created: time of the run, RFC 3339, UTC.
         entries: every golden on every realization.
-        refusals: why nothing was signed, one line each, the most serious first.
-        notes: what else to say.
-        release, previous: numbers of the release written now and of the baseline.
-        expires, key_id: of the release written now.
-        ids: the tuple of IDs.
-        parts: part id -> digest today.
-        environment: what it ran on.
+        refusals: reasons why nothing was signed, one line each, the most serious first.
+        notes: further notes, one line each.
+        release, previous: numbers of the new release and of the baseline, or None.
+        expires, key_id: expiry and key of the new release, or None.
+        ids: tuple of IDs of the twin.
+        parts: part id -> present digest.
+        environment: name -> version of the software and hardware.
     """
 
     twin: str

@@ -1,4 +1,4 @@
-"""What all HTML pages share: style, template, pictures inside the page."""
+"""Style sheets, templates and embedded pictures of all HTML pages."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pytest_twin.report.text import printable
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """Style sheets of a page, one text.
+    """Style sheets of a page, concatenated.
 
     Attributes:
-        text: the sheets one after another.
-        sha256: base64, for the page's content security policy.
+        text: the concatenated sheets.
+        sha256: SHA-256 in base64, for the page's content security policy.
     """
 
     text: str
@@ -30,16 +30,18 @@ class Style:
 
 @cache
 def style_of(*sheets: str) -> Style:
-    """Style sheets of this folder."""
+    """Read style sheets of this folder."""
     folder = resources.files(__package__)
     text = "".join(folder.joinpath(name).read_text("utf-8") for name in sheets)
     return Style(text, base64.b64encode(hashlib.sha256(text.encode()).digest()).decode())
 
 
 def template(name: str, **filters: Callable[..., Any]) -> jinja2.Template:
-    """A template of this folder, with filters.
+    """Load a template of this folder, with filters.
 
-    Every text that it shows is escaped and made printable; what it made itself has its line breaks.
+    Inserted text is escaped, and its control characters are made printable; markup that the
+    template
+    itself produced is not changed.
     """
     environment = jinja2.Environment(
         autoescape=True,
@@ -54,7 +56,7 @@ def template(name: str, **filters: Callable[..., Any]) -> jinja2.Template:
 
 
 def svg_uri(svg: bytes) -> str:
-    """A drawing as the address of an image."""
+    """Return an SVG as data URI."""
     return "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
 
 

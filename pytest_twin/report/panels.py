@@ -1,4 +1,4 @@
-"""What a plot of series shows: for each quantity its course now, the golden's, and the bound."""
+"""Prepare the data of a plot of series: present series, the golden's, and the tolerance."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ _ORDER = ("magnitude", "phase", "coherence")
 
 
 class Series(Protocol):
-    """Series on one axis, as checks record them (``checks.base.Trace``)."""
+    """Series on one axis, in the form of ``checks.base.Trace``."""
 
     @property
     def axis(self) -> tuple[str, str]:
-        """(name, unit) of ``x``."""
+        """Return (name, unit) of ``x``."""
 
     @property
     def x(self) -> FloatArray:
-        """(n,) values of the axis."""
+        """Return the (n,) values of the axis."""
 
     @property
     def columns(self) -> Mapping[str, tuple[str, FloatArray]]:
-        """Name -> (unit, (n,) values)."""
+        """Return name -> (unit, (n,) values)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """(n,) values over (n,) places on the axis; what cannot be drawn is NaN."""
+    """(n,) values over (n,) positions on the axis; NaN for values that cannot be drawn."""
 
     x: FloatArray
     y: FloatArray
@@ -49,12 +49,13 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """The sample that used most of a tolerance.
+    """The sample with the largest error relative to its tolerance.
 
     Attributes:
-        x: its place on the axis; ``y``: the value there now.
-        error, tolerance: in the panel's unit.
-        passed: whether it is within.
+        x: its position on the axis.
+        y: its present value.
+        error, tolerance: error and tolerance, in the panel's unit.
+        passed: whether the error is within tolerance.
     """
 
     x: float
@@ -66,15 +67,16 @@ class Worst:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One quantity.
+    """Data of one quantity.
 
     Attributes:
-        title, unit: what it is.
-        now: what was observed now.
-        then: what it is compared with, None where nothing is; ``against`` its name.
-        command: what was commanded, where that has the same unit.
-        worst: the worst sample, None where no tolerance bounds the series.
-        bound: the measure of this quantity that used most of its tolerance, such as an RMS.
+        title, unit: name and unit of the quantity.
+        now: present series.
+        then: series for comparison, or None.
+        against: name of this series.
+        command: commanded series of the same unit, or None.
+        worst: the worst sample, None without a tolerance for samples.
+        bound: measure of this quantity with the largest used share of tolerance, such as an RMS.
     """
 
     title: str
@@ -88,7 +90,7 @@ class Panel:
 
     @property
     def residual(self) -> Line | None:
-        """Now minus then, at the places of now."""
+        """Return now minus then, at the positions of now."""
         if self.then is None:
             return None
         return Line(self.now.x, self.now.y - np.interp(self.now.x, self.then.x, self.then.y))
@@ -97,7 +99,7 @@ class Panel:
 def time_panels(
     measures: Sequence[Measure], now: Series, stored: Series | None
 ) -> tuple[list[Panel], int]:
-    """Panels over time, the worst first, and how many were left out."""
+    """Return panels over time, the worst first, and the number of omitted ones."""
     panels = []
     for name, (unit, values) in now.columns.items():
         quantity_name, _, subject = name.partition(":")
@@ -133,7 +135,7 @@ def time_panels(
 def frequency_panels(
     measures: Sequence[Measure], now: Series, stored: Series | None
 ) -> tuple[list[Panel], int]:
-    """Panels over frequency: magnitude in dB, phase, coherence, in this order."""
+    """Return panels over frequency: magnitude in dB, phase, coherence, in this order."""
     panels = []
     for name, (unit, values) in now.columns.items():
         kind, _, subject = name.partition(":")
@@ -157,13 +159,13 @@ def frequency_panels(
 
 
 def thin(line: Line, stretches: int = BUCKETS) -> Line:
-    """At most two points for each of many stretches: its lowest and its highest."""
+    """Reduce a line to the minimum and maximum of each of ``stretches`` sections."""
     if line.x.size <= 2 * stretches:
         return line
     last = line.x.size - 1
     width = -(-line.x.size // stretches)
     count = -(-line.x.size // width)
-    # Beyond the end the last sample again; what is not finite is neither lowest nor highest.
+    # Pad with the last sample; values that are not finite are neither minimum nor maximum.
     pieces = np.pad(line.y, (0, count * width - line.y.size), mode="edge").reshape(count, width)
     finite = np.isfinite(pieces)
     lowest = np.where(finite, pieces, np.inf).argmin(axis=1)
@@ -174,12 +176,12 @@ def thin(line: Line, stretches: int = BUCKETS) -> Line:
 
 
 def shifted(line: Line, offset: float) -> Line:
-    """``line``, ``offset`` higher."""
+    """Return ``line`` shifted up by ``offset``."""
     return replace(line, y=line.y + offset)
 
 
 def _telling(panel: Panel) -> tuple[float, float]:
-    """Use of the tolerance, then the residual in parts of the golden's range."""
+    """Return a sort key: used share of tolerance, then residual relative to the golden's range."""
     left = panel.residual
     used = -1.0 if panel.bound is None else use_of_tolerance(panel.bound)
     if left is None or panel.then is None:
@@ -189,10 +191,10 @@ def _telling(panel: Panel) -> tuple[float, float]:
 
 
 def _bound_of(line: Line, measures: Sequence[Measure]) -> Measure | None:
-    """The worst measure that speaks of one sample of a series.
+    """Return the worst measure that refers to one sample of a series.
 
-    It has a time, and its value is the one of the series at that time; a mean over the series
-    (RMS) has not, and draws no band.
+    Such a measure has a time, and its value equals the series at that time. A mean over the series
+    (RMS) has no time and no tolerance band.
     """
     scale = _range(line) + 1e-12
     fitting = [
@@ -209,7 +211,7 @@ def _worst(measure: Measure, time: float) -> Worst:
 
 
 def _worst_line(measure: Measure, now: Line, then: Line) -> Worst | None:
-    """The line of a frequency response that a measure speaks of, found again in the series."""
+    """Return the line of a frequency response to which a measure refers."""
     found = np.interp(then.x, now.x, now.y)
     error = np.abs(found - then.y)
     if measure.unit == "rad":
@@ -221,7 +223,7 @@ def _worst_line(measure: Measure, now: Line, then: Line) -> Worst | None:
 
 
 def _range(line: Line) -> float:
-    """Highest minus lowest of what can be drawn."""
+    """Return maximum minus minimum of the finite values."""
     finite = line.y[np.isfinite(line.y)]
     return float(np.ptp(finite)) if finite.size else 0.0
 

@@ -1,11 +1,11 @@
-"""How plots look, on white and on black."""
+"""Style of plots, for light and dark pages."""
 
 from __future__ import annotations
 
 import re
 from typing import Any
 
-# Light colour -> dark colour. The light ones stand in the SVG; a style rule swaps them.
+# Light colour -> dark colour. The SVG has the light ones; a style rule replaces them.
 INK, DIM, GRID = "#1c2430", "#5c6675", "#d5dae1"
 NOW, GOLDEN, BAND, PASS, FAIL = "#0b62c4", "#3f4a59", "#c9d3e0", "#2b8a6b", "#c8341f"
 _DARK = {
@@ -26,7 +26,7 @@ STYLE: dict[Any, Any] = {
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8.5,
     "text.color": INK,
-    # Names come from files: a dollar is a dollar.
+    # Names come from files, so do not interpret dollar signs as formulas.
     "text.parse_math": False,
     "axes.edgecolor": DIM,
     "axes.labelcolor": DIM,
@@ -38,7 +38,7 @@ STYLE: dict[Any, Any] = {
     "axes.formatter.useoffset": False,
     "axes.titlesize": 8.5,
     "axes.titlelocation": "left",
-    # Fixed, as no axis has ticks at its top: to look for them takes a fifth of the time to draw.
+    # No axis has ticks at its top; searching for them takes a fifth of the drawing time.
     "axes.titley": 1.0,
     "grid.color": GRID,
     "grid.linewidth": 0.6,
@@ -54,7 +54,7 @@ STYLE: dict[Any, Any] = {
 
 
 def finish(svg: str) -> str:
-    """Fewer decimals, and a rule that swaps the colours on a dark page."""
+    """Shorten decimals in an SVG, and add a rule that replaces colours on a dark page."""
     svg = re.sub(
         r' d="[^"]*"', lambda m: re.sub(r"(\d+\.\d)\d+", r"\1", m[0]).replace("\n", ""), svg
     )

@@ -1,6 +1,6 @@
-"""One plot for each golden, as a small SVG that is legible on white and on black.
+"""Draw one plot for each golden, as a small SVG for light and dark pages.
 
-matplotlib is imported when something is drawn, which happens in the child process.
+matplotlib is imported only when a plot is drawn, in the child process.
 """
 
 from __future__ import annotations
@@ -44,19 +44,18 @@ def plot(
     now: Series | None,
     stored: Series | None,
 ) -> bytes | None:
-    """The plot of one golden, or None where nothing was measured.
+    """Draw the plot of one golden; return None if nothing was measured.
 
     Args:
         kind: the check's name.
         title: the golden's title.
-        measures: what was compared with tolerances.
-        now: what was observed now.
-        stored: what that is compared with: the golden's own series, or a recording's.
+        measures: measures with tolerances.
+        now: present series, or None.
+        stored: series for comparison, from the golden or a recording, or None.
 
     Returns:
-        SVG: with series their course, their difference and the worst sample; over
-        frequency the magnitude, phase and coherence; without series each error against its
-        tolerance.
+        SVG: time series with their difference and the worst sample; magnitude, phase and
+            coherence over frequency; or, without series, each error relative to its tolerance.
     """
     heading = f"{title}  ({kind})"
     if now is not None and now.x.size > 1 and now.columns:
@@ -76,8 +75,7 @@ def _render(title: str, draw: Callable[[Figure], None]) -> bytes:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    # A name in a script that the font lacks, numbers at the end of their range: the plot is less
-    # pretty, and that is no news about the robot.
+    # Ignore warnings about missing glyphs or extreme numbers, which do not concern the robot.
     with matplotlib.rc_context(STYLE), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         figure = Figure(layout="constrained")
@@ -95,7 +93,7 @@ def _render(title: str, draw: Callable[[Figure], None]) -> bytes:
 
 
 def _draw_time(figure: Figure, series: Series, panels: Sequence[Panel], left_out: int) -> None:
-    """For each panel its course, and below it the difference."""
+    """Draw each panel's series, and below it the difference."""
     ratios = [ratio for panel in panels for ratio in ([2.2, 1.0] if panel.then else [2.2])]
     figure.set_size_inches(_WIDTH_INCHES, 0.55 + 0.78 * sum(ratios))
     rows = iter(
@@ -203,10 +201,10 @@ def _axis_label(axes: Axes, series: Series, left_out: int) -> None:
 
 
 def _align_labels(rows: Sequence[Axes]) -> None:
-    """Labels of vertical axes in one column, left of the widest tick label of all.
+    """Align the labels of vertical axes in one column, left of the widest tick label.
 
-    ``Figure.align_ylabels`` measures every tick again for each axis and each pass of the layout,
-    which is a third of the time to draw.
+    ``Figure.align_ylabels`` measures every tick again for each axis and each layout pass, which
+    takes a third of the drawing time.
     """
     from matplotlib.transforms import ScaledTranslation
 
@@ -223,7 +221,7 @@ def _align_labels(rows: Sequence[Axes]) -> None:
 
 
 def _legend(figure: Figure, rows: Sequence[Axes]) -> None:
-    """One legend for all, each label once."""
+    """Draw one legend for all panels, with each label once."""
     found: dict[str, Artist] = {}
     for axes in rows:
         handles, labels = axes.get_legend_handles_labels()
@@ -241,7 +239,7 @@ def _draw_bars(figure: Figure, measures: Sequence[Measure]) -> None:
     axes = figure.subplots()
     used = np.array([use_of_tolerance(measure) for measure in shown])
     finite = used[np.isfinite(used) & (used > 0)]
-    # A decade of room on both sides; what is exact or hardly off ends at the left edge.
+    # One decade of margin on both sides; bars of very small errors end at the left edge.
     low = 10.0 ** max(-4, min(-1, math.floor(math.log10(finite.min())) if finite.size else -1))
     high = 10.0 ** min(6, max(1, math.ceil(math.log10(finite.max())) if finite.size else 1))
     ends = np.clip(np.where(np.isfinite(used), used, high), low * 1.08, high)
@@ -250,7 +248,7 @@ def _draw_bars(figure: Figure, measures: Sequence[Measure]) -> None:
     axes.barh(rows, ends - low, left=low, color=colours, height=0.62)
     axes.axvline(1.0, color=INK, linewidth=1.1)
     axes.set_xscale("log")
-    # Decades are labelled; the ticks between them take half of the time to draw.
+    # Only decades have ticks, because ticks between them take half of the drawing time.
     axes.minorticks_off()
     axes.set_xlim(low, high)
     axes.set_ylim(len(shown) - 0.4, -0.6)

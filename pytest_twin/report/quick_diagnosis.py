@@ -1,4 +1,4 @@
-"""The one-line text of a quick diagnosis."""
+"""Format a quick diagnosis as one line of text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST_WINDOWS = 2
 
 
 def quick_diagnosis_in_words(seen: QuickDiagnosis) -> str:
-    """The most likely effects with their confidence, or where and when a force is missing."""
+    """Return the most likely effects with confidence, or joint and time of a missing force."""
     if seen.suspects:
         parts = [_suspect(found) for found in seen.suspects]
         if seen.unexplained:
@@ -61,7 +61,7 @@ def _named(where: Place) -> str:
 
 
 def _listed(names: Sequence[str], word: str) -> str:
-    """``a``, ``a or b``, ``a, b or c``."""
+    """Join words: ``a``, ``a or b``, ``a, b or c``."""
     *most, last = names
     return f"{', '.join(most)} {word} {last}" if most else last
 

@@ -1,4 +1,4 @@
-"""Randomization ranges of a twin as a page."""
+"""Write the randomization ranges of a twin as an HTML page."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from pytest_twin.report.ranges_plots import (
 
 _MOODS = {"useful": "good", "too_narrow": "bad", "too_wide": "bad", "not_checked": "part"}
 _RECORDINGS = 4
-"""Recordings whose envelopes are drawn; ``ranges.json`` has all."""
+"""Largest number of recordings with a figure; ``ranges.json`` has all."""
 
 
 def render(document: Mapping[str, Any]) -> str:
-    """The ranges as one HTML document without external files.
+    """Return the ranges as one HTML document without external files.
 
     Args:
         document: ``ranges.json``.

@@ -18,14 +18,14 @@ _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm")}
 _SHOWN = 30
 _WIDTH = 7.4
 _MOST_NAMES = 30
-"""Rows of a correlation matrix that can be read."""
+"""Largest number of rows of a readable correlation matrix."""
 
 
 def envelope_figure(panels: Sequence[Mapping[str, Any]]) -> bytes:
-    """Envelopes of one recording, a row for each joint: the motion, and what it is off, as SVG.
+    """Draw envelopes of one recording, a row for each joint: motion and deviation, as SVG.
 
     Args:
-        panels: entries of ``envelopes`` of ``ranges.json``, of one recording.
+        panels: entries of ``envelopes`` of ``ranges.json`` for one recording.
     """
     height = 0.3 + 1.5 * len(panels)
 
@@ -56,7 +56,7 @@ def envelope_figure(panels: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def transform_figure(joints: Mapping[str, Mapping[str, Any]]) -> bytes:
-    """Histograms of the probability integral of each joint, as SVG; even ones are calibrated."""
+    """Draw histograms of the probability integral of each joint, as SVG; uniform: calibrated."""
     columns = min(4, len(joints))
     rows = -(-len(joints) // columns)
     height = 0.25 + 1.35 * rows
@@ -85,7 +85,7 @@ def transform_figure(joints: Mapping[str, Mapping[str, Any]]) -> bytes:
 
 
 def correlation_figure(names: Sequence[str], matrix: Sequence[Sequence[float]]) -> bytes | None:
-    """The correlation matrix, as SVG; None of more coordinates than can be read."""
+    """Draw the correlation matrix, as SVG; None if it has too many coordinates to be readable."""
     if not 2 <= len(names) <= _MOST_NAMES:
         return None
     values = np.array(matrix)
@@ -107,7 +107,7 @@ def correlation_figure(names: Sequence[str], matrix: Sequence[Sequence[float]]) 
 
 
 def against_figure(entries: Sequence[Mapping[str, Any]]) -> bytes:
-    """Given ranges beside measured ones, each over the model's value, as SVG."""
+    """Draw given and measured ranges, relative to the model's values, as SVG."""
     height = 0.5 + 0.36 * len(entries)
 
     def draw(figure: Figure) -> None:

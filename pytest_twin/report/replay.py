@@ -1,4 +1,4 @@
-"""The page of one replay: error of each joint, and its frequency response."""
+"""Write one replay as an HTML page: error of each joint, and frequency responses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_twin.report.page import style_of, template
 
 
 def render(summary: Mapping[str, Any]) -> str:
-    """The JSON of a replay as one HTML document without external files."""
+    """Return the JSON of a replay as one HTML document without external files."""
     style = style_of("report.css", "diagnosis.css")
     responses = summary["frequency_response"]
     return _template().render(

@@ -1,4 +1,4 @@
-"""Numbers and names as people read them."""
+"""Format numbers and names for people."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from pytest_twin.outcome import Measure, use_of_tolerance
 
 
 def printable(text: str) -> str:
-    """``text`` on one line and without terminal escapes: names come from files."""
+    """Return ``text`` on one line and without terminal escape sequences."""
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else "�" for char in text)
 
 
 def number(value: float) -> str:
-    """Four significant digits."""
+    """Format a number with four significant digits."""
     if not math.isfinite(value):
         return str(value)
     return f"{value:.4g}"
 
 
 def quantity(value: float, unit: str) -> str:
-    """Four significant digits and the unit."""
+    """Format a number with four significant digits and its unit."""
     return number(value) if unit == "1" else f"{number(value)} {unit}"
 
 
 def use(measure: Measure) -> str:
-    """How much of the tolerance was used, ``47 %``, ``3.2 times``."""
+    """Return the used share of the tolerance, ``47 %``, ``3.2 times``."""
     used = use_of_tolerance(measure)
     if not math.isfinite(used):
         return "all of none" if math.isfinite(measure.error) else "no number"

@@ -71,7 +71,7 @@ def test_the_report_lists_faults_first_and_unknown_properties_by_source(tmp_path
         for words in (
             "X inertia.triangle: link 'upper'",
             "! joints.no_effort: joint 'elbow'",
-            "properties are not stated in the file (--all lists each). To settle them:",
+            "properties are not stated in the file (--all lists each). Their sources:",
             "?    9  the robot's manual: axis directions, zero pose, command interface, tool frame",
             "        joints.sign_unknown (3), joints.zero_unknown (3), commands.unknown (3)",
             "        next: declare them in an evidence file",

@@ -109,7 +109,7 @@ def test_a_template_is_complete_once_it_is_filled_in(tmp_path: Path) -> None:
 REFUSED = [
     ("joints.lift.position", [1.2, -1.2], "the lowest position is not below the highest",
      "got '1.2 to -1.2' rad"),
-    ("joints.lift.position", [-3.0, 1.2], "beyond the joint's own range",
+    ("joints.lift.position", [-3.0, 1.2], "beyond the joint's range",
      "expected within -2 to 2 rad"),
     ("joints.lift.start", 1.3, "starts outside the approved positions", "between -1.2 and 1.2 rad"),
     ("joints.elbow.velocity", -2.0, "no motion without it", "got -2.0 rad/s"),
@@ -120,7 +120,7 @@ REFUSED = [
     ("rate", 10.0, "too few commands for the task's highest frequency", "at least 20 Hz"),
     ("duration", 1.0, "shorter than one period", "at least 4.5 s"),
     ("workspace.0.frame", "tp", "the model has no frame 'tp'", "tip"),
-    ("workspace.0.max", [1.0, -1.0, 1.0], "a box without inside along y", "more than -1 m"),
+    ("workspace.0.max", [1.0, -1.0, 1.0], "an empty box along y", "more than -1 m"),
     ("clearance.ignore", [["upper", "lowr"]], "no body or geom of this name", "lower"),
     ("supply.voltage", 0.0, "no supply", "got 0.0 V"),
     ("joints.wrist", {"velocity": 1.0}, "the model has no joint 'wrist'", "expected one of"),

@@ -128,5 +128,5 @@ def test_without_casadi_the_error_gives_the_command_to_install_it(
     with pytest.raises(SpecError) as caught:
         excite(*loaded(path), solver="ipopt")
     message = str(caught.value)
-    assert "casadi, which is not installed" in message
+    assert "casadi, which contains IPOPT, is not installed" in message
     assert "pip install 'pytest-twin[ipopt]'" in message

@@ -147,7 +147,7 @@ def test_without_pyarrow_the_error_names_the_package_extra(
         ({"data_path": None}, "data_path: does not state the path of the data"),
         ({"data_path": "../{file_index}.parquet"}, "data_path: not a path inside the data set"),
         ({"data_path": "/etc/{file_index}.parquet"}, "data_path: not a path inside the data set"),
-        ({"data_path": "{file_index.__class__}.parquet"}, "data_path: not a place"),
+        ({"data_path": "{file_index.__class__}.parquet"}, "data_path: not a path"),
         ({"data_path": "no/{file_index}.parquet"}, "data_path: no data file is there"),
     ],
 )

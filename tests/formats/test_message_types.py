@@ -126,7 +126,7 @@ def test_array_commands_are_named_by_labels_or_index_with_notes(
     said = " ".join(recording.notes)
     assert "has no stamp: the recorder's log time is used" in said
     assert "positions, velocities or efforts" in said
-    assert ("named by their place" in said) == (names == ("0", "1"))
+    assert ("numbered 0 to" in said) == (names == ("0", "1"))
 
 
 def points(*rows: tuple[int, float]) -> list[object]:

@@ -65,10 +65,10 @@ def test_a_truncated_sensor_message_is_refused(kind: str) -> None:
     [
         (b"[]", "not a JSON object"),
         (b'{"wrench": 3}', "wrench is not an object"),
-        (b'{"wrench": {"force": {"x": 1, "y": "2", "z": 3}, "torque": {}}}', "no number"),
+        (b'{"wrench": {"force": {"x": 1, "y": "2", "z": 3}, "torque": {}}}', "not a number"),
         (b'{"wrench": {"force": {"x": 1, "y": 1e999, "z": 3}, '
          b'"torque": {"x": 0, "y": 0, "z": 0}}}', "not finite"),
-        (b'{"wrench": {"force": {"x": 1, "y": true, "z": 3}, "torque": {}}}', "no number"),
+        (b'{"wrench": {"force": {"x": 1, "y": true, "z": 3}, "torque": {}}}', "not a number"),
     ],
 )  # fmt: skip
 def test_an_invalid_json_wrench_is_refused(text: bytes, words: str) -> None:

@@ -129,7 +129,7 @@ def test_an_unselected_stale_golden_is_shown_as_not_run() -> None:
     tree = lxml_html.fromstring(page.encode())
     headings = [node.text_content() for node in tree.xpath("//h2")]
     assert "Passed now 1" in headings
-    assert "Stale, and not run 1; neither passed nor failed" in headings
+    assert "Stale and not run 1; neither passed nor failed" in headings
     assert not any(heading.startswith("Failed") for heading in headings)
     counts = [node.text_content() for node in tree.xpath("//div[contains(@class, 'count ')]")]
     assert counts == ["1passed now", "1not run", "0still proven"]
