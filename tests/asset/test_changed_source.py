@@ -83,4 +83,4 @@ def test_a_changed_source_is_reported_and_refused_by_release_and_realize(
     capsys.readouterr()
     arguments = ["realize", str(asset / "source/urdf/arm.urdf"), "--out", str(asset)]
     assert main(arguments) == 2
-    assert "the source asset is not what was taken in" in capsys.readouterr().err
+    assert "the source asset has changed since intake" in capsys.readouterr().err
