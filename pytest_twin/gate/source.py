@@ -30,6 +30,6 @@ def changed_sources(twin: Twin) -> Iterator[str]:
             more = len(lines) - _NAMED
             listed = "; ".join(lines[:_NAMED]) + (f"; and {more} more" if more > 0 else "")
             yield (
-                f"{found[0]}: the source asset is not what was taken in: {listed} "
+                f"{found[0]}: the source asset has changed since intake: {listed} "
                 "(expected the frozen source; take a new one in with `pytest-twin intake`)"
             )
