@@ -35,7 +35,7 @@ from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.collision import disabled_pairs
-from pytest_twin.staleness import Baseline, Model, Stock, Surroundings, staleness, take_stock
+from pytest_twin.staleness import Baseline, DependencyMap, Lookups, Model, dependency_map, staleness
 from pytest_twin.twin import Twin, load_twin
 
 EDITS_PER_MODEL = 8
@@ -725,10 +725,10 @@ def record(golden: Golden, realization: Realization, tally: Tally) -> Recorded |
     return Recorded(golden, trace, passed) if passed else None
 
 
-def stock(twin: Twin, realization: Realization, goldens: list[Golden]) -> Stock:
+def dependencies(twin: Twin, realization: Realization, goldens: list[Golden]) -> DependencyMap:
     model = Model(realization.parts, realization.structure)
-    world = Surroundings(check_of, version, lambda golden, reference: None)
-    return take_stock(twin, goldens, {"mujoco": model}, world)
+    world = Lookups(check_of, version, lambda golden, reference: None)
+    return dependency_map(twin, goldens, {"mujoco": model}, world)
 
 
 def one_model(folder: Path, rng: Rng, edits: int, tally: Tally, *, precision: bool) -> None:
@@ -751,8 +751,8 @@ def one_model(folder: Path, rng: Rng, edits: int, tally: Tally, *, precision: bo
         if found is not None:
             recorded.append(found)
     goldens = [item.golden for item in recorded]
-    today = stock(twin, before, goldens)
-    baseline = Baseline(1, today.parts, dict.fromkeys(today.rests_on, True), today.rests_on)
+    today = dependencies(twin, before, goldens)
+    baseline = Baseline(1, today.parts, dict.fromkeys(today.depends_on, True), today.depends_on)
     for _ in range(edits):
         words, text = edited(robot.root, rng)
         path.write_text(text)
@@ -762,7 +762,7 @@ def one_model(folder: Path, rng: Rng, edits: int, tally: Tally, *, precision: bo
             tally.refused += 1
             continue
         tally.edits += 1
-        reasons = staleness(stock(twin, after, goldens), baseline)
+        reasons = staleness(dependencies(twin, after, goldens), baseline)
         for item in recorded:
             stale = bool(reasons[f"{item.golden.id}@mujoco"])
             tally.goldens += 1

@@ -1,4 +1,4 @@
-"""pytest-twin: keep a robot's digital twin trustworthy, one signed release at a time."""
+"""pytest-twin: test a robot's digital twin, sign what passes, and find missing physics."""
 
 from pytest_twin.errors import TwinError
 

@@ -1,4 +1,4 @@
-"""What ``twin.yaml`` declares beside the base model: a residual, an online update, and their trial.
+"""Sections of ``twin.yaml`` for adaptation: residual force, online update, criteria of promotion.
 
 None of them edits the asset, the fit, or a calibration.
 """
@@ -18,12 +18,13 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class JointRegion:
-    """Where a residual is valid at one joint.
+    """Range of validity of a residual force at one joint.
 
     Attributes:
         bound: largest force, N*m or N.
         position, velocity: open intervals, rad and rad/s or m and m/s.
-        jump: change of velocity between two samples from which on it is a contact, rad/s or m/s.
+        jump: smallest change of velocity between two samples that counts as a contact, rad/s or
+            m/s.
     """
 
     bound: float
@@ -34,17 +35,17 @@ class JointRegion:
 
 @dataclass(frozen=True, slots=True)
 class ResidualSpec:
-    """A bounded force beside the base model.
+    """A bounded joint force that is added to the base model.
 
     Attributes:
         id: its version.
-        kind: what computes it.
-        file: of ``unnamed_laws`` and ``onnx``.
-        function: name of the entry point of ``function``.
-        joints: joint -> where it is valid, in the order of its inputs.
-        period: s between two evaluations.
-        max_age: s; an older sample is stale.
-        hold_off: s of the base alone after a start or a fault.
+        kind: which implementation computes the force.
+        file: file of the law, for the kinds ``unnamed_laws`` and ``onnx``.
+        function: name of the entry point, for the kind ``function``.
+        joints: joint -> range of validity, in the order of the inputs.
+        period: time between two evaluations, s.
+        max_age: s; the force is not computed from a sample that is older.
+        hold_off: time without the residual after a start or a fault, s.
         uncertainty: largest standard deviation that it may state, N*m or N; None for no monitor.
     """
 
@@ -60,7 +61,7 @@ class ResidualSpec:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], file: Path | None) -> ResidualSpec:
-        """From the validated table of ``twin.yaml``, its file resolved."""
+        """Build the spec from the validated table of ``twin.yaml`` and the resolved file."""
         joints = {
             name: JointRegion(
                 float(one["bound"]),
@@ -81,9 +82,9 @@ class UpdateSpec:
 
     Attributes:
         id: its version.
-        parameters: ``JOINT.NAME`` -> bounds in SI units at the joint.
-        window: s of motion between two updates.
-        forgetting: weight of the past at each update.
+        parameters: ``JOINT.NAME`` -> (lower, upper) in SI units at the joint.
+        window: duration of motion between two updates, s.
+        forgetting: forgetting factor of the recursive estimate at each update, 0 to 1.
         noise: standard deviation of a measured position, rad or m.
     """
 
@@ -95,7 +96,7 @@ class UpdateSpec:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> UpdateSpec:
-        """From the validated table of ``twin.yaml``."""
+        """Build the spec from the validated table of ``twin.yaml``."""
         parameters = {
             name: (float(one["lower"]), float(one["upper"]))
             for name, one in data["parameters"].items()
@@ -107,11 +108,11 @@ class UpdateSpec:
 
 @dataclass(frozen=True, slots=True)
 class ShadowPolicy:
-    """What a candidate is judged by.
+    """Criteria by which a shadow run accepts or rejects a candidate.
 
     Attributes:
-        metrics: metric -> share by which a candidate must lower it, mean over joints.
-        safety: metric -> share by which a candidate may raise it, on any joint.
+        metrics: metric -> fraction by which a candidate must lower its mean over joints.
+        safety: metric -> fraction by which a candidate may raise it at any joint.
     """
 
     metrics: Mapping[str, float] = field(default_factory=lambda: {"position_rms": 0.0})
@@ -121,13 +122,13 @@ class ShadowPolicy:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> ShadowPolicy:
-        """From the validated table of ``twin.yaml``; what it leaves out is as by default."""
+        """Build the policy from the validated table of ``twin.yaml``, with defaults."""
         given = {name: {k: float(v) for k, v in table.items()} for name, table in data.items()}
         return cls(**given)
 
 
 def digest_of(spec: ResidualSpec | UpdateSpec, file_sha256: str | None) -> str:
-    """SHA-256 of a declaration with its file, hex."""
+    """SHA-256 of a residual or update and of its file's digest, hex."""
     content: dict[str, Any] = {"id": spec.id, "file": file_sha256}
     if isinstance(spec, UpdateSpec):
         content |= {

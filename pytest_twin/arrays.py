@@ -1,4 +1,4 @@
-"""Types of arrays."""
+"""Type aliases of arrays."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-# A name in quotes: collecting specs needs no arrays and should not wait for NumPy.
+# The type is a string so that the collection of specs does not import NumPy.
 FloatArray: TypeAlias = "NDArray[np.float64]"

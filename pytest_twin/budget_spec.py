@@ -1,4 +1,4 @@
-"""What ``twin.yaml`` says of the error budget: the task's output, tolerance, and owners."""
+"""Section ``budget:`` of ``twin.yaml``: frame of the task, its tolerance, owners of the errors."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class BudgetSpec:
-    """What an error budget is about.
+    """Task of an error budget.
 
     Attributes:
-        frame: whose pose the task needs; None for the twin's tool centre point.
-        poses: joint -> what its encoder reads there, rad or m.
-        recordings: the task's motion.
-        position, rotation: what the task allows, m and rad, or None.
-        owners: category -> who answers for it.
+        frame: frame whose pose error is budgeted; None for the twin's tool centre point.
+        poses: configurations, each joint -> encoder reading, rad or m.
+        recordings: recordings of the task's motion.
+        position, rotation: allowed pose error, m and rad, or None.
+        owners: category of error -> person or team responsible for it.
     """
 
     frame: str | None = None
@@ -29,7 +29,7 @@ class BudgetSpec:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], recordings: tuple[Path, ...]) -> BudgetSpec:
-        """From the validated table of ``twin.yaml``, its recordings resolved."""
+        """Build the spec from the validated table of ``twin.yaml`` and the resolved recordings."""
         tolerance = {name: float(value) for name, value in data.get("tolerance", {}).items()}
         return cls(
             frame=data.get("frame"),

@@ -1,4 +1,4 @@
-"""The ``pytest-twin`` command: parse, call one command, turn a user's error into one line."""
+"""The ``pytest-twin`` command: parse the arguments, run one command, print errors as one line."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ COMMANDS: tuple[str, ...] = (
     "rollback",
     "completion",
 )
-READER_GONE = 141
+BROKEN_PIPE = 141
 INTERRUPTED = 130
 _PROGRAM = "pytest-twin"
 
 
 def parser(commands: Sequence[str] = COMMANDS) -> Parser:
-    """The command line's parser, with the named commands."""
+    """Argument parser with a subparser for each of the named commands."""
     main_parser = Parser(
         prog=_PROGRAM,
         description="Test a robot's digital twin, sign what passes, and name the physics that it "
@@ -68,7 +68,7 @@ def parser(commands: Sequence[str] = COMMANDS) -> Parser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; its exit status, or 2 with one line on standard error."""
+    """Run one command and return its exit status; unusable input gives 2 and one line of error."""
     if (problem := unsupported_system()) is not None:
         print(problem, file=sys.stderr)
         return UNUSABLE_INPUT
@@ -82,9 +82,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         terminal.show_error(f"{_PROGRAM} {args.command}", str(error))
         return UNUSABLE_INPUT
     except BrokenPipeError:
-        # Whoever read the output has gone (`| head`); the files are written.
+        # The reader closed the pipe (`| head`); the files are written.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return READER_GONE
+        return BROKEN_PIPE
     except KeyboardInterrupt:
         terminal.show_error(f"{_PROGRAM} {args.command}", "interrupted; no file is half written")
         return INTERRUPTED
@@ -98,7 +98,7 @@ def _parsed(words: list[str]) -> argparse.Namespace:
             f"there is no command {first!r}{did_you_mean(first, COMMANDS)} "
             f"(commands: {', '.join(COMMANDS)})"
         )
-    # The imports of all commands take longer than some commands do.
+    # Only the module of the named command is imported: importing all takes seconds.
     args, unknown = parser(words[:1] if first in COMMANDS else COMMANDS).parse_known_args(words)
     if unknown:
         word = unknown[0]

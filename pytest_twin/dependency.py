@@ -1,4 +1,7 @@
-"""Parts, what a golden depends on, and the structure of a model. No simulator, no files."""
+"""Parts of a twin, and the parts of a model that a golden's result depends on.
+
+This module uses no simulator and reads no files.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ WORLD = "world"
 
 
 def canonical(content: object) -> bytes:
-    """One byte string per meaning: sorted keys, no spaces, floats to 12 significant digits.
+    """Canonical JSON of ``content``: sorted keys, no spaces, floats to 12 significant digits.
 
     Raises:
         ValueError: ``content`` holds a number that is not finite.
@@ -25,7 +28,8 @@ def canonical(content: object) -> bytes:
 
 def _rounded(content: object) -> object:
     if isinstance(content, float):
-        # 12 digits: reformatted or re-derived numbers agree, and no check feels the rest.
+        # 12 digits: reformatted or recomputed numbers give the same bytes, and a relative change
+        # of 1e-12 moves no result beyond a tolerance.
         return float(f"{content:.12g}") + 0.0
     if isinstance(content, Mapping):
         return {str(key): _rounded(value) for key, value in content.items()}
@@ -36,13 +40,13 @@ def _rounded(content: object) -> object:
 
 @dataclass(frozen=True)
 class Part:
-    """One thing that checks can feel.
+    """One thing that the result of a check can depend on.
 
     Attributes:
-        id: ``layer:name``, such as ``inertia:forearm`` or ``simulator:mujoco``; parts of a
-            realization carry its name in front, ``mujoco/inertia:forearm``.
-        content: what the part consists of, JSON-able; long arrays as their digest. A key may end
-            in its unit, ``mass [kg]``.
+        id: ``layer:name``, such as ``inertia:forearm`` or ``simulator:mujoco``; the id of a part
+            of a realization begins with its name, ``mujoco/inertia:forearm``.
+        content: values of the part, JSON-able; a long array is given by its digest. A key may
+            end in its unit, ``mass [kg]``.
     """
 
     id: str
@@ -56,29 +60,30 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """How a realization hangs together: enough to say which parts a check can feel.
+    """Kinematic tree, actuators, couplings and contact masks of a realization, by name.
 
-    All names are the realization's own; ``world`` is the root body and has no parent. A *tree* is
-    the bodies that move with or below one body whose parent stands still; it bears that body's
-    name. The methods return sets of part ids and take names that the model lacks: the part that
-    they would be is then in the set, and is found missing.
+    It determines which parts of the model the result of a check depends on. All names are those
+    of the realization; ``world`` is the root body and has no parent. A *tree* is a moving body
+    whose parent is fixed to the world, together with its descendants; its name is that of this
+    body. The methods return sets of part ids. They accept names that the model lacks: the set
+    then contains the id of the absent part, and the golden is reported as stale.
 
     Attributes:
-        realization: the name in front of the part ids.
+        realization: its name, the prefix of the part ids.
         body_parent: body -> parent body.
         joint_body: joint -> body that it moves.
         joint_range: joint -> (lower, upper) in rad or m, or None where unlimited.
         joint_type: joint -> ``hinge``, ``slide``, ``ball`` or ``free``.
-        frame_body: named frame (site or body) -> body; a site goes before a body.
-        actuator_joints: actuator -> joints that it drives (through tendons too).
+        frame_body: named frame (site or body) -> body; a site takes precedence over a body.
+        actuator_joints: actuator -> joints that it drives, directly or through a tendon.
         collision_bodies: bodies with a geom that can collide.
-        couplings: part id of an equality, tendon, flex -> bodies that it ties.
-        part_ids: every part of the realization.
-        body_tree: moving body -> its tree; bodies that stand still are left out.
-        actuator_bodies: actuator -> bodies that it pulls on.
-        equalities: those of ``couplings`` that constrain poses.
-        loops: those of ``equalities`` that are no mimic of one joint by another: a pose of any
-            joint is looked for with all of them closed.
+        couplings: part id of an equality, tendon or flex -> bodies that it connects.
+        part_ids: ids of all parts of the realization.
+        body_tree: moving body -> its tree; fixed bodies are left out.
+        actuator_bodies: actuator -> bodies on which it exerts a force.
+        equalities: those of ``couplings`` that are equality constraints.
+        loops: those of ``equalities`` that close a kinematic loop (all but the mimic of one joint
+            by another); every pose is computed with all loops closed.
         contact_masks: collision body -> (contype, conaffinity), over all its geoms.
         contact_pairs: bodies of explicit contact pairs.
         body_meshes: collision body -> part ids of the meshes and height fields of its geoms.
@@ -105,88 +110,91 @@ class Structure:
     body_meshes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     geom_body: Mapping[str, str] = field(default_factory=dict)
     joint_inputs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    _memo: dict[object, frozenset[str]] = field(
+    _cache: dict[object, frozenset[str]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
-    # -- what a check can feel
+    # -- parts that a result depends on
 
     def chain(self, frames: Iterable[str]) -> frozenset[str]:
-        """Where ``frames`` (sites or bodies) are at a pose: kinematics from the world to them.
+        """Ids of the parts that determine the pose of ``frames`` (sites or bodies).
 
-        Equality constraints of the bodies on the way count, with the bodies at their other end,
-        and every closed loop: they move the frame too, or leave no such pose.
+        These are the kinematics from the world to the frames, the equality constraints on the
+        bodies between them with the bodies at the other end, and every closed loop: constraints
+        move the frame, or make the pose impossible.
         """
         wanted = frozenset(frames)
-        return self._remember(("chain", wanted), lambda: self._chain(wanted))
+        return self._cached(("chain", wanted), lambda: self._chain(wanted))
 
     def carried(self, joints: Iterable[str]) -> frozenset[str]:
-        """What ``joints`` carry: inertia of every body that they carry, and its kinematics
-        from the world on."""
+        """Ids of inertia and kinematics (from the world) of all bodies below ``joints``."""
         wanted = frozenset(joints)
-        return self._remember(("carried", wanted), lambda: self._carried(wanted))
+        return self._cached(("carried", wanted), lambda: self._carried(wanted))
 
     def gravity_load(self, joints: Iterable[str]) -> frozenset[str]:
-        """Torque of gravity about ``joints``: what they carry, and gravity."""
+        """Ids of the parts that determine the gravity torque of ``joints``: :meth:`carried` and
+        gravity."""
         return self.carried(joints) | {self._id("option:gravity")}
 
     def dynamics(self, joints: Iterable[str] | None = None) -> frozenset[str]:
-        """All that moves ``joints`` (all of them by default).
+        """Ids of the parts that determine the motion of ``joints`` (all joints by default).
 
-        Kinematics, inertia, joints, actuators, couplings, collision of every body of the same
-        trees and of those that couplings, actuators, possible contacts or a common base tie to
-        them; gravity and the other options. Where a contact is possible at all, it is the whole
-        model: contacts amplify the last digits of the solver, which sees everything at once.
-        Keyframes are not in it.
+        These are kinematics, inertia, joints, actuators, couplings and collision geometry of all
+        bodies of the same trees, and of every tree that couplings, actuators, possible contacts
+        or a common base connect to them; gravity and the other options. Where a contact is
+        possible, it is the whole model: the solver treats all contacts together, and a contact
+        amplifies rounding errors. Keyframes are not included.
         """
         if joints is None:
-            return self._remember("dynamics", lambda: self._dynamics(frozenset(self._trees())))
+            return self._cached("dynamics", lambda: self._dynamics(frozenset(self._trees())))
         wanted = frozenset(joints)
-        return self._remember(("dynamics", wanted), lambda: self._dynamics_of(wanted))
+        return self._cached(("dynamics", wanted), lambda: self._dynamics_of(wanted))
 
     def contact(self, names: Iterable[str] | None = None) -> frozenset[str]:
-        """Geometry of contact of bodies or geoms (all bodies by default) at a pose: their chains,
-        shapes, meshes, contact parameters, the pairs that are declared, disabled or filtered, and
-        options."""
+        """Ids of the parts that determine contacts of bodies or geoms (all bodies by default).
+
+        These are the kinematics, shapes, meshes and contact parameters of the bodies, the contact
+        pairs that are declared, disabled or filtered, and the options.
+        """
         wanted = self.collision_bodies if names is None else frozenset(names)
-        return self._remember(("contact", wanted), lambda: self._contact(wanted))
+        return self._cached(("contact", wanted), lambda: self._contact(wanted))
 
     def actuation(self, joints: Iterable[str]) -> frozenset[str]:
-        """``joints`` themselves: passive terms, limits, their actuators, and what couples them."""
+        """Ids of passive forces, limits, actuators and couplings of ``joints``."""
         wanted = frozenset(joints)
-        return self._remember(("actuation", wanted), lambda: self._actuation(wanted))
+        return self._cached(("actuation", wanted), lambda: self._actuation(wanted))
 
     def limits(self, joints: Iterable[str]) -> frozenset[str]:
-        """The declared ranges of ``joints``."""
+        """Ids of the declared ranges of ``joints``."""
         return frozenset(self._id(f"limit:{joint}") for joint in joints)
 
     def keyframe(self, name: str) -> frozenset[str]:
-        """A named pose."""
+        """Id of a keyframe."""
         return frozenset({self._id(f"keyframe:{name}")})
 
     def additions(self) -> frozenset[str]:
-        """What the model's file gives to a body that is added to the scene, or to a payload."""
-        return frozenset(self._known({self._id("additions")}))
+        """Id of the model's defaults for bodies and payloads that are added; empty without any."""
+        return frozenset(self._existing({self._id("additions")}))
 
     def effects(self) -> frozenset[str]:
-        """What a diagnosis put beside the model, for checks that step it."""
-        return frozenset(self._known({self._id("effects")}))
+        """Id of the effects that a diagnosis added to the model; empty without any."""
+        return frozenset(self._existing({self._id("effects")}))
 
     def stage(self) -> frozenset[str]:
-        """The file that another simulator reads itself, for checks that it steps."""
-        return frozenset(self._known({self._id("stage")}))
+        """Id of the file that another simulator loads itself; empty without one."""
+        return frozenset(self._existing({self._id("stage")}))
 
     def everything(self) -> frozenset[str]:
-        """All parts but shapes that are only seen: for checks that may look at anything."""
-        seen = self._id("geom:")
-        return self._remember(
-            "everything", lambda: frozenset(i for i in self.part_ids if not i.startswith(seen))
+        """Ids of all parts but visual shapes: for checks that may use any of the model's values."""
+        shape = self._id("geom:")
+        return self._cached(
+            "everything", lambda: frozenset(i for i in self.part_ids if not i.startswith(shape))
         )
 
-    # -- walks over the model
+    # -- kinematic tree
 
     def ancestors(self, body: str) -> tuple[str, ...]:
-        """``body`` and all above it, the world left out."""
+        """``body`` and its ancestors up to the root, without the world."""
         found: list[str] = []
         while body in self.body_parent and body not in found:
             found.append(body)
@@ -194,24 +202,24 @@ class Structure:
         return tuple(found)
 
     def descendants(self, body: str) -> frozenset[str]:
-        """``body`` and all below it."""
+        """``body`` and all bodies below it."""
         return frozenset(b for b in self.body_parent if body in self.ancestors(b))
 
     def _chain(self, frames: frozenset[str]) -> frozenset[str]:
         bodies: set[str] = set()
         parts: set[str] = set()
         for frame in frames:
-            # A site may bear a body's name: both count.
+            # A site and a body may have the same name; the set then contains both.
             found = [b for b in (self.frame_body.get(frame), frame) if b in self.body_parent]
             for body in found:
                 bodies.update(self.ancestors(str(body)))
             site = self._id(f"frame:{frame}")
             if site in self.part_ids or (not found and frame != WORLD):
                 parts.add(site)
-        return frozenset(parts | self._placed(bodies)) | self.stage()
+        return frozenset(parts | self._kinematics(bodies)) | self.stage()
 
-    def _placed(self, bodies: set[str]) -> set[str]:
-        """Kinematics of ``bodies`` and of what equalities tie to them."""
+    def _kinematics(self, bodies: set[str]) -> set[str]:
+        """Kinematics of ``bodies`` and of the bodies that equality constraints connect to them."""
         bodies = set(bodies)
         tied: set[str] = set(self.loops)
         for loop in tied:
@@ -235,28 +243,28 @@ class Structure:
         roots = {self.joint_body[joint] for joint in joints if joint in self.joint_body}
         load = {b for b in self.body_parent if not roots.isdisjoint(self.ancestors(b))}
         above = {b for body in load for b in self.ancestors(body)}
-        return frozenset(parts | self._placed(above) | self._layer("inertia", load))
+        return frozenset(parts | self._kinematics(above) | self._layer("inertia", load))
 
     def _dynamics_of(self, joints: frozenset[str]) -> frozenset[str]:
         missing = {self._id(f"joint:{joint}") for joint in joints if joint not in self.joint_body}
         bodies = (self.joint_body[joint] for joint in joints if joint in self.joint_body)
         trees = frozenset(self.body_tree[body] for body in bodies if body in self.body_tree)
-        reached = self._reached(trees)
-        if self._may_touch({body for body, tree in self.body_tree.items() if tree in reached}):
+        reached = self._connected_trees(trees)
+        if self._may_collide({body for body, tree in self.body_tree.items() if tree in reached}):
             reached = frozenset(self._trees())
         return self._dynamics(reached) | missing
 
     def _dynamics(self, trees: frozenset[str]) -> frozenset[str]:
         moving = {body for body, tree in self.body_tree.items() if tree in trees}
-        standing = self._touched(moving)
-        bodies = moving | standing
+        touchable = self._touchable_fixed_bodies(moving)
+        bodies = moving | touchable
         joints = {joint for joint, body in self.joint_body.items() if body in moving}
         placed = {b for body in bodies for b in self.ancestors(body)}
-        # MuJoCo reckons about the centre of mass of all that stands on one body of the world:
-        # what stands still there shifts the last digits, and a contact makes much of them.
+        # MuJoCo computes about the centre of mass of each subtree of the world. Its fixed bodies
+        # therefore change the rounding error, which a contact amplifies.
         roots = {self.ancestors(body)[-1] for body in moving}
         rooted = {body for body in self.body_parent if self.ancestors(body)[-1] in roots}
-        parts = self._placed(placed | rooted) | self._layer("inertia", rooted)
+        parts = self._kinematics(placed | rooted) | self._layer("inertia", rooted)
         parts |= self._layer("joint", joints) | self._layer("limit", joints)
         parts |= self._layer("tree", trees) | self._layer("collision", bodies)
         parts |= {mesh for body in bodies for mesh in self.body_meshes.get(body, ())}
@@ -267,16 +275,16 @@ class Structure:
         )
         parts |= {self._id("option:gravity"), self._id("option:integration")}
         if not moving.isdisjoint(self.collision_bodies):
-            parts |= self._known({self._id("contact:pairs")})
+            parts |= self._existing({self._id("contact:pairs")})
         return frozenset(parts) | self.stage()
 
     def _contact(self, names: frozenset[str]) -> frozenset[str]:
         bodies = {self.geom_body.get(name, name) for name in names}
-        # A geom may bear a body's name: both count.
+        # A geom and a body may have the same name; the set then contains both.
         bodies |= {name for name in names if name in self.body_parent}
         parts = self._layer("geom", names) | self._layer("collision", bodies)
         parts |= {mesh for body in bodies for mesh in self.body_meshes.get(body, ())}
-        parts |= self._known({self._id("contact:pairs"), self._id("contact:filter")})
+        parts |= self._existing({self._id("contact:pairs"), self._id("contact:filter")})
         return self.chain(bodies) | parts | {self._id("option:integration")}
 
     def _actuation(self, joints: frozenset[str]) -> frozenset[str]:
@@ -292,8 +300,8 @@ class Structure:
     def _trees(self) -> set[str]:
         return set(self.body_tree.values())
 
-    def _reached(self, trees: frozenset[str]) -> frozenset[str]:
-        """``trees`` and every tree that couplings, actuators or contacts tie to them."""
+    def _connected_trees(self, trees: frozenset[str]) -> frozenset[str]:
+        """``trees`` and every tree that couplings, actuators or contacts connect to them."""
         links = [
             {self.body_tree[body] for body in ends if body in self.body_tree}
             for ends in (
@@ -323,13 +331,13 @@ class Structure:
             for tree in reached:
                 contype |= masks[tree][0]
                 conaffinity |= masks[tree][1]
-            # Exclusions are not looked at: two bodies of the trees may touch all the same.
+            # Excluded pairs are ignored: other bodies of the two trees may touch.
             reached |= {tree for tree, (c, a) in masks.items() if c & conaffinity or a & contype}
             grown = len(reached) > before
         return frozenset(reached)
 
-    def _may_touch(self, moving: set[str]) -> bool:
-        """Whether one of ``moving`` and another body have geoms that may touch, by their masks."""
+    def _may_collide(self, moving: set[str]) -> bool:
+        """Whether contact masks or explicit pairs let one of ``moving`` touch another body."""
         if any(not moving.isdisjoint(pair) for pair in self.contact_pairs):
             return True
         bodies: dict[tuple[int, int], set[str]] = {}
@@ -341,8 +349,8 @@ class Structure:
                     return True
         return False
 
-    def _touched(self, moving: set[str]) -> set[str]:
-        """Bodies that stand still and that ``moving`` may touch or are coupled to."""
+    def _touchable_fixed_bodies(self, moving: set[str]) -> set[str]:
+        """Fixed bodies that ``moving`` may touch or are coupled to."""
         contype = conaffinity = 0
         for body in moving & self.contact_masks.keys():
             contype |= self.contact_masks[body][0]
@@ -364,20 +372,20 @@ class Structure:
         return f"{self.realization}/{name}"
 
     def _layer(self, layer: str, names: Iterable[str]) -> set[str]:
-        return self._known({self._id(f"{layer}:{name}") for name in names})
+        return self._existing({self._id(f"{layer}:{name}") for name in names})
 
-    def _known(self, ids: set[str]) -> set[str]:
+    def _existing(self, ids: set[str]) -> set[str]:
         return ids & self.part_ids
 
-    def _remember(self, key: object, make: Callable[[], frozenset[str]]) -> frozenset[str]:
-        if key not in self._memo:
-            self._memo[key] = make()
-        return self._memo[key]
+    def _cached(self, key: object, make: Callable[[], frozenset[str]]) -> frozenset[str]:
+        if key not in self._cache:
+            self._cache[key] = make()
+        return self._cache[key]
 
     # -- JSON
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able fields."""
+        """Return the fields as JSON-able values."""
         return {
             item.name: sorted(value) if isinstance(value, frozenset) else value
             for item in fields(self)
@@ -386,7 +394,7 @@ class Structure:
 
     @classmethod
     def from_json(cls, data: object) -> Structure:
-        """The inverse of ``to_json``.
+        """Build a structure from what :meth:`to_json` returned.
 
         Raises:
             ValueError: fields missing, unknown or of another shape.

@@ -1,4 +1,4 @@
-"""Every error that a user can cause, as one line that says where, what, and what was expected."""
+"""Errors that a user can cause; each is one line with the place, the problem and what to expect."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from pathlib import Path
 
 
 class TwinError(Exception):
-    """Something that a user can correct.
+    """Base class of errors that a user can correct.
 
     Args:
-        problem: what is wrong, in words, without a final stop.
-        path: the file at fault.
+        problem: description of the problem, without a final full stop.
+        path: the file with the problem.
         line: 1-based line in that file.
         column: 1-based column in that line.
-        where: the field at fault, dotted (``tolerance.position``), or an element, ``link 'wrist'``.
-        value: the offending value.
+        where: the wrong field, dotted (``tolerance.position``), or an element, ``link 'wrist'``.
+        value: the wrong value.
         unit: the unit of ``value``.
-        expected: what would have been right.
+        expected: description of a valid value.
     """
 
-    # By keyword, and each of them one part of the message.
+    # All but the first are keywords, and each is one part of the message.
     def __init__(  # noqa: PLR0913
         self,
         problem: str,
@@ -55,7 +55,7 @@ class TwinError(Exception):
         if self.expected is not None:
             tail.append(f"expected {self.expected}")
         text = head + (f" ({'; '.join(tail)})" if tail else "")
-        # One line always: what comes from a file may carry line breaks or terminal escapes.
+        # A value from a file may contain line breaks or terminal escapes; the message is one line.
         return "".join(c if c.isprintable() else "�" for c in text)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -70,36 +70,36 @@ def _rebuild(cls: type[TwinError], problem: str, state: dict[str, object]) -> Tw
 
 
 class FormatError(TwinError):
-    """A file that cannot be read as what it claims to be."""
+    """A file that does not follow its format."""
 
 
 class LimitError(FormatError):
-    """A file beyond a declared bound of size, depth, count, time or memory."""
+    """A file that exceeds a limit of size, depth, count, time or memory."""
 
 
 class PathError(TwinError):
-    """A path that leaves its declared roots, or a link where none may be."""
+    """A path outside its declared root folders, or a symbolic link where none is allowed."""
 
 
 class SpecError(TwinError):
-    """A ``twin.yaml`` or a golden spec that is well-formed but means nothing."""
+    """A ``twin.yaml``, golden spec or request that is well-formed but not valid."""
 
 
 class UnwrittenToleranceError(SpecError):
-    """A golden whose tolerance is still blank, because nothing states what the task allows."""
+    """A golden without a tolerance: ``init`` left it blank because only the user knows the task."""
 
 
 class ModelError(TwinError):
-    """A robot model that no simulator should be asked to step."""
+    """A robot model that cannot be simulated."""
 
 
 class RecordingError(TwinError):
-    """A recording that cannot be made into a trial."""
+    """A recording that cannot be converted to a trial."""
 
 
 class SimulationError(TwinError):
-    """A simulation that diverged, crashed, or ran past its bounds."""
+    """A simulation that diverged, crashed, or exceeded its limits."""
 
 
 class ReleaseError(TwinError):
-    """A release that may not be signed, or does not hold."""
+    """A release that may not be signed, or whose verification fails."""

@@ -1,4 +1,4 @@
-"""A golden: what to do, what to compare, within which tolerance, and who vouched for it."""
+"""A golden spec: stimulus, expected values, tolerances, and who recorded them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Criticality = Literal["critical", "advisory"]
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Who recorded the expected values, when, and on what.
+    """Who recorded the expected values, when, and with which model and simulator.
 
     Attributes:
         recorded_by: a person or a service.
         recorded_at: RFC 3339, UTC.
         realization: the realization that was recorded.
         simulator: name and version, ``mujoco 4.0.0``.
-        parts: part id -> digest of everything that the golden rested on.
+        parts: part id -> digest, of all parts that the recorded values depended on.
     """
 
     recorded_by: str
@@ -46,7 +46,8 @@ class Golden:
     Attributes:
         id: path relative to the twin's root without suffix, ``golden/fk/home``.
         path: the spec file.
-        kind: the check that runs it.
+        kind: name of the check that runs it.
+        title: one line for people.
         realizations: names from ``twin.yaml`` that it runs on, the authoritative one first.
         criticality: ``critical`` blocks a release, ``advisory`` is reported.
         target, stimulus: as the kind's schema declares them.
@@ -54,8 +55,8 @@ class Golden:
         expected: recorded values, None until ``--twin-update``.
         trace: recorded series, None where the kind has none or before ``--twin-update``.
         provenance: None until ``--twin-update``: such a golden is unproven.
-        unwritten: which tolerance is still a blank that a person has to fill, and where, in one
-            line; None where all are written. Such a golden neither runs nor is recorded.
+        unwritten: one line that names the tolerance that the user still has to write, and its
+            place; None where all are written. Such a golden is neither run nor recorded.
         lines: dotted field -> 1-based line in ``path``.
     """
 

@@ -1,4 +1,4 @@
-"""What installed packages bring through entry points."""
+"""Load plugins (kinds, effects, layers, readers) through entry points of installed packages."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from pytest_twin.errors import SpecError
 
 
 @functools.cache
-def points_by_name(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
-    """Name -> entry points of this name in a group: one, or several that contradict one another."""
+def entry_points_by_name(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Map each name in a group to its entry points; more than one is a conflict of packages."""
     found: dict[str, tuple[EntryPoint, ...]] = {}
     for point in entry_points(group=group):
         found[point.name] = (*found.get(point.name, ()), point)
     return found
 
 
-def only_one(points: tuple[EntryPoint, ...], noun: str) -> EntryPoint:
-    """The single entry point of a name.
+def single_entry_point(points: tuple[EntryPoint, ...], noun: str) -> EntryPoint:
+    """Return the only entry point of a name.
 
     Args:
         points: at least one, all of the same name.
-        noun: what they bring, for the error.
+        noun: what they provide, for the error message, such as ``effect``.
 
     Raises:
-        SpecError: several packages bring the same name.
+        SpecError: several packages provide the same name.
     """
     if len(points) > 1:
         packages = " and ".join(package_of(point) for point in points)
         raise SpecError(
-            f"{packages} both bring this {noun}",
+            f"{packages} both provide this {noun}",
             where=noun,
             value=points[0].name,
             expected="one of them; uninstall the other",
@@ -41,14 +41,14 @@ def only_one(points: tuple[EntryPoint, ...], noun: str) -> EntryPoint:
 
 
 def is_own(point: EntryPoint) -> bool:
-    """Whether pytest-twin itself brings this, not another package."""
+    """Whether the entry point belongs to pytest-twin itself."""
     return point.value.startswith("pytest_twin.")
 
 
-def refuse_stale(points: Iterable[EntryPoint], group: str) -> None:
-    """Check that pytest-twin's own entry points are among those of a group.
+def refuse_stale_installation(points: Iterable[EntryPoint], group: str) -> None:
+    """Check that a group contains entry points of pytest-twin itself.
 
-    An installation of another version has none of a group that came later.
+    The metadata of an older installation lacks groups that were added later.
 
     Raises:
         SpecError: none is.
@@ -62,21 +62,21 @@ def refuse_stale(points: Iterable[EntryPoint], group: str) -> None:
         )
 
 
-def brought(point: EntryPoint, noun: str) -> Any:
-    """An instance of the class that an entry point names.
+def load_plugin(point: EntryPoint, noun: str) -> Any:
+    """Load the class that an entry point names, and return an instance.
 
     Args:
-        point: its name is that of what it brings.
-        noun: what that is called in an error.
+        point: entry point of the class.
+        noun: what it provides, for the error message, such as ``effect``.
 
     Raises:
-        SpecError: its module or class cannot be loaded, whatever it raises but an interrupt.
+        SpecError: the import or the constructor raised anything but an interrupt.
     """
     try:
         return point.load()()
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # an installed package's own code, SystemExit included
+    except BaseException as error:  # the code of another package may even raise SystemExit
         words = f"{type(error).__name__}: {error}".removesuffix(": ")
         raise SpecError(
             f"{package_of(point)} cannot be loaded: {words}",
@@ -87,7 +87,7 @@ def brought(point: EntryPoint, noun: str) -> Any:
 
 
 def package_of(point: EntryPoint) -> str:
-    """The package that an entry point belongs to, for people: ``package 'boxes' 1.0``."""
+    """Name and version of the package of an entry point: ``package 'boxes' 1.0``."""
     if point.dist is None:
         return f"the package of {point.value}"
     return f"package {point.dist.name!r} {point.dist.version}"

@@ -1,4 +1,4 @@
-"""Old names of public attributes, which warn for one release."""
+"""Former names of public attributes, kept for one release with a deprecation warning."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 
 def old_name(old: str, new: str) -> Any:
-    """A property that warns and returns the attribute ``new``; the setter does the same.
+    """Property that reads and writes the attribute ``new`` and warns of the former name.
 
     Args:
         old: former name of the attribute.
-        new: its name now.
+        new: present name of the attribute.
     """
 
     def warn(owner: object) -> None:

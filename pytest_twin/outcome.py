@@ -1,4 +1,7 @@
-"""What came of one golden: numbers against tolerances, and why it ran. No simulator, no files."""
+"""Result of one golden: measured errors with tolerances, and why it ran.
+
+This module uses no simulator and reads no files.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +18,16 @@ class Measure:
     """One number compared with its tolerance.
 
     Attributes:
-        name: what was measured, a key of the golden's ``tolerance``.
-        subject: the joint, frame, pair or sample that it belongs to.
-        measured, golden: values in ``unit``; ``golden`` is the stored or reference value.
-        error: what the tolerance bounds, in ``unit``, not negative; NaN never passes.
-        tolerance: bound on ``error``, in ``unit``.
+        name: measured quantity, a key of the golden's ``tolerance``.
+        subject: joint, frame, pair or sample.
+        measured, golden: measured and expected value, in ``unit``.
+        error: deviation that the tolerance bounds, in ``unit``, not negative; NaN never passes.
+        tolerance: largest allowed ``error``, in ``unit``.
         unit: SI unit.
-        against: ``golden``, ``pinocchio``, ``coal``, ``declared`` or ``recording``.
-        time: when the worst sample was, in s, or None; of a mean (``..._rms``) the sample that
-            adds most to it.
+        against: source of the expected value: ``golden``, ``pinocchio``, ``coal``, ``declared``
+            or ``recording``.
+        time: time of the largest error, s, or None; for a mean (``..._rms``) the time of the
+            sample that contributes most to it.
     """
 
     name: str
@@ -43,7 +47,7 @@ class Measure:
 
     @property
     def when(self) -> str:
-        """``at 1.5 s``; of a mean ``(largest at 1.5 s)``; empty without a time."""
+        """Time of the largest error as text: ``at 1.5 s``; ``(largest at 1.5 s)`` for a mean."""
         if self.time is None:
             return ""
         at = f"at {self.time:.4g} s"
@@ -51,16 +55,16 @@ class Measure:
 
     @property
     def margin(self) -> float:
-        """Tolerance minus error, in ``unit``; negative is a failure."""
+        """Tolerance minus error, in ``unit``; negative where the golden fails."""
         return self.tolerance - self.error
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able fields; numbers that are not finite as ``"nan"``, ``"inf"``, ``"-inf"``."""
+        """Return JSON-able fields; not finite numbers become ``"nan"``, ``"inf"`` or ``"-inf"``."""
         return {key: _number_to_json(value) for key, value in asdict(self).items()}
 
     @classmethod
     def from_json(cls, fields: Mapping[str, Any]) -> Measure:
-        """The inverse of ``to_json``.
+        """Build a measure from what :meth:`to_json` returned.
 
         Raises:
             TypeError, KeyError, ValueError: fields missing, unknown or of another type.
@@ -81,9 +85,10 @@ class Measure:
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a golden is stale: a part that changed, the field in it, its value then and now.
+    """Why a golden is stale: the changed part, its field, the old and the new value.
 
-    'no release yet' and 'dependency set changed' use ``part`` and ``field`` alone.
+    Reasons without a value ('no release yet', 'dependency set changed') leave ``old`` and ``new``
+    empty.
     """
 
     part: str
@@ -98,20 +103,22 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One golden on one realization.
+    """Result of one golden on one realization.
 
     Attributes:
         golden: id of the golden, ``golden/fk/home``.
-        kind: the check that ran it.
+        kind: name of the check that ran it.
         realization: its name in ``twin.yaml``.
         criticality: ``critical`` blocks a release, ``advisory`` is reported.
-        status: ``passed``, ``failed`` (a tolerance was left), ``error`` (no comparison came about).
-        measures: every number that was compared with a tolerance.
-        error: one line, what went wrong, for ``error``.
-        reasons: why it was stale.
+        status: ``passed``, ``failed`` (an error exceeds its tolerance), ``error`` (the check did
+            not finish).
+        measures: all values that were compared with a tolerance.
+        error: one line that says why the status is ``error``.
+        reasons: why the golden was stale.
         plot: path of the plot, relative to the twin's root, or None.
-        diagnosis: one line, what a failure against a recording looks like, or None.
-        seconds: wall time that it took.
+        diagnosis: one line that names the probable cause of a failure against a recording, or
+            None.
+        seconds: wall time of the check, s.
     """
 
     golden: str
@@ -128,16 +135,16 @@ class Outcome:
 
     @property
     def key(self) -> str:
-        """``golden@realization``: what a run, a report and a release know it by."""
+        """``golden@realization``: the key in a run, a report and a release."""
         return f"{self.golden}@{self.realization}"
 
     @property
     def worst(self) -> Measure | None:
-        """The measure that used most of its tolerance, None without measures."""
-        return max(self.measures, key=use_of_tolerance, default=None)
+        """The measure with the largest ratio of error to tolerance; None without measures."""
+        return max(self.measures, key=tolerance_ratio, default=None)
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able fields."""
+        """Return the fields as JSON-able values."""
         fields = {name: getattr(self, name) for name in self.__slots__}
         return fields | {
             "measures": [measure.to_json() for measure in self.measures],
@@ -146,7 +153,7 @@ class Outcome:
 
     @classmethod
     def from_json(cls, fields: Mapping[str, Any]) -> Outcome:
-        """The inverse of ``to_json``.
+        """Build an outcome from what :meth:`to_json` returned.
 
         Raises:
             TypeError, KeyError, ValueError: fields missing, unknown or of another type.
@@ -162,8 +169,8 @@ class Outcome:
         )
 
 
-def use_of_tolerance(measure: Measure) -> float:
-    """Error over tolerance, 1 at the limit; infinite where no number or nothing is allowed."""
+def tolerance_ratio(measure: Measure) -> float:
+    """Ratio of error to tolerance; infinite for an error that is not finite or exceeds zero."""
     if not math.isfinite(measure.error):
         return math.inf
     if measure.tolerance > 0:

@@ -1,4 +1,8 @@
-"""The pytest door. Loaded in every run of every project: does nothing until a twin is seen."""
+"""Hooks of the pytest plugin.
+
+pytest loads this module in every run of every project. It imports the rest of pytest-twin only
+when a twin is found.
+"""
 
 from __future__ import annotations
 
@@ -27,19 +31,19 @@ _SESSION: pytest.StashKey[TwinSession] = pytest.StashKey()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Declare the flags."""
+    """Add the command line options."""
     add_options(parser)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Read the flags; refuse those that contradict one another."""
+    """Read the command line options; refuse those that contradict one another."""
     config.stash[_OPTIONS] = read_options(config)
     if config.getoption("markers", False):
         _session(config)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Look for twins at once where the run is about them; elsewhere collection meets them."""
+    """Find the twins before collection where an option needs one; else collection finds them."""
     config = session.config
     options = config.stash[_OPTIONS]
     if options.needs_twin and not _is_worker(config):
@@ -54,19 +58,19 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
-    """Keep out of a twin's own output: a release holds copies of specs."""
+    """Skip the folders that pytest-twin writes: a release contains copies of specs."""
     if collection_path.name in _OWN_OUTPUT and (collection_path.parent / _TWIN_FILE).is_file():
         return True
     return None
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
-    """A YAML file below a folder ``golden`` of a twin is a golden spec."""
+    """Collect a YAML file below a twin's folder ``golden`` as a golden spec."""
     if file_path.suffix != ".yaml":
         return None
     if file_path.name == _TWIN_FILE:
         if (file_path.parent / _EFFECTS_FILE).is_file():
-            # A diagnosis wrote it beside a patched model: a realization, and no twin of its own.
+            # The file belongs to the patched model of a diagnosis: a realization, not a twin.
             return None
         if _refusal(parent.config) is not None:
             return RefusedTwin.from_parent(parent, path=file_path)
@@ -83,10 +87,10 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Col
 
 
 class RefusedTwin(pytest.File):
-    """A file of a twin on a machine that cannot run goldens as asked."""
+    """A twin's file on a machine that cannot run goldens with the given options."""
 
     def collect(self) -> list[pytest.Item]:
-        """Nothing.
+        """Collect nothing.
 
         Raises:
             CollectError: always, with the reason in one line.
@@ -95,7 +99,7 @@ class RefusedTwin(pytest.File):
 
 
 def _twin_file(folder: Path, known: dict[Path, Path | None]) -> Path | None:
-    """The nearest ``twin.yaml`` at or above a folder."""
+    """The nearest ``twin.yaml`` in a folder or its parents, or None; ``known`` is a cache."""
     if folder not in known:
         candidate = folder / _TWIN_FILE
         if candidate.is_file():
@@ -107,7 +111,7 @@ def _twin_file(folder: Path, known: dict[Path, Path | None]) -> Path | None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
-    """Hand the plan to a worker of pytest-xdist: the controller alone decides what is stale."""
+    """Send the plan to a pytest-xdist worker: only the controller decides what is stale."""
     config: pytest.Config = node.config
     if _SESSION not in config.stash and _refusal(config) is None:
         _discover(config)
@@ -116,13 +120,13 @@ def pytest_configure_node(node: Any) -> None:
 
 
 def _refusal(config: pytest.Config) -> str | None:
-    """Why this machine runs no twin as asked; None where it does."""
+    """Why this machine cannot run goldens with the given options; None where it can."""
     if _REFUSAL not in config.stash:
         problem = unsupported_system()
         if problem is None and config.stash[_OPTIONS].confine:
-            from pytest_twin.realization.confinement import obstacle
+            from pytest_twin.realization.confinement import why_not_confined
 
-            found = obstacle()
+            found = why_not_confined()
             problem = None if found is None else f"--twin-confine: {found}"
         config.stash[_REFUSAL] = problem
     return config.stash[_REFUSAL]
@@ -141,8 +145,8 @@ def _discover(config: pytest.Config) -> None:
     from pytest_twin.session.discovery import twin_files
 
     arguments = [Path(str(argument).split("::")[0]) for argument in config.args]
-    around = config.stash[_OPTIONS].needs_twin
-    for path in twin_files(arguments, config, around=around):
+    include_above = config.stash[_OPTIONS].needs_twin
+    for path in twin_files(arguments, config, include_above=include_above):
         _session(config).gate(path)
 
 

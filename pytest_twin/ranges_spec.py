@@ -1,4 +1,4 @@
-"""What ``twin.yaml`` says of randomization ranges: recordings that check them, and tolerances."""
+"""Section ``ranges:`` of ``twin.yaml``: recordings that check the ranges, and tolerances."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Any
 from pytest_twin.formats.identification_record import IdentificationRecord
 
 SHARE, DRAWS = 0.95, 256
-"""What counts where nobody says it: 256 robots know the ends of a 95 % interval to a tenth of its
-width."""
+"""Defaults of ``share`` and ``draws``. With 256 simulated robots the ends of a 95 % interval have
+an error of about a tenth of its width."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrialGroup:
-    """An identification of recordings that were made under one condition.
+    """Identification from recordings that were made under one condition.
 
     Attributes:
-        record: what it found.
-        conditions: such as ``temperature`` (deg C) or ``load`` (kg) -> number.
+        record: its result.
+        conditions: name, such as ``temperature`` (deg C) or ``load`` (kg) -> value.
     """
 
     record: IdentificationRecord
@@ -29,13 +29,13 @@ class TrialGroup:
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """A manufacturing tolerance that no measurement of one robot shows.
+    """Manufacturing tolerance: variation between robots, which one robot's recordings cannot show.
 
     Attributes:
-        parameter: such as ``elbow.armature``, or ``BODY.mass``.
-        half_width: of a uniform distribution, in the parameter's unit; of its value where
-            ``relative``.
-        relative: whether it is a share of the value.
+        parameter: its name, such as ``elbow.armature`` or ``BODY.mass``.
+        half_width: half the width of a uniform distribution, in the parameter's unit, or as a
+            fraction of its value where ``relative``.
+        relative: whether ``half_width`` is a fraction of the value.
     """
 
     parameter: str
@@ -45,14 +45,14 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class RangesSpec:
-    """What randomization ranges are made from and checked with.
+    """Sources of randomization ranges, and the recordings that check them.
 
     Attributes:
-        share: of the samples of final recordings that should lie in the envelope.
-        draws: robots that are simulated.
-        final: recordings that nothing was made from; they check the ranges.
-        held_out: recordings that nothing was fitted on; they may widen the ranges.
-        trials: records of the same robot under different conditions.
+        share: fraction of the samples of final recordings that should lie in the envelope.
+        draws: number of simulated robots.
+        final: recordings that only check the ranges.
+        held_out: recordings that were not fitted; they may widen the ranges.
+        trials: identifications of the same robot under different conditions.
         tolerances: declared manufacturing tolerances.
     """
 
@@ -71,7 +71,7 @@ class RangesSpec:
         held_out: tuple[Path, ...],
         trials: tuple[TrialGroup, ...],
     ) -> RangesSpec:
-        """From the validated table of ``twin.yaml``, its files resolved and its records read."""
+        """Build the spec from the validated table of ``twin.yaml``, files and records."""
         return cls(
             share=float(data.get("share", SHARE)),
             draws=int(data.get("draws", DRAWS)),

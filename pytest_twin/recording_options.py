@@ -1,4 +1,4 @@
-"""How a recording is to be read: what ``twin.yaml`` or a command line says about it."""
+"""How to read a recording, as declared in ``twin.yaml`` or on the command line."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, Self, get_args
 
 CommandMode = Literal["position", "velocity", "effort"]
-"""Which field of a command message counts."""
+"""Which field of a command message is the command."""
 Clock = Literal["stamp", "log"]
 """``stamp``: ``header.stamp`` of the messages. ``log``: when the recorder received them."""
 CommandBetween = Literal["held", "interpolated", "ramped"]
-"""What a command does between two stamps.
+"""Course of a command between two stamps.
 
-``held``: a step at each stamp. ``interpolated``: linear from stamp to stamp. ``ramped``: linear
-from the stamp to one command period after it, then held.
+``held``: constant, with a step at each stamp (zero-order hold). ``interpolated``: linear from
+stamp to stamp. ``ramped``: linear from the stamp to one command period after it, then constant.
 """
 
 Units = Literal["rad", "deg"]
@@ -27,12 +27,12 @@ UNITS: tuple[Units, ...] = get_args(Units)
 
 @dataclass(frozen=True, slots=True)
 class JointNames:
-    """From the joint names of a recording to those of the model.
+    """Mapping from the joint names of a recording to those of the model.
 
     Attributes:
-        prefix, suffix: what one side has around the names of the other: ``left_`` for
-            ``left_elbow`` in the recording and ``elbow`` in the model, or the other way round.
-        names: recorded name -> name in the model; goes before prefix and suffix.
+        prefix, suffix: text that either the recording or the model adds to each name: ``left_``
+            for ``left_elbow`` in the recording and ``elbow`` in the model, or the reverse.
+        names: recorded name -> name in the model; takes precedence over prefix and suffix.
     """
 
     prefix: str = ""
@@ -41,13 +41,13 @@ class JointNames:
 
     @classmethod
     def of(cls, table: Mapping[str, str]) -> Self:
-        """From one table, where ``prefix`` and ``suffix`` are reserved keys."""
+        """Build the mapping from one table, where ``prefix`` and ``suffix`` are reserved keys."""
         names = {k: v for k, v in table.items() if k not in ("prefix", "suffix")}
         return cls(table.get("prefix", ""), table.get("suffix", ""), names)
 
     @property
     def table(self) -> dict[str, str]:
-        """The inverse of :meth:`of`."""
+        """The table from which :meth:`of` builds this mapping."""
         around = {"prefix": self.prefix, "suffix": self.suffix}
         return {k: v for k, v in around.items() if v} | dict(self.names)
 
@@ -67,17 +67,17 @@ class JointNames:
 
 @dataclass(frozen=True, slots=True)
 class RecordingOptions:
-    """What a user declares about recordings; None and empty where the tool decides by itself.
+    """Declared properties of recordings; None or empty where they are detected from the data.
 
     Attributes:
-        joints: from recorded joint names to the model's.
-        command_mode: the field that counts, for all joints or joint (as the model names it) ->
-            field.
-        clock: which times count.
-        command_between: what a command does between two stamps, whatever the recording says.
-        command_between_default: likewise, where the recording's own metadata does not say it.
-        columns: of CSV files: header -> what the column is, or the other way round.
-        units: of LeRobot data sets: the unit of their joints.
+        joints: mapping from recorded joint names to the model's.
+        command_mode: field that is the command: one for all joints, or joint (as the model names
+            it) -> field.
+        clock: which time stamps to use.
+        command_between: course of a command between two stamps; overrides the recording.
+        command_between_default: the same for recordings whose metadata do not state it.
+        columns: CSV files: header -> meaning of the column, or the reverse.
+        units: LeRobot data sets: unit of their joint positions.
     """
 
     joints: JointNames = field(default_factory=JointNames)
@@ -89,13 +89,13 @@ class RecordingOptions:
     units: Units | None = None
 
     def mode_of(self, joint: str) -> CommandMode | None:
-        """The declared field for a joint of the model."""
+        """The declared command field of a joint of the model; None where it is not declared."""
         if isinstance(self.command_mode, Mapping):
             return self.command_mode.get(joint)
         return self.command_mode
 
     def over(self, other: RecordingOptions) -> RecordingOptions:
-        """These options, and those of ``other`` where these say nothing."""
+        """Return these options, completed with those of ``other`` where these are not declared."""
         empty = RecordingOptions()
         chosen = {
             f.name: mine if (mine := getattr(self, f.name)) != getattr(empty, f.name)
@@ -105,7 +105,7 @@ class RecordingOptions:
         return RecordingOptions(**chosen)
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able; what says nothing is left out."""
+        """Return the declared options as JSON-able values."""
         mode = self.command_mode
         found = {
             "joints": self.joints.table,
@@ -120,7 +120,7 @@ class RecordingOptions:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """The inverse of :meth:`to_json`; other keys are ignored."""
+        """Build options from what :meth:`to_json` returned; other keys are ignored."""
         return cls(
             joints=JointNames.of(data.get("joints") or {}),
             command_mode=data.get("command_mode"),

@@ -1,24 +1,25 @@
-"""Open-loop replay: the commands and the first state of a trial, and nothing else of it.
+"""Open-loop replay: simulate a trial from its commands and its first state alone.
 
 How a trial becomes a simulation:
 
-- Between their stamps commands do what the trial says: they are held, interpolated or ramped
-  (``Trial.command_between``); before the first stamp the first is held. Each step gets the mean of
-  that signal over the step, so that no command comes early or late by the step's length.
+- Between their stamps commands are held, interpolated or ramped (``Trial.command_between``);
+  before the first stamp the first is held. Each step gets the mean of that signal over the step,
+  so that the time step shifts no command.
 - The first state sets positions and, where it was recorded, velocities; otherwise the robot
   starts at rest. Joints outside the recording start at the model's reference (or where a joint
-  equality puts them), and their position servos hold them there: what gravity stretches a servo
-  by is added to its setpoint. So do the servos of joints that were recorded but not commanded.
-- Filters and delays of actuators start settled on the first command, servos that integrate
-  theirs carry the load where the robot starts.
+  equality puts them), and their position servos hold them there: the setpoint includes the
+  deflection of the servo under gravity. The same holds for joints that were recorded but not
+  commanded.
+- Filters and delays of actuators start in the steady state of the first command. The integrators
+  of servos start with the value that supports the load.
 - An effort command on a joint without any actuator acts on the joint itself.
 - Between steps, positions follow the cubic through positions and velocities of both ends (error
-  of the order of step^4, against step^2 of a straight line), velocities the straight line;
-  ``effort`` is the one that MuJoCo computed for the step which holds the stamp (at the step's
-  start; with the RK4 integrator at its end).
+  of the order of step^4; of a straight line, step^2), velocities are linear; ``effort`` is the one
+  that MuJoCo computed for the step which contains the stamp (at the step's start; with the RK4
+  integrator at its end).
 
-Trials are rows of one ``mujoco.batch.Batch``, each with its own model if need be; the steps are
-bit for bit those of ``mj_step``.
+Trials are rows of one ``mujoco.batch.Batch``, each with its own model where needed. The steps
+equal those of ``mj_step`` bit for bit.
 """
 
 from __future__ import annotations
@@ -47,12 +48,15 @@ from pytest_twin.trial import Trial
 from pytest_twin.trial.setpoint import Setpoint
 from pytest_twin.twin import JointCalibration
 
-# Long enough that stepping outweighs the calls, as far as the records of a block fit in memory.
+# Steps per call of the batch. The overhead of a call is then negligible. The second constant bounds
+# the memory of the recorded states, bytes.
 _BLOCK_STEPS = 4096
 _BLOCK_BYTES = 64 * 2**20
-# Rows that end early may overrun by this much, rather than cut the block for all.
+# Steps. A row may be stepped past its end by this much, so that it does not shorten the block of
+# the other rows.
 _SHORTEST_BLOCK = 64
-# Stamps closer to a step's end than this fraction of it lie on it: stamps are whole nanoseconds.
+# Fraction of a step. A stamp this close to a step's end counts as on it: stamps are rounded to
+# nanoseconds.
 _ON_STEP = 1e-5
 _STATE = mujoco.mjtState
 _TIME = int(_STATE.mjSTATE_TIME)
@@ -64,10 +68,10 @@ class Row:
     """One simulation of a batch.
 
     Attributes:
-        trial: what to replay.
-        model: what to step; models of one batch need not be equal.
-        calibration: joint -> how its encoder relates to the model.
-        source: what to name in errors, the model's file.
+        trial: recording to replay.
+        model: model to step; models of one batch need not be equal.
+        calibration: joint -> sign, scale and offset of its encoder.
+        source: the model's file, for error messages.
     """
 
     trial: Trial
@@ -78,19 +82,19 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Replayed:
-    """What a model did under the commands of a trial, at the trial's own state stamps.
+    """Simulated motion under the commands of a trial, at the trial's state stamps.
 
     Attributes:
-        trial: what was replayed.
+        trial: the replayed trial.
         time: (n,) s from the first state.
         position: (n, j) rad or m, joints as ``trial.joints``, as the robot's encoders would read.
         velocity: (n, j) rad/s or m/s, likewise.
         effort: (n, j) N*m or N at the joints, by actuators and applied efforts, likewise.
-        qpos: (n, nq) the model's whole configuration.
+        qpos: (n, nq) configuration of the whole model.
         tcp_pose: (n, 7) position (m) and quaternion (w x y z) of the twin's ``tcp`` in the world,
             or None.
-        error: why the rest is NaN, where the simulation diverged.
-        notes: what the replay took for granted, one line each.
+        error: where and why the simulation diverged; samples from then on are NaN.
+        notes: assumptions of the replay, one line each.
     """
 
     trial: Trial
@@ -112,16 +116,16 @@ def replay(
     threads: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> list[Replayed]:
-    """Replay trials on a realization, each under its own controller and payload.
+    """Replay trials on a realization, each with its own controller and payload.
 
     A trial that diverges does not stop the others: see ``Replayed.error``.
 
     Args:
-        realization: what to step.
+        realization: the model to step.
         trials: their metadata may name ``controller`` and ``payload`` of the twin.
         tcp: whether to compute the pose of the twin's ``tcp``, where it names one.
-        threads: of the batch, 0 for all cores.
-        progress: called with the fraction of the steps done.
+        threads: number of threads, 0 for all cores.
+        progress: called with the fraction of steps that are done.
 
     Raises:
         SpecError: a joint, actuator, controller or payload that the realization lacks.
@@ -149,7 +153,7 @@ def replay(
 
 
 def row_of(realization: Realization, trial: Trial) -> Row:
-    """A trial with the model that steps it: under the controller and payload that it names.
+    """Row of a trial: with the model for the controller and payload that its metadata name.
 
     Raises:
         SpecError: a controller or payload that the realization lacks.
@@ -165,9 +169,9 @@ def replay_rows(
     threads: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> list[Replayed]:
-    """Replay rows: trials, perturbed models, rival hypotheses.
+    """Replay rows, each a trial with its own model, in the given order.
 
-    Rows whose models share a layout share a batch.
+    Rows whose models have the same array sizes are stepped in one batch.
 
     Raises:
         SpecError: a joint or an actuator that a model lacks.
@@ -188,7 +192,7 @@ def replay_rows(
             progress(min(1.0, done / total))
 
     with quiet():
-        for group in _layouts(runs):
+        for group in _batches(runs):
             _step(group, threads, advance)
     return [run.result() for run in runs]
 
@@ -217,10 +221,7 @@ def frame_poses(realization: Realization, qpos: FloatArray, frame: str) -> Float
 
 
 def measured_qpos(realization: Realization, replayed: Replayed) -> FloatArray:
-    """(n, nq) configurations with the recorded joints where they were measured.
-
-    Joints outside the recording are where the replay has them.
-    """
+    """(n, nq) configurations: measured positions for recorded joints, simulated for the others."""
     trial = replayed.trial
     encoders = Encoders.of(calibration_of(realization), trial.joints)
     qpos = replayed.qpos.copy()
@@ -230,11 +231,11 @@ def measured_qpos(realization: Realization, replayed: Replayed) -> FloatArray:
 
 
 class Run:
-    """One row on its way: its controls step by step, and what is kept of its states.
+    """A row while it is stepped: its controls at each step, and its states at the stamps.
 
     Args:
-        row: what to run.
-        data: of the row's model, to work out the initial state in.
+        row: the row.
+        data: data of the row's model; overwritten with the initial state.
     """
 
     def __init__(self, row: Row, data: mujoco.MjData) -> None:
@@ -246,9 +247,9 @@ class Run:
         self.dof_index = self.model.jnt_dofadr[self.joint_ids]
         self.encoders = Encoders.of(row.calibration, self.trial.joints)
         self.applies_effort = False
-        self._place_samples()
+        self._locate_samples()
         self._set_first_state(data)
-        self._place_commands(data)
+        self._compute_commands(data)
         data.ctrl[:] = self.values[0, : self.model.nu]
         settle_under_load(self.model, data)
         self.initial = {name: getattr(data, name).copy() for name in _INITIAL}
@@ -278,12 +279,12 @@ class Run:
                                expected="a hinge or a slide joint")  # fmt: skip
         return index
 
-    def _place_samples(self) -> None:
+    def _locate_samples(self) -> None:
         at = self.trial.time / self.timestep
         self.sample_step = np.floor(at + _ON_STEP).astype(np.int64)
         fraction = np.clip(at - self.sample_step, 0.0, 1.0)
         self.sample_fraction = np.where(fraction < _ON_STEP, 0.0, fraction)
-        # One step past the last stamp: its end closes the interval that holds the stamp.
+        # One step past the last stamp: the interpolation needs the state at the end of its step.
         self.steps = int(self.sample_step[-1]) + 1
 
     def _set_first_state(self, data: mujoco.MjData) -> None:
@@ -294,8 +295,11 @@ class Run:
             data.qvel[self.dof_index] = np.where(np.isfinite(velocity), velocity, 0.0)
         follow_joint_equalities(self.model, data, set(self.joint_ids))
 
-    def _place_commands(self, data: mujoco.MjData) -> None:
-        """Controls over time: of held commands the step from which each holds, and corrections."""
+    def _compute_commands(self, data: mujoco.MjData) -> None:
+        """Compute the controls over time, and for held commands the step at which each begins.
+
+        A step in which a held command changes gets a correction, so that its control is the mean.
+        """
         model, trial = self.model, self.trial
         width = model.nu
         base = np.zeros(width + model.nv)
@@ -319,7 +323,7 @@ class Run:
             else:
                 values[:, target.control] = target.scale * command
         self.values = values
-        self.moving = Setpoint(asked.time, values, linear=True) if asked.linear else None
+        self.interpolated = Setpoint(asked.time, values, linear=True) if asked.linear else None
         at = asked.time / self.timestep
         inside = np.floor(at + _ON_STEP)
         fraction = np.where(at - inside < _ON_STEP, 0.0, at - inside)
@@ -331,9 +335,9 @@ class Run:
     def controls(self, begin: int, end: int, out: FloatArray) -> None:
         """Write the controls of steps ``begin`` to ``end`` into ``out`` (steps, controls)."""
         width = out.shape[1]
-        if self.moving is not None:
+        if self.interpolated is not None:
             until = np.asarray(self.timestep * np.arange(begin, end + 1), dtype=np.float64)
-            means = np.diff(self.moving.integral(until), axis=0) / self.timestep
+            means = np.diff(self.interpolated.integral(until), axis=0) / self.timestep
             out[:] = means[:, :width]
             return
         first, last = np.searchsorted(self.value_step, (begin, end), side="right")
@@ -346,8 +350,14 @@ class Run:
         first, last = np.searchsorted(self.split_step, (begin, end))
         np.add.at(out, self.split_step[first:last] - begin, self.split_values[first:last, :width])
 
-    def keep(self, qpos: FloatArray, qvel: FloatArray, effort: FloatArray) -> None:
-        """Take the records of the next steps: states at their ends, efforts during them."""
+    def store(self, qpos: FloatArray, qvel: FloatArray, effort: FloatArray) -> None:
+        """Store the samples in the next steps, from states at their ends and efforts during them.
+
+        Args:
+            qpos: (steps, nq).
+            qvel: (steps, nv).
+            effort: (steps, nv).
+        """
         begin, end = self.step, min(self.step + len(qpos), self.steps)
         first, last = np.searchsorted(self.sample_step, (begin, end))
         if last > first:
@@ -374,7 +384,7 @@ class Run:
         self.step += len(qpos)
 
     def fail(self, problem: str, step: int, joint: str | None) -> None:
-        """Stop here: samples from ``step`` on stay NaN."""
+        """Record a failure and end the row: samples from ``step`` on are NaN."""
         self.error = SimulationError(
             f"{problem} {step * self.timestep:.6g} s after the first state of "
             f"{self.trial.path.name}",
@@ -388,7 +398,7 @@ class Run:
         self.steps = self.step
 
     def result(self) -> Replayed:
-        """Everything in the encoders' own signs and zeros."""
+        """The simulated motion in the signs and zeros of the encoders."""
         return Replayed(
             trial=self.trial,
             time=self.trial.time,
@@ -407,7 +417,7 @@ def _hermite(
     start_slope: FloatArray,
     end_slope: FloatArray,
 ) -> FloatArray:
-    """The cubic through both ends; slopes per whole interval, ``fraction`` of it in 0 to 1."""
+    """Cubic Hermite interpolation at ``fraction`` (0 to 1) of an interval; slopes per interval."""
     rest = 1.0 - fraction
     straight = start + fraction * (end - start)
     bend = rest * (start_slope - (end - start)) - fraction * (end_slope - (end - start))
@@ -415,8 +425,8 @@ def _hermite(
     return curved
 
 
-def _layouts(runs: Iterable[Run]) -> list[list[Run]]:
-    """Runs whose models a batch can hold together, and apply efforts alike."""
+def _batches(runs: Iterable[Run]) -> list[list[Run]]:
+    """Group the runs that one batch can step: equal array sizes, and all or none apply efforts."""
     groups: dict[tuple[object, ...], list[Run]] = {}
     for run in runs:
         m = run.model
@@ -481,14 +491,16 @@ def _step(runs: list[Run], threads: int, advance: Callable[[int], None]) -> None
             effort = arrays["qfrc_actuator"][at]
             if run.applies_effort:
                 effort = effort + controls[at, :, model.nu :]
-            run.keep(arrays["qpos"][at], arrays["qvel"][at], effort)
+            run.store(arrays["qpos"][at], arrays["qvel"][at], effort)
             risen = np.flatnonzero(batch.warning[i, :, 1] > warned[at])
             if risen.size:
-                # A row that warned repeats its last record: the step that warned comes first.
+                # MuJoCo repeats the last state of a row that warned, from the failed step on.
                 repeats = np.diff(arrays[_TIME][at, :, 0], append=np.nan) == 0.0
                 stopped = int(np.argmax(repeats)) if repeats.any() else steps - 1
                 warning = int(risen[0])
-                problem, joint = _in_words(run.model, warning, int(batch.warning[i, warning, 0]))
+                problem, joint = _warning_text(
+                    run.model, warning, int(batch.warning[i, warning, 0])
+                )
                 run.fail(problem, begin + stopped, joint)
         advance(sum(min(steps, left) for left in remaining))
 
@@ -504,8 +516,8 @@ _WARNINGS = {
 }
 
 
-def _in_words(model: mujoco.MjModel, warning: int, index: int) -> tuple[str, str | None]:
-    """What a warning means, and the joint that it came from."""
+def _warning_text(model: mujoco.MjModel, warning: int, index: int) -> tuple[str, str | None]:
+    """Text of a MuJoCo warning, and the joint that it concerns, or None."""
     problem = _WARNINGS.get(mujoco.mjtWarning(warning), "MuJoCo warned")
     joint: int | None = None
     if warning == mujoco.mjtWarning.mjWARN_BADQPOS:
@@ -524,7 +536,7 @@ def _in_words(model: mujoco.MjModel, warning: int, index: int) -> tuple[str, str
 def _variant_ids(
     realization: Realization, trial: Trial
 ) -> tuple[str | None, str | None, tuple[str, ...]]:
-    """Controller and payload of the twin that a trial names, and what cannot be followed.
+    """Controller and payload that a trial names, and notes on names that the twin does not declare.
 
     A twin that lists controllers (or payloads) must list the one that the trial names.
     """
@@ -540,7 +552,7 @@ def _variant_ids(
             found[key] = name
         else:
             notes.append(
-                f"{trial.path.name} names {key} {name!r}, and no twin.yaml says what that is: "
-                "the model was stepped as it stands"
+                f"{trial.path.name} names {key} {name!r}, which no twin.yaml declares: "
+                "the nominal model was stepped"
             )
     return found["controller"], found["payload"], tuple(notes)

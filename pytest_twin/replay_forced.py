@@ -1,4 +1,4 @@
-"""Open-loop replay of one trial with a force on joints that is computed between steps."""
+"""Open-loop replay of one trial with an added joint force that is computed at each step."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from pytest_twin.realization.quiet import quiet
 from pytest_twin.replay import Replayed, Row, Run
 
 Force = Callable[[float, FloatArray, FloatArray], FloatArray]
-"""(time in s, positions, velocities), joints as the trial's, in the model's signs and zeros, to the
-force on each, N*m or N."""
+"""(time in s, positions, velocities) -> force on each joint, N*m or N.
+
+Joints are in the order of the trial, in the signs and zeros of the model.
+"""
 _SPEED = 1e6
 """rad/s or m/s beyond which a simulation has diverged; MuJoCo's own bound is 1e10."""
 
@@ -27,8 +29,8 @@ def replay_forced(
 
     Args:
         row: one trial and its model.
-        force: added to what acts on the joints.
-        kick: time (s) at which the joints' velocities change, and by how much (j,): an impact.
+        force: joint force that is added.
+        kick: an impact: time (s), and change of the joints' velocities (j,), rad/s or m/s.
     """
     data = mujoco.MjData(row.model)
     run = Run(row, data)
@@ -60,5 +62,5 @@ def replay_forced(
                 run.fail("the velocity diverged", step, None)
                 break
     if run.error is None:
-        run.keep(qpos, qvel, effort)
+        run.store(qpos, qvel, effort)
     return run.result()

@@ -1,4 +1,4 @@
-"""What the recorded signals are: side of the gear, unit, torque or current, filter, clock."""
+"""Meaning of recorded signals: side of the gear, unit, torque or current, filter, clock."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ ANGLES: Mapping[str, float] = {
 
 @dataclass(frozen=True, slots=True)
 class PositionSignal:
-    """What the positions of a joint are.
+    """Meaning of a joint's recorded positions.
 
     Attributes:
-        side: of the gear on which the encoder sits.
+        side: side of the gear on which the encoder is mounted.
         unit: one of ``ANGLES``.
         source: ``measured`` by an encoder, or ``inferred`` from commands.
-        filter, clock, rate: as the robot's maker states them; for the record, rate in Hz.
+        filter, clock, rate: as the manufacturer states them, rate in Hz; stored, not used.
     """
 
     side: Side = "output"
@@ -42,17 +42,17 @@ class PositionSignal:
 
 @dataclass(frozen=True, slots=True)
 class EffortSignal:
-    """What the efforts of a joint are.
+    """Meaning of a joint's recorded efforts.
 
     Attributes:
-        quantity: ``torque`` (N*m, or N at a slide) or ``current`` (A, or any count of it).
-        side: of the gear.
-        constant: N*m per unit of current (N at a slide), None where it is to be identified; only
-            of a current.
-        signed: False where the amount alone is recorded.
-        limit: greatest amount that the drive gives, in the recorded unit.
+        quantity: ``torque`` (N*m, or N at a slide) or ``current`` (A, or raw counts).
+        side: side of the gear on which it acts.
+        constant: torque constant, N*m per unit of current (N at a slide); None where it is to be
+            identified. For a current only.
+        signed: False where only the magnitude is recorded.
+        limit: largest magnitude of the drive, in the recorded unit.
         source: ``measured``, or ``inferred`` from commands.
-        filter, clock, rate: as the robot's maker states them; for the record, rate in Hz.
+        filter, clock, rate: as the manufacturer states them, rate in Hz; stored, not used.
     """
 
     quantity: Quantity = "torque"
@@ -67,12 +67,12 @@ class EffortSignal:
 
 
 @dataclass(frozen=True, slots=True)
-class Shared:
-    """The other joint that turns this joint's motor too.
+class CoupledJoint:
+    """Kinematic coupling: a second joint also turns this joint's motor.
 
     Attributes:
         joint: the other joint.
-        ratio: the motor turns as ``own + ratio * other``, times its gear.
+        ratio: the motor turns by ``gear * (own + ratio * other)``.
     """
 
     joint: str
@@ -81,30 +81,32 @@ class Shared:
 
 @dataclass(frozen=True, slots=True)
 class JointSignals:
-    """What is recorded of one joint.
+    """Meaning of the recorded signals of one joint.
 
     Attributes:
-        gear: turns of the motor for one of the joint, negative where it turns the other way; rad
-            of the motor per m at a slide.
-        zero: the joint's position where the motor's encoder reads zero, rad or m.
-        shared: where the motor turns with another joint too.
+        position: its positions.
+        effort: its efforts.
+        gear: gear ratio, turns of the motor per turn of the joint (rad of the motor per m at a
+            slide); negative where they turn in opposite directions.
+        zero: position of the joint where the motor's encoder reads zero, rad or m.
+        shared: the coupling with another joint, or None.
     """
 
     position: PositionSignal = field(default_factory=PositionSignal)
     effort: EffortSignal = field(default_factory=EffortSignal)
     gear: float = 1.0
     zero: float = 0.0
-    shared: Shared | None = None
+    shared: CoupledJoint | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """What is recorded of the robot.
+    """Meaning of the recorded signals of a robot.
 
     Attributes:
-        default: of joints that are not named.
-        joints: joint -> its own.
-        table: as it was written; empty where nobody said anything.
+        default: signals of joints that ``joints`` does not name.
+        joints: joint -> its signals.
+        table: the section as written; empty without a declaration.
     """
 
     default: JointSignals = field(default_factory=JointSignals)
@@ -112,12 +114,15 @@ class Signals:
     table: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def of(self, joint: str) -> JointSignals:
-        """What is recorded of a joint."""
+        """The signals of a joint, or the default."""
         return self.joints.get(joint, self.default)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Signals:
-        """Of the table ``signals:`` of a ``twin.yaml``; a joint's own go before the default."""
+        """Build the signals from the table ``signals:`` of a ``twin.yaml``.
+
+        The values of a joint override the default.
+        """
         if not data:
             return cls()
         default = data.get("default", {})
@@ -141,5 +146,5 @@ def _joint(own: Mapping[str, Any], default: Mapping[str, Any]) -> JointSignals:
         zero=float(merged.get("zero", 0.0)),
         shared=None
         if shared is None
-        else Shared(str(shared["joint"]), float(shared.get("ratio", 1.0))),
+        else CoupledJoint(str(shared["joint"]), float(shared.get("ratio", 1.0))),
     )

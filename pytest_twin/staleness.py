@@ -1,4 +1,7 @@
-"""What every golden depends on today, and which of them a change has made stale. Pure."""
+"""Dependency map: the parts that each golden depends on, and which goldens a change made stale.
+
+This module uses no simulator and reads no files.
+"""
 
 from __future__ import annotations
 
@@ -27,31 +30,31 @@ class Kind(Protocol):
 
     @property
     def kind(self) -> str:
-        """Its name in specs."""
+        """Name of the kind in specs."""
         ...
 
     @property
     def version(self) -> int:
-        """Raised when the same spec would give other numbers."""
+        """Version number; it is increased when the same spec would give other results."""
         ...
 
     @property
     def libraries(self) -> tuple[str, ...]:
-        """Distributions whose version its results depend on."""
+        """Python distributions whose version the results depend on."""
         ...
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Ids of the parts that can move its result."""
+        """Ids of the parts that the result of ``golden`` depends on."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """One realization of today.
+    """Parts and structure of a realization.
 
     Attributes:
-        parts: its parts, by id.
-        structure: how it hangs together.
+        parts: part id -> part.
+        structure: its kinematic tree, actuators and couplings.
     """
 
     parts: Mapping[str, Part]
@@ -59,41 +62,41 @@ class Model:
 
 
 @dataclass(frozen=True, slots=True)
-class Stock:
-    """What there is today.
+class DependencyMap:
+    """Current parts of a twin, and the parts that each golden depends on.
 
     Attributes:
         parts: part id -> part.
-        rests_on: ``golden@realization`` -> ids of all that its result depends on.
+        depends_on: ``golden@realization`` -> ids of the parts that its result depends on.
     """
 
     parts: Mapping[str, Part]
-    rests_on: Mapping[str, frozenset[str]]
+    depends_on: Mapping[str, frozenset[str]]
 
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """What the last release vouches for.
+    """Parts and results of the last release.
 
     Attributes:
-        number: the release.
-        parts: part id -> part, as it was.
+        number: number of the release.
+        parts: part id -> part at that time.
         passed: ``golden@realization`` -> whether it passed.
-        rested_on: ``golden@realization`` -> ids of all that its result rested on.
+        depended_on: ``golden@realization`` -> ids of the parts that its result depended on.
     """
 
     number: int
     parts: Mapping[str, Part]
     passed: Mapping[str, bool]
-    rested_on: Mapping[str, frozenset[str]]
+    depended_on: Mapping[str, frozenset[str]]
 
 
-# -- what a golden depends on
+# -- dependencies of goldens
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
-    """Facts from outside the files.
+class Lookups:
+    """Functions that look up checks, versions and file digests.
 
     Attributes:
         kind_of: name of a kind -> its check.
@@ -107,60 +110,58 @@ class Surroundings:
     file_digest: Callable[[Golden | None, str], str | None]
 
 
-def take_stock(
+def dependency_map(
     twin: Twin,
     goldens: Sequence[Golden],
     models: Mapping[str, Model],
-    surroundings: Surroundings,
-) -> Stock:
-    """All parts of today, and what each golden depends on.
+    lookups: Lookups,
+) -> DependencyMap:
+    """Collect the current parts of a twin, and the parts that each golden depends on.
 
-    A realization that is not in ``models`` (it does not load) leaves its goldens with an id that
-    no part bears, so that they are stale.
+    The goldens of a realization that is not in ``models`` (it does not load) depend on a part
+    that does not exist, so that they are stale.
 
     Args:
         twin: the twin.
         goldens: its goldens.
-        models: realization -> what it consists of.
-        surroundings: versions, checks and files.
+        models: realization -> its parts and structure.
+        lookups: functions that look up checks, versions and file digests.
     """
     parts: dict[str, Part] = {}
     for model in models.values():
         parts.update(model.parts)
-    parts.update(twin_parts(twin, lambda file: surroundings.file_digest(None, file)))
-    rests_on = {}
+    parts.update(twin_parts(twin, lambda file: lookups.file_digest(None, file)))
+    depends_on = {}
     for golden in goldens:
-        kind = surroundings.kind_of(golden.kind)
-        around = set(_own_parts(parts, golden, kind, surroundings))
+        kind = lookups.kind_of(golden.kind)
+        own = set(_spec_parts(parts, golden, kind, lookups))
         for name in golden.realizations:
             if name not in models:
-                rests_on[f"{golden.id}@{name}"] = frozenset(around | {f"{name}/model"})
+                depends_on[f"{golden.id}@{name}"] = frozenset(own | {f"{name}/model"})
                 continue
             model = models[name]
-            ids = around | {f"{name}/other", _version_part(parts, name, twin, surroundings)}
-            felt = frozenset(kind.depends(golden, model.structure))
-            ids |= _resolved(felt, parts, golden, twin, surroundings)
+            ids = own | {f"{name}/other", _simulator_part(parts, name, twin, lookups)}
+            declared = frozenset(kind.depends(golden, model.structure))
+            ids |= _expanded_ids(declared, parts, golden, twin, lookups)
             ids |= {
                 f"declared:{part.name}"
                 for part in twin.parts.values()
                 if _affected(part.affects, golden, ids, model.structure)
             }
-            rests_on[f"{golden.id}@{name}"] = frozenset(ids)
-    return Stock(parts, rests_on)
+            depends_on[f"{golden.id}@{name}"] = frozenset(ids)
+    return DependencyMap(parts, depends_on)
 
 
-def _version_part(
-    parts: dict[str, Part], realization: str, twin: Twin, surroundings: Surroundings
-) -> str:
+def _simulator_part(parts: dict[str, Part], realization: str, twin: Twin, lookups: Lookups) -> str:
     simulator = twin.realizations[realization].simulator
     ident = f"simulator:{simulator}"
     if ident not in parts:
-        parts[ident] = Part(ident, {"version": surroundings.version_of(simulator)})
+        parts[ident] = Part(ident, {"version": lookups.version_of(simulator)})
     return ident
 
 
 def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str, Part]:
-    """What ``twin.yaml`` states beside the model, by part id.
+    """Parts that ``twin.yaml`` declares in addition to the model, by part id.
 
     Args:
         twin: the twin.
@@ -168,7 +169,7 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
     """
     contents: dict[str, dict[str, Any]] = {
         "topics:recordings": {**twin.topics, **twin.recordings.to_json()},
-        # With any declared, a recording has to name its own.
+        # Where any is declared, the name that a recording states must be declared.
         "variants:declared": {
             "controllers": bool(twin.controllers),
             "payloads": bool(twin.payloads),
@@ -201,10 +202,10 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
     superseded = {name for fit in twin.fits for name in fit.supersedes}
     for fit in twin.fits:
         contents[f"fit:{fit.record.id}"] = {
-            **_identified(fit.record),
+            **_identification(fit.record),
             "superseded": fit.record.id in superseded,
         }
-    for record in twin.holding_fits:
+    for record in twin.fits_in_use:
         for sensor in record.sensors:
             contents[f"sensor:{sensor.name}"] = asdict(sensor)
         for joint, step in record.encoder_steps.items():
@@ -223,7 +224,7 @@ def _calibration(calibration: JointCalibration) -> dict[str, Any]:
 
 
 def _record(record: CalibrationRecord) -> dict[str, Any]:
-    """What a calibration estimated, and the files that it was made from."""
+    """Estimates of a calibration, and digests of its input files."""
     return {
         "joint zeros [rad or m]": dict(record.joint_zeros),
         "transforms": {
@@ -235,8 +236,8 @@ def _record(record: CalibrationRecord) -> dict[str, Any]:
     }
 
 
-def _identified(record: IdentificationRecord) -> dict[str, Any]:
-    """What an identification found, and the files that it was made from."""
+def _identification(record: IdentificationRecord) -> dict[str, Any]:
+    """Estimates of an identification, and digests of its input files."""
     return {
         "parameters": dict(record.values),
         "stages": dict(record.stages),
@@ -244,12 +245,12 @@ def _identified(record: IdentificationRecord) -> dict[str, Any]:
     }
 
 
-def _own_parts(
-    parts: dict[str, Part], golden: Golden, kind: Kind, surroundings: Surroundings
+def _spec_parts(
+    parts: dict[str, Part], golden: Golden, kind: Kind, lookups: Lookups
 ) -> Iterator[str]:
-    """Ids of what a golden brings along; the parts are put into ``parts``."""
+    """Ids of spec, trace, check and libraries of a golden; their parts are added to ``parts``."""
     own = f"spec:{golden.id}"
-    # Not the realizations: each is proven by itself. Not the title, nor who recorded it.
+    # The list of realizations is left out, since each has its own result; so are title and author.
     parts[own] = Part(
         own,
         {
@@ -266,8 +267,8 @@ def _own_parts(
     yield own
     if golden.trace is not None:
         trace = f"trace:{golden.id}"
-        # Of the file as it lies there: that the spec names the right digest is not enough.
-        digest = surroundings.file_digest(None, str(golden.path.parent / golden.trace.file))
+        # Digest of the file itself: the digest in the spec would hide a changed file.
+        digest = lookups.file_digest(None, str(golden.path.parent / golden.trace.file))
         parts[trace] = Part(trace, {"sha256": digest or "absent"})
         yield trace
     check = f"check:{golden.kind}"
@@ -277,20 +278,20 @@ def _own_parts(
     for name in kind.libraries:
         library = f"library:{name}"
         if library not in parts:
-            parts[library] = Part(library, {"version": surroundings.version_of(name)})
+            parts[library] = Part(library, {"version": lookups.version_of(name)})
         yield library
 
 
-def _resolved(
-    felt: frozenset[str],
+def _expanded_ids(
+    declared: frozenset[str],
     parts: dict[str, Part],
     golden: Golden,
     twin: Twin,
-    surroundings: Surroundings,
+    lookups: Lookups,
 ) -> set[str]:
-    """Ids as they are, with every ``controller:*`` written out, and files digested."""
-    ids = set(felt)
-    for ident in felt:
+    """Ids with ``layer:*`` replaced by all parts of the layer; new parts are added to ``parts``."""
+    ids = set(declared)
+    for ident in declared:
         layer, _, name = ident.partition(":")
         if "/" in layer:
             continue
@@ -300,9 +301,9 @@ def _resolved(
         elif layer == "calibration" and ident not in parts:
             parts[ident] = Part(ident, _calibration(_IDENTITY))
         elif layer == "library" and ident not in parts:
-            parts[ident] = Part(ident, {"version": surroundings.version_of(name)})
+            parts[ident] = Part(ident, {"version": lookups.version_of(name)})
         elif layer in ("recording", "file") and ident not in parts:
-            digest = surroundings.file_digest(golden, name)
+            digest = lookups.file_digest(golden, name)
             if digest is not None:
                 parts[ident] = Part(ident, {"sha256": digest})
         if layer == "recording":
@@ -317,20 +318,22 @@ def _affected(affects: Affects | None, golden: Golden, ids: set[str], structure:
         return False
     if affects.goldens and not any(fnmatchcase(golden.id, pattern) for pattern in affects.goldens):
         return False
-    return not affects.joints or any(_feels(joint, ids, structure) for joint in affects.joints)
+    return not affects.joints or any(
+        _depends_on_joint(joint, ids, structure) for joint in affects.joints
+    )
 
 
-def _feels(joint: str, ids: set[str], structure: Structure) -> bool:
+def _depends_on_joint(joint: str, ids: set[str], structure: Structure) -> bool:
     name = structure.realization
-    signs = {f"{name}/joint:{joint}", f"{name}/limit:{joint}", f"calibration:{joint}"}
-    signs |= {
+    parts_of_joint = {f"{name}/joint:{joint}", f"{name}/limit:{joint}", f"calibration:{joint}"}
+    parts_of_joint |= {
         f"{name}/actuator:{actuator}"
         for actuator, joints in structure.actuator_joints.items()
         if joint in joints
     }
     if joint in structure.joint_body:
-        signs.add(f"{name}/kinematics:{structure.joint_body[joint]}")
-    return not signs.isdisjoint(ids)
+        parts_of_joint.add(f"{name}/kinematics:{structure.joint_body[joint]}")
+    return not parts_of_joint.isdisjoint(ids)
 
 
 def rule_problems(
@@ -339,7 +342,10 @@ def rule_problems(
     models: Mapping[str, Model],
     kinds: Iterable[str],
 ) -> list[SpecError]:
-    """Rules of ``parts:`` that touch nothing: a slip of the pen would keep a golden fresh."""
+    """Errors for rules under ``parts:`` that match no golden.
+
+    A spelling mistake in such a rule would leave a golden fresh that should be stale.
+    """
     ids = [golden.id for golden in goldens]
     known_kinds = set(kinds)
     joints = {joint for model in models.values() for joint in model.structure.joint_body}
@@ -356,13 +362,13 @@ def rule_problems(
             wrong += [("joints", i, j) for i, j in enumerate(rule.joints) if j not in joints]
         expected = {
             "kinds": "a kind of golden: " + ", ".join(sorted(known_kinds)),
-            "goldens": "a pattern over ids of goldens that are there, such as 'golden/contact/*'",
+            "goldens": "a pattern that matches ids of goldens, such as 'golden/contact/*'",
             "joints": "a joint of the model: " + ", ".join(sorted(joints)),
         }
         problems += [
             twin.error(
                 f"parts.{name}.affects.{key}.{i}",
-                "a rule that touches no golden",
+                "a rule that matches no golden",
                 value=value,
                 expected=expected[key],
             )
@@ -371,33 +377,33 @@ def rule_problems(
     return problems
 
 
-# -- what is stale
+# -- stale goldens
 
 
-def staleness(today: Stock, baseline: Baseline | None) -> dict[str, tuple[Reason, ...]]:
-    """``golden@realization`` -> why it is stale; empty where the baseline still proves it.
+def staleness(current: DependencyMap, baseline: Baseline | None) -> dict[str, tuple[Reason, ...]]:
+    """Map ``golden@realization`` to the reasons why it is stale; an empty tuple means fresh.
 
-    Linear in the number of goldens: every part is compared once.
+    Each part is compared once, so that the time is linear in the number of goldens.
     """
-    absent = frozenset().union(*today.rests_on.values()) - today.parts.keys()
+    absent = frozenset().union(*current.depends_on.values()) - current.parts.keys()
 
     def missing(ids: frozenset[str]) -> list[Reason]:
         return [Reason(ident, "is missing") for ident in sorted(ids & absent)]
 
     if baseline is None:
-        return {key: (NO_RELEASE, *missing(ids)) for key, ids in today.rests_on.items()}
-    moved = _Moved(today.parts, baseline.parts)
+        return {key: (NO_RELEASE, *missing(ids)) for key, ids in current.depends_on.items()}
+    changed = _ChangedParts(current.parts, baseline.parts)
     found = {}
-    for key, ids in today.rests_on.items():
-        before = baseline.rested_on.get(key)
+    for key, ids in current.depends_on.items():
+        before = baseline.depended_on.get(key)
         reasons: list[Reason] = []
         if before is None:
             reasons.append(Reason(f"not in release {baseline.number}"))
         elif not baseline.passed.get(key, False):
             reasons.append(Reason(f"failed in release {baseline.number}"))
         if before is not None:
-            for ident in sorted(ids & moved.ids & before):
-                reasons += moved.reasons(ident)
+            for ident in sorted(ids & changed.ids & before):
+                reasons += changed.reasons(ident)
             if ids != before:
                 reasons += [_set_change(ident, "added") for ident in sorted(ids - before)]
                 reasons += [_set_change(ident, "removed") for ident in sorted(before - ids)]
@@ -410,26 +416,26 @@ def _set_change(ident: str, what: str) -> Reason:
 
 
 @dataclass
-class _Moved:
-    """Parts that are not what they were."""
+class _ChangedParts:
+    """Parts that differ from those of the baseline."""
 
-    today: Mapping[str, Part]
+    current: Mapping[str, Part]
     before: Mapping[str, Part]
     ids: set[str] = field(default_factory=set)
     _reasons: dict[str, tuple[Reason, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        # A part that the release does not know cannot be told to be the same.
+        # A part that the release lacks counts as changed.
         self.ids = {
             ident
-            for ident, part in self.today.items()
+            for ident, part in self.current.items()
             if ident not in self.before or self.before[ident].digest != part.digest
         }
 
     def reasons(self, ident: str) -> tuple[Reason, ...]:
         if ident not in self._reasons:
             self._reasons[ident] = (
-                tuple(changes(self.before[ident], self.today[ident]))
+                tuple(changes(self.before[ident], self.current[ident]))
                 if ident in self.before
                 else (Reason(ident, "is new since the release"),)
             )
@@ -437,7 +443,7 @@ class _Moved:
 
 
 def changes(before: Part, after: Part) -> list[Reason]:
-    """What differs between two contents of one part, field by field, with units.
+    """Differences between two versions of a part: field, old value, new value with unit.
 
     At most four fields are named.
     """
@@ -448,7 +454,7 @@ def changes(before: Part, after: Part) -> list[Reason]:
         if name in old and name in new and canonical(was) == canonical(now):
             continue
         if [] in (was, now) and not (name in old and name in new):
-            # A list that got its first element, or lost its last: the element is named.
+            # An empty list became non-empty or the reverse; another entry names the element.
             continue
         match = _UNIT.fullmatch(name)
         title, unit = (match[1], f" {match[2]}") if match else (name, "")
@@ -469,7 +475,7 @@ def changes(before: Part, after: Part) -> list[Reason]:
 
 
 def _leaves(content: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted name -> value; a short list of numbers is one value."""
+    """Yield (dotted name, value) of all leaves; a list of numbers is one leaf."""
     if isinstance(content, Mapping):
         unit = _UNIT.fullmatch(name)
         prefix = unit[1] if unit else name
@@ -479,13 +485,13 @@ def _leaves(content: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         isinstance(item, Mapping | list | tuple) for item in content
     ):
         for index, value in enumerate(content):
-            yield from _leaves(value, f"{name}.{_label(value, index)}")
+            yield from _leaves(value, f"{name}.{_element_name(value, index)}")
     else:
         yield name, content
 
 
-def _label(value: Any, index: int) -> str:
-    """What people call an element of a list: its name, else its place."""
+def _element_name(value: Any, index: int) -> str:
+    """Name of an element of a list, or its index where it has none."""
     named = value.get("name") if isinstance(value, Mapping) else None
     return named if isinstance(named, str) else str(index)
 

@@ -1,4 +1,4 @@
-"""Operating systems that pytest-twin runs on."""
+"""Check of the operating system."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _SUPPORTED = ("linux", "darwin")
 
 
 def unsupported_system() -> str | None:
-    """Why pytest-twin refuses to run here, with what to do; None where it runs.
+    """Why pytest-twin cannot run on this system, and what to do; None where it can.
 
-    Models are loaded in child processes with bounds of time and memory, and files are opened
-    without following links: both need POSIX.
+    pytest-twin limits the time and memory of child processes that load models, and opens files
+    without following symbolic links. Both need POSIX.
     """
     if sys.platform in _SUPPORTED:
         return None

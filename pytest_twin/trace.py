@@ -1,4 +1,4 @@
-"""A trace: series on one independent axis."""
+"""A trace: recorded series of a golden over one axis, such as time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pytest_twin.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """Series on one independent axis; stored next to a spec, and shown in a plot.
+    """Series over one axis; stored next to a spec, and shown in a plot.
 
     Attributes:
         axis: (name, unit), such as ``("time", "s")`` or ``("frequency", "Hz")``.

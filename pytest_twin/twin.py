@@ -1,4 +1,4 @@
-"""A twin: asset, realizations, calibration, fit, controllers, and what no file shows."""
+"""A twin, read from ``twin.yaml``: asset, realizations, calibration, fit, controllers, policies."""
 
 from __future__ import annotations
 
@@ -23,23 +23,24 @@ from pytest_twin.formats.identification_record import (
 )
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
-from pytest_twin.installed import points_by_name
+from pytest_twin.installed import entry_points_by_name
+from pytest_twin.old_names import old_name
 from pytest_twin.ranges_spec import RangesSpec, TrialGroup
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.signals import NO_SIGNALS, Signals
 
 FILE_NAME = "twin.yaml"
 EFFECTS_FILE = "effects.json"
-"""Beside a model that a diagnosis wrote: what is stepped with it and stands in no MJCF."""
-# In a folder that a diagnosis wrote, the first of these that is there.
-_IN_DIAGNOSIS = ("realization/model.xml", "model.xml")
+"""File next to a model that a diagnosis wrote: effects that MJCF cannot express."""
+# Model files in the folder of a diagnosis; the first that exists is used.
+_DIAGNOSIS_MODELS = ("realization/model.xml", "model.xml")
 DEFAULT_TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 USD_SUFFIXES = (".usd", ".usda", ".usdc")
 Simulator = Literal["mujoco", "newton"]
-"""What steps a realization: MuJoCo its MJCF or URDF, Newton its USD stage."""
+"""Simulator of a realization: MuJoCo for MJCF and URDF, Newton for a USD stage."""
 MODEL_FORMATS = "pytest_twin.model_formats"
-"""Entry points of packages that read other formats; the name is the suffix without its dot."""
+"""Entry point group of packages that read other formats; the name is the suffix without dot."""
 
 FIT_FAMILIES = ("joint", "actuator", "body", "geom")
 
@@ -49,7 +50,7 @@ Patch = Mapping[str, float | tuple[float, ...]]
 
 @dataclass(frozen=True, slots=True)
 class _Section:
-    """A table, the file that it stands in, and the dotted field in front of its own."""
+    """A table of YAML, its file, and the dotted prefix of its fields in that file."""
 
     data: Mapping[str, Any]
     path: Path
@@ -58,7 +59,7 @@ class _Section:
 
     @property
     def own_lines(self) -> dict[str, int]:
-        """Lines by the table's own dotted fields."""
+        """Dotted field without the prefix -> line."""
         return {
             name.removeprefix(self.prefix): line
             for name, line in self.lines.items()
@@ -74,7 +75,7 @@ class _Section:
         unit: str | None = None,
         expected: str | None = None,
     ) -> SpecError:
-        """An error at a dotted field of this table, with its line, to be raised."""
+        """Return an error at a dotted field of this table, with its line."""
         where = self.prefix + where
         return SpecError(
             problem,
@@ -89,7 +90,7 @@ class _Section:
 
 @dataclass(frozen=True, slots=True)
 class RealizationRef:
-    """Where one simulator's version of the robot lies."""
+    """Name, model file and simulator of one realization."""
 
     name: str
     file: Path
@@ -97,24 +98,24 @@ class RealizationRef:
 
     @property
     def effects(self) -> Path | None:
-        """What a diagnosis put beside the model, where it did."""
+        """The effects that a diagnosis wrote next to the model, or None."""
         return effects_file_next_to(self.file)
 
 
 def effects_file_next_to(model: Path) -> Path | None:
-    """The list of effects beside a model, or None."""
+    """The file of effects next to a model, or None."""
     path = model.parent / EFFECTS_FILE
     return path if path.is_file() else None
 
 
 @dataclass(frozen=True, slots=True)
 class Payload:
-    """A rigid mass on a body.
+    """A rigid load that is attached to a body.
 
     Attributes:
         mass: kg.
         com: (3,) centre of mass in the body's frame, m.
-        inertia: (6,) ixx iyy izz ixy ixz iyz about that centre, body axes, kg*m^2.
+        inertia: (6,) ixx iyy izz ixy ixz iyz about the centre of mass, body axes, kg*m^2.
     """
 
     mass: float
@@ -124,12 +125,12 @@ class Payload:
 
 @dataclass(frozen=True, slots=True)
 class JointCalibration:
-    """``model = sign * scale * measured + offset``.
+    """Encoder of a joint: ``model = sign * scale * measured + offset``.
 
     Attributes:
         offset: rad or m.
         sign: 1.0 or -1.0.
-        scale: true turn over the turn that is read.
+        scale: ratio of the true to the measured displacement.
     """
 
     offset: float = 0.0
@@ -138,13 +139,13 @@ class JointCalibration:
 
     @property
     def slope(self) -> float:
-        """Derivative of the model's position by the reading."""
+        """Derivative of the model's position with respect to the reading."""
         return self.sign * self.scale
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A frame in another.
+    """Pose of a frame in another frame.
 
     Attributes:
         position: (3,) m.
@@ -157,13 +158,13 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Where the robot stands and how its encoders relate to the model.
+    """Pose of the robot's base, and calibration of its encoders.
 
     Attributes:
-        id: what people call it.
-        transform_world_to_base: the base's pose in the world, None where the model has it.
-        joints: joint -> encoder offset and sign.
-        path: the file that holds it.
+        id: its identifier.
+        transform_world_to_base: pose of the base in the world; None for the model's own.
+        joints: joint -> encoder offset, sign and scale.
+        path: the file that states it.
         lines: dotted field -> line in ``path``, such as ``joints.elbow.offset``.
     """
 
@@ -176,13 +177,13 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationEntry:
-    """One record of ``pytest-twin calibrate`` in the twin.
+    """A record of ``pytest-twin calibrate`` that the twin lists.
 
     Attributes:
-        record: what its file says.
-        use: which of its records the twin takes over.
-        date, instrument: when and with what it was measured, where that is stated.
-        supersedes: ids of earlier records that no longer hold.
+        record: content of its file.
+        use: names of the estimates that the twin uses.
+        date, instrument: when and with what it was measured, or None.
+        supersedes: ids of earlier records that it replaces.
     """
 
     record: CalibrationRecord
@@ -194,13 +195,13 @@ class CalibrationEntry:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Identified parameters over the model.
+    """Identified parameters that replace values of the model.
 
     Attributes:
-        id: what people call it.
+        id: its identifier.
         patches: ``joint``, ``actuator``, ``body`` or ``geom`` -> element -> attribute -> value.
         option: ``gravity`` (m/s^2) and ``timestep`` (s), where fitted.
-        path: the file that holds it.
+        path: the file that states it.
         lines: dotted field -> line in ``path``, such as ``joint.elbow.damping``.
     """
 
@@ -213,12 +214,12 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class FitEntry:
-    """One record of ``pytest-twin identify`` in the twin.
+    """A record of ``pytest-twin identify`` that the twin lists.
 
     Attributes:
-        record: what its file says.
-        date: when it was recorded, where that is stated.
-        supersedes: ids of earlier records that no longer hold.
+        record: content of its file.
+        date: date of the recordings, or None.
+        supersedes: ids of earlier records that it replaces.
     """
 
     record: IdentificationRecord
@@ -228,12 +229,12 @@ class FitEntry:
 
 @dataclass(frozen=True, slots=True)
 class Affects:
-    """Which goldens a declared part touches: those that match every tuple that is not empty.
+    """Rule that selects goldens: those that match every tuple that is not empty.
 
     Attributes:
         kinds: kinds of golden.
-        goldens: patterns over golden ids, ``*`` and ``?``.
-        joints: goldens that feel one of these joints.
+        goldens: patterns of golden ids, with ``*`` and ``?``.
+        joints: joints; a golden matches if its result depends on one of them.
     """
 
     kinds: tuple[str, ...] = ()
@@ -243,12 +244,16 @@ class Affects:
 
 @dataclass(frozen=True, slots=True)
 class DeclaredPart:
-    """Something that a result depends on and that no model shows: firmware, table, temperature.
+    """A dependency that is not part of a model, such as firmware, a table or a temperature.
+
+    At least one of ``id``, ``value`` and ``file`` is not None.
 
     Attributes:
-        id: version or serial number, ``value`` a number or text, ``file`` a file whose bytes
-            matter; at least one is not None.
-        affects: None where it touches every golden.
+        name: its name under ``parts:``.
+        id: version or serial number.
+        value: a number or text.
+        file: a file; a change of its content makes goldens stale.
+        affects: the goldens that depend on it; None for all.
     """
 
     name: str
@@ -260,10 +265,10 @@ class DeclaredPart:
 
 @dataclass(frozen=True, slots=True)
 class ReleasePolicy:
-    """Rules for releases.
+    """Section ``release:`` of ``twin.yaml``.
 
     Attributes:
-        valid_days: days until a release expires.
+        valid_days: validity of a release, days.
     """
 
     valid_days: float = 90.0
@@ -271,11 +276,11 @@ class ReleasePolicy:
 
 @dataclass(frozen=True, slots=True)
 class Authority:
-    """Which realization is authoritative for some goldens.
+    """Rule that makes a realization authoritative for some goldens.
 
     Attributes:
         realization: its name.
-        goldens: those that match every tuple that is not empty.
+        goldens: rule that selects the goldens.
     """
 
     realization: str
@@ -284,10 +289,10 @@ class Authority:
 
 @dataclass(frozen=True, slots=True)
 class FreshPolicy:
-    """From which size on a change of the twin matters to data that it stamped.
+    """Smallest displacement for which a change of the twin makes stamped data stale.
 
     Attributes:
-        translation: displacement of the tool centre point or of a slide joint, m.
+        translation: of the tool centre point or of a slide joint, m.
         rotation: of the tool centre point or of a hinge, rad.
     """
 
@@ -301,32 +306,33 @@ class Twin:
 
     Attributes:
         path: the file; ``root``: its folder.
+        name: name of the twin.
         realizations: name -> file and simulator; ``model:`` is the first, named ``mujoco``.
         source: the supplier's files.
-        roots: name -> folder outside ``root`` that files may come from.
+        roots: name -> folder outside ``root`` that may contain files of the twin.
         topics: ``state`` and ``command`` -> topic.
-        recordings: how recordings are read: joint names, fields, clock, commands between stamps.
-        signals: what the recorded positions and efforts are.
+        recordings: how to read recordings: joint names, fields, clock, commands between stamps.
+        signals: meaning of the recorded positions and efforts.
         controllers: id -> actuator -> attribute -> value.
-        payloads: id -> body -> mass.
+        payloads: id -> body -> load.
         parts: name -> declared part.
-        calibration: what holds now: ``calibration:`` with what ``calibrations:`` and the encoders
-            of ``fit:`` lay over it.
+        calibration: calibration in use: ``calibration:``, updated by ``calibrations:`` and by the
+            encoders of ``fit:``.
         calibrated: the same without ``fit:``.
         calibrations: records of ``pytest-twin calibrate``, the newest last.
-        fit: what holds now: all of ``fit:`` laid one over the other.
+        fit: fit in use: all entries of ``fit:`` merged; a later entry overrides an earlier one.
         fits: records of ``pytest-twin identify`` under ``fit:``, the newest last.
         tcp: named frame of the tool centre point.
-        retired: golden id -> reason.
-        release: rules for releases.
-        fresh: what size of a change matters to data that the twin stamped.
-        excitation: what a person approves for ``pytest-twin excite``, as written; None where
-            the section is not there.
-        authority: rules, of which the first that matches a golden holds.
-        residual, update: what is declared beside the base model, or None.
-        shadow: what a candidate is judged by.
-        budget: what the error budget is about.
-        ranges: what randomization ranges are made from and checked with.
+        retired: id of a golden that no longer exists -> reason.
+        release: section ``release:``.
+        fresh: smallest displacement that makes stamped data stale.
+        excitation: section ``excitation:`` as written, with the limits that a person approved;
+            None without it.
+        authority: rules; the first that matches a golden applies.
+        residual, update: residual force and online update, or None.
+        shadow: criteria for the promotion of a candidate.
+        budget: task of the error budget.
+        ranges: sources of randomization ranges.
         lines: dotted field -> 1-based line in ``path``.
     """
 
@@ -366,23 +372,27 @@ class Twin:
 
     @property
     def first_realization(self) -> RealizationRef:
-        """The realization that a command uses where none is named; every twin has one."""
+        """The default realization of commands; every twin has at least one."""
         return next(iter(self.realizations.values()))
 
     @property
     def path_roots(self) -> Roots:
-        """Where files of this twin may lie."""
+        """Folders that may contain files of this twin."""
         return Roots(self.root, tuple(self.roots.values()))
 
     @property
-    def holding_fits(self) -> tuple[IdentificationRecord, ...]:
+    def fits_in_use(self) -> tuple[IdentificationRecord, ...]:
         """Records under ``fit:`` that no later one supersedes, the newest last."""
-        return _holding(self.fits)
+        return _not_superseded(self.fits)
+
+    holding_fits = old_name("holding_fits", "fits_in_use")
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Every file that this object was made of or points at; models' own includes and meshes
-        are the realization's to list."""
+        """All files that this twin was read from or refers to.
+
+        The realization lists the files that a model includes, and its meshes.
+        """
         found: dict[Path, None] = {self.path: None}
         for item in (self.calibration, self.fit):
             if item is not None:
@@ -406,7 +416,12 @@ class Twin:
         return tuple(found)
 
     def authority_of(self, ident: str, kind: str) -> str | None:
-        """The realization whose word counts for a golden; None where no rule says."""
+        """The authoritative realization of a golden; None where no rule matches.
+
+        Args:
+            ident: id of the golden.
+            kind: kind of the golden.
+        """
         for rule in self.authority:
             kinds, patterns = rule.goldens.kinds, rule.goldens.goldens
             if (not kinds or kind in kinds) and (
@@ -416,7 +431,7 @@ class Twin:
         return None
 
     def shadow_record(self, ident: str) -> Path:
-        """Where the promotion of a residual or update is recorded."""
+        """Path of the file that records the promotion of a residual or update of this id."""
         return self.root / "shadow" / f"{ident}.json"
 
     def error(
@@ -428,18 +443,18 @@ class Twin:
         unit: str | None = None,
         expected: str | None = None,
     ) -> SpecError:
-        """An error at a dotted field of ``twin.yaml``, with its line, to be raised."""
+        """Return an error at a dotted field of ``twin.yaml``, with its line."""
         section = _Section({}, self.path, "", self.lines)
         return section.error(where, problem, value=value, unit=unit, expected=expected)
 
 
 def model_suffixes() -> tuple[str, ...]:
-    """Suffixes of model files, lower case: MJCF, URDF, and what installed packages read."""
-    return (*MODEL_SUFFIXES, *(f".{name}" for name in points_by_name(MODEL_FORMATS)))
+    """Suffixes of model files, lower case: MJCF, URDF, and the formats of installed packages."""
+    return (*MODEL_SUFFIXES, *(f".{name}" for name in entry_points_by_name(MODEL_FORMATS)))
 
 
 def find_twin(start: Path) -> Path | None:
-    """The ``twin.yaml`` in ``start`` or the nearest folder above it."""
+    """The ``twin.yaml`` in ``start`` or the nearest folder above it, or None."""
     start = start.absolute()
     for folder in (start, *start.parents):
         candidate = folder / FILE_NAME
@@ -453,8 +468,9 @@ def load_twin(path: Path) -> Twin:
 
     Raises:
         FormatError: not strict YAML, or beyond its bounds.
-        SpecError: a field that is unknown, missing, or means nothing.
-        PathError: a file that is missing, linked, or outside the twin's folder and its ``roots``.
+        SpecError: a field that is unknown, missing or not valid.
+        PathError: a file that does not exist, is a link, or is outside the twin's folder and its
+            ``roots``.
     """
     path = path.absolute()
     document = yaml.load(path)
@@ -471,7 +487,7 @@ def schema() -> Mapping[str, Any]:
 
 
 class _Reader:
-    """Turns one validated document into nouns."""
+    """Builds a :class:`Twin` from one validated document."""
 
     def __init__(self, path: Path, data: Mapping[str, Any], lines: Mapping[str, int]) -> None:
         self.path, self.data, self.lines = path, data, lines
@@ -484,7 +500,7 @@ class _Reader:
         release = data.get("release", {})
         entries = self._calibrations()
         fit, fits = self._fits()
-        calibrated = _laid_over(self._calibration(), entries, self.path)
+        calibrated = _updated_calibration(self._calibration(), entries, self.path)
         return Twin(
             path=self.path,
             name=data.get("name") or self.path.parent.name or "twin",
@@ -504,7 +520,7 @@ class _Reader:
                 name: {body: _payload(added) for body, added in bodies.items()}
                 for name, bodies in data.get("payloads", {}).items()
             },
-            calibration=_with_encoders(calibrated, _holding(fits), self.path),
+            calibration=_with_identified_encoders(calibrated, _not_superseded(fits), self.path),
             calibrated=calibrated,
             calibrations=entries,
             fit=fit,
@@ -542,7 +558,7 @@ class _Reader:
             if name in seen:
                 raise self.section.error(
                     f"roots.{key}",
-                    "two roots of one name",
+                    "two roots have this name",
                     value=name,
                     expected="a table, name: folder",
                 )
@@ -587,7 +603,7 @@ class _Reader:
                     value=reference,
                     expected="a realization under realizations: with simulator: newton",
                 )
-            for name in _IN_DIAGNOSIS:
+            for name in _DIAGNOSIS_MODELS:
                 if (self.path.parent / reference / name).is_file():
                     return self._file(f"{reference}/{name}", where)
             raise self.section.error(
@@ -615,7 +631,7 @@ class _Reader:
         return tuple(found)
 
     def _table_of(self, key: str) -> _Section | None:
-        """The table of ``key``: inline, or what its ``file:`` holds."""
+        """The table of ``key``: inline, or from its ``file:``; None without one."""
         data = self.data.get(key)
         if data is None:
             return None
@@ -677,12 +693,12 @@ class _Reader:
                 data.get("instrument"),
                 tuple(data.get("supersedes", ())),
             )
-            gone = {name for one in (*found, entry) for name in one.supersedes}
+            superseded = {name for one in (*found, entry) for name in one.supersedes}
             for other in found:
-                # Joint zeros of an external measurement refine an encoder's home.
+                # An external measurement of joint zeros may refine the home position of an encoder.
                 refined = {_zero_of(j) for j in other.record.homes if j not in record.homes}
-                twice = (_used(other) & _used(entry)) - refined
-                if twice and other.record.id not in gone:
+                twice = (_used_estimates(other) & _used_estimates(entry)) - refined
+                if twice and other.record.id not in superseded:
                     raise self.section.error(
                         where,
                         f"{sorted(twice)[0]} is in two calibrations",
@@ -694,7 +710,7 @@ class _Reader:
         return tuple(found)
 
     def _check_homes(self, entry: CalibrationEntry, where: str) -> None:
-        """An encoder's home holds for the sign of the reading with which it was found."""
+        """Check that each home position was measured with the sign that the twin states."""
         calibration = self._calibration()
         stated = {} if calibration is None else calibration.joints
         for joint, sign in entry.record.homes.items():
@@ -709,14 +725,14 @@ class _Reader:
                 )
 
     def _fits(self) -> tuple[Fit | None, tuple[FitEntry, ...]]:
-        """What holds of ``fit:``, one table or a list of records, and the records themselves."""
+        """The fit in use, from the table or list under ``fit:``, and the records of the list."""
         data = self.data.get("fit")
         if not isinstance(data, list):
             section = self._table_of("fit")
             return (None if section is None else _fit(section)), ()
         tables: dict[str, Fit] = {}
         entries: list[FitEntry] = []
-        gone: set[str] = set()
+        superseded: set[str] = set()
         for at, one in enumerate(data):
             where = f"fit.{at}"
             if "file" not in one:
@@ -740,10 +756,10 @@ class _Reader:
                         value=name,
                         expected="ids of records above it: " + (", ".join(tables) or "none"),
                     )
-                gone.add(name)
+                superseded.add(name)
             tables[found.id] = found
-        holding = [one for name, one in tables.items() if name not in gone]
-        return _merged(holding, self.path), tuple(entries)
+        in_use = [one for name, one in tables.items() if name not in superseded]
+        return _merged(in_use, self.path), tuple(entries)
 
     def _fit_entry(self, data: Mapping[str, Any], where: str) -> FitEntry:
         record = read_identification_record(self._file(data["file"], f"{where}.file"))
@@ -757,7 +773,7 @@ class _Reader:
         return FitEntry(record, data.get("date"), tuple(data.get("supersedes", ())))
 
     def _parts(self) -> dict[str, DeclaredPart]:
-        """Declared parts; a residual and an update are parts that every golden depends on."""
+        """Declared parts; residual and update are added as parts that every golden depends on."""
         data = self.data
         found = {name: self._part(name, d) for name, d in data.get("parts", {}).items()}
         residual = self._residual()
@@ -821,7 +837,7 @@ class _Reader:
         return RangesSpec.from_json(data, final, held_out, trials)
 
     def _recording(self, reference: str, where: str) -> Path:
-        """A file, or a folder that is one recording."""
+        """Path of a recording: a file, or a folder that is one recording."""
         folder = (self.path.parent / reference).is_dir()
         line = _line(self.lines, where)
         return self.roots.resolve(reference, at=self.path, line=line, where=where, folder=folder)
@@ -854,7 +870,7 @@ def _fit(section: _Section) -> Fit:
 
 
 def _merged(fits: list[Fit], path: Path) -> Fit | None:
-    """One fit laid over the other, attribute by attribute; a later one goes before."""
+    """Merge fits, attribute by attribute; a later fit overrides an earlier one."""
     if len(fits) < 2:
         return fits[0] if fits else None
     patches: dict[str, dict[str, Patch]] = {family: {} for family in FIT_FAMILIES}
@@ -867,8 +883,8 @@ def _merged(fits: list[Fit], path: Path) -> Fit | None:
     return Fit("+".join(fit.id for fit in fits), patches, option, path)
 
 
-def _used(entry: CalibrationEntry) -> set[str]:
-    """What a twin takes from a record: ``zero of JOINT`` and ``base_world``."""
+def _used_estimates(entry: CalibrationEntry) -> set[str]:
+    """Estimates that a twin uses of a record: ``zero of JOINT`` and ``base_world``."""
     found = set()
     if "joint_zeros" in entry.use:
         found |= {_zero_of(joint) for joint in entry.record.joint_zeros}
@@ -881,25 +897,27 @@ def _zero_of(joint: str) -> str:
     return f"zero of {joint}"
 
 
-def _laid_over(
+def _updated_calibration(
     stated: Calibration | None, entries: tuple[CalibrationEntry, ...], path: Path
 ) -> Calibration | None:
-    """The calibration that holds: what the twin states, with the records that still hold."""
-    gone = {name for entry in entries for name in entry.supersedes}
-    holding = [entry for entry in entries if entry.record.id not in gone and _used(entry)]
-    if not holding:
+    """The calibration in use: the stated one, updated by the records that are not superseded."""
+    superseded = {name for entry in entries for name in entry.supersedes}
+    in_use = [
+        entry for entry in entries if entry.record.id not in superseded and _used_estimates(entry)
+    ]
+    if not in_use:
         return stated
     joints = {} if stated is None else dict(stated.joints)
     base = None if stated is None else stated.transform_world_to_base
-    for entry in holding:
+    for entry in in_use:
         if "joint_zeros" in entry.use:
             for joint, value in entry.record.joint_zeros.items():
-                # The zero was estimated with the sign and instead of the stated offset.
+                # The estimate uses the stated sign and replaces the stated offset.
                 joints[joint] = replace(joints.get(joint, JointCalibration()), offset=value)
         if "base_world" in entry.use and entry.record.base_world is not None:
             (x, y, z), (w, a, b, c) = entry.record.base_world
             base = Pose((x, y, z), (w, a, b, c))
-    ids = [*([] if stated is None else [stated.id]), *(entry.record.id for entry in holding)]
+    ids = [*([] if stated is None else [stated.id]), *(entry.record.id for entry in in_use)]
     return Calibration(
         id="+".join(ids),
         transform_world_to_base=base,
@@ -909,17 +927,18 @@ def _laid_over(
     )
 
 
-def _holding(fits: tuple[FitEntry, ...]) -> tuple[IdentificationRecord, ...]:
-    gone = {name for entry in fits for name in entry.supersedes}
-    return tuple(entry.record for entry in fits if entry.record.id not in gone)
+def _not_superseded(fits: tuple[FitEntry, ...]) -> tuple[IdentificationRecord, ...]:
+    superseded = {name for entry in fits for name in entry.supersedes}
+    return tuple(entry.record for entry in fits if entry.record.id not in superseded)
 
 
-def _with_encoders(
+def _with_identified_encoders(
     calibrated: Calibration | None, records: tuple[IdentificationRecord, ...], path: Path
 ) -> Calibration | None:
-    """The calibration with the encoders that identifications found on top of it.
+    """The calibration, updated by the encoders that identifications estimated.
 
-    What was found on top of another calibration says nothing: a later one has measured the encoder.
+    An estimate that started from another calibration of the encoder is ignored: a later
+    calibration has measured the encoder.
     """
     stated = {} if calibrated is None else calibrated.joints
     joints = dict(stated)
@@ -937,7 +956,7 @@ def _with_encoders(
 
 
 def _line(lines: Mapping[str, int], where: str) -> int | None:
-    """The line of a field, or of the nearest one around it."""
+    """The line of a field, or of the nearest field that contains it."""
     while where:
         if where in lines:
             return lines[where]
@@ -960,7 +979,7 @@ def _payload(data: Mapping[str, Any]) -> Payload:
 
 
 def _recordings(data: Mapping[str, Any]) -> RecordingOptions:
-    """What a recording says of its commands itself goes before what the twin says of all."""
+    """Options of recordings; the twin's ``command_between`` is a default that metadata override."""
     options = RecordingOptions.from_json(data)
     return replace(options, command_between=None, command_between_default=options.command_between)
 

@@ -1,4 +1,4 @@
-"""Quantities as people write them in a spec: ``0.5 mm``, ``2 deg``, ``3 %``."""
+"""Parse quantities of a spec: ``0.5 mm``, ``2 deg``, ``3 %``."""
 
 from __future__ import annotations
 
@@ -55,7 +55,11 @@ class Quantity:
 
 
 def parse_quantity(text: object, units: tuple[str, ...]) -> Quantity:
-    """Read ``text`` as a quantity in one of the SI ``units``; ``1`` is the dimensionless one.
+    """Parse ``text`` and return it in SI units.
+
+    Args:
+        text: number with unit, as written.
+        units: allowed SI units; ``1`` for a dimensionless quantity.
 
     Raises:
         SpecError: no number, no unit, not finite, or a unit of another dimension.
@@ -66,7 +70,7 @@ def parse_quantity(text: object, units: tuple[str, ...]) -> Quantity:
         text = repr(text)
     match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
     if match is None:
-        raise SpecError("no quantity with a unit", value=text, expected=expected)
+        raise SpecError("not a quantity with a unit", value=text, expected=expected)
     written = match[2] or ""
     unit = _UNITS.get(written)
     if unit is None or unit[0] not in units:

@@ -15,7 +15,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.unnamed_law import KNOTS, TABLES, UnnamedLaw
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.paths import read_bytes
-from pytest_twin.installed import brought
+from pytest_twin.installed import load_plugin
 
 GROUP = "pytest_twin.residuals"
 _TABLES_BYTES = 1 << 20
@@ -144,7 +144,7 @@ def _function(spec: ResidualSpec) -> Law:
             where="residual.function",
             expected=f"the name of an entry point of the group {GROUP}",
         )
-    function: Any = brought(points[0], "residual")
+    function: Any = load_plugin(points[0], "residual")
 
     def law(
         position: FloatArray, velocity: FloatArray, command: FloatArray

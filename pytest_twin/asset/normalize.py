@@ -299,7 +299,7 @@ class _Normalizer:
         self._set(element.find("mass"), "value", digits([link.mass]), why)
         assert link.inertial is not None
         _, axes = urdf.origin(link.inertial)
-        values = inertia.six(axes.T @ link.inertia @ axes)
+        values = inertia.six_components(axes.T @ link.inertia @ axes)
         for key, value in zip(_MOMENTS, values, strict=True):
             self._set(element.find("inertia"), key, digits([value]), why)
 
@@ -347,7 +347,7 @@ class _Normalizer:
         repaired = inertia.consistent(link.inertia)
         # The moments refer to link axes; the inertial frame of the file may be rotated.
         _, axes = urdf.origin(link.inertial) if link.inertial else (None, np.eye(3))
-        values = inertia.six(axes.T @ repaired @ axes)
+        values = inertia.six_components(axes.T @ repaired @ axes)
         self.out.repairs[link.name] = values
         keys = _MOMENTS
         before = " ".join(f"{key}={node.get(key, '0')}" for key in keys)

@@ -137,7 +137,7 @@ def _repaired(robot: urdf.Robot, made: Normalized) -> urdf.Robot:
         link = robot.links[name]
         assert link.inertial is not None
         _, axes = urdf.origin(link.inertial)
-        _state(link.inertial, link.mass, inertia.six(axes.T @ link.inertia @ axes))
+        _state(link.inertial, link.mass, inertia.six_components(axes.T @ link.inertia @ axes))
     for name, values in made.repairs.items():
         link = robot.links[name]
         assert link.inertial is not None

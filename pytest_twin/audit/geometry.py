@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.audit.asset import Asset, Shape, Vector
 from pytest_twin.realization import shapes
-from pytest_twin.realization.inertia import of_point
+from pytest_twin.realization.inertia import point_inertia
 
 Faces = NDArray[np.int32]
 
@@ -198,7 +198,7 @@ def together(solids: Iterable[Solid]) -> Solid | None:
     inertia = np.zeros((3, 3))
     for solid in found:
         share = solid.volume / volume
-        inertia += share * (solid.inertia + of_point(1.0, solid.centroid - centroid))
+        inertia += share * (solid.inertia + point_inertia(1.0, solid.centroid - centroid))
     return Solid(
         float(volume),
         centroid,

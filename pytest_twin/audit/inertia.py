@@ -10,7 +10,7 @@ import numpy as np
 from pytest_twin.audit.asset import Asset, Body, Vector
 from pytest_twin.audit.finding import Finding
 from pytest_twin.audit.geometry import Geometry, Solid
-from pytest_twin.realization.inertia import MASS_FLOOR, ROUNDING, of_point, violation
+from pytest_twin.realization.inertia import MASS_FLOOR, ROUNDING, point_inertia, violation
 
 _DENSITY = (20.0, 12_000.0)
 """kg/m^3: plausible range of mass over hull volume, from a hollow cover to solid lead."""
@@ -307,7 +307,7 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
     reach = solid.reach(body.com)
     # Upper bound about the centre of mass: the whole mass at the farthest vertex of the hull.
     most = mass * reach**2
-    shifted = of_point(mass, body.com)
+    shifted = point_inertia(mass, body.com)
     about_origin = inertia - shifted
     if _about_origin(inertia, about_origin, mass * solid.inertia, shifted):
         yield Finding(
@@ -452,5 +452,7 @@ def _together(bodies: list[Body], asset: Asset) -> tuple[float, Vector]:
     if mass <= 0:
         return 0.0, np.asarray(sum((part[2] for part in parts), np.zeros((3, 3))))
     com = sum((part[0] * part[1] for part in parts), np.zeros(3)) / mass
-    inertia = sum((part[2] + of_point(part[0], part[1] - com) for part in parts), np.zeros((3, 3)))
+    inertia = sum(
+        (part[2] + point_inertia(part[0], part[1] - com) for part in parts), np.zeros((3, 3))
+    )
     return mass, np.asarray(inertia)

@@ -14,7 +14,7 @@ from pytest_twin.audit.evidence import Evidence
 from pytest_twin.audit.finding import LAYERS, PLANNING, SEVERITIES, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.errors import SpecError, TwinError
-from pytest_twin.installed import brought, only_one, package_of, points_by_name
+from pytest_twin.installed import entry_points_by_name, load_plugin, package_of, single_entry_point
 
 _GROUP = "pytest_twin.audit_layers"
 
@@ -35,7 +35,7 @@ class Layer(Protocol):
 
 def names() -> tuple[str, ...]:
     """Return the names of layers of installed packages, sorted."""
-    return tuple(sorted(points_by_name(_GROUP)))
+    return tuple(sorted(entry_points_by_name(_GROUP)))
 
 
 def check(asset: Asset, known: Evidence, geometry: Geometry) -> Iterator[Finding]:
@@ -50,7 +50,7 @@ def check(asset: Asset, known: Evidence, geometry: Geometry) -> Iterator[Finding
 
 
 def _findings(name: str, asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
-    point = only_one(points_by_name(_GROUP)[name], "audit layer")
+    point = single_entry_point(entry_points_by_name(_GROUP)[name], "audit layer")
     if name in (*LAYERS, PLANNING):
         raise SpecError(
             f"{package_of(point)} brings an audit layer with the name of a built-in layer",
@@ -58,7 +58,7 @@ def _findings(name: str, asset: Asset, known: Evidence, geometry: Geometry) -> l
             value=name,
             expected="another name of the entry point",
         )
-    layer: Layer = brought(point, "audit layer")
+    layer: Layer = load_plugin(point, "audit layer")
     try:
         found = list(layer.check(asset, known, geometry))
         wrong = [f for f in found if f.layer != name or f.severity not in SEVERITIES]

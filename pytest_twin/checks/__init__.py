@@ -7,7 +7,13 @@ import functools
 from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.checks.checked import checked
 from pytest_twin.errors import SpecError
-from pytest_twin.installed import brought, only_one, package_of, points_by_name, refuse_stale
+from pytest_twin.installed import (
+    entry_points_by_name,
+    load_plugin,
+    package_of,
+    refuse_stale_installation,
+    single_entry_point,
+)
 
 __all__ = ["Check", "Measure", "Observation", "Progress", "Trace", "check_of", "kinds"]
 
@@ -16,7 +22,7 @@ _GROUP = "pytest_twin.checks"
 
 def kinds() -> tuple[str, ...]:
     """Return the names of all installed kinds, sorted."""
-    return tuple(sorted(points_by_name(_GROUP)))
+    return tuple(sorted(entry_points_by_name(_GROUP)))
 
 
 @functools.cache
@@ -27,9 +33,11 @@ def check_of(kind: str) -> Check:
         SpecError: no such kind is installed, two packages define it, or its package cannot be
             loaded or has no usable check.
     """
-    points = points_by_name(_GROUP).get(kind, ())
+    points = entry_points_by_name(_GROUP).get(kind, ())
     if not points:
-        refuse_stale((point for own in points_by_name(_GROUP).values() for point in own), _GROUP)
+        refuse_stale_installation(
+            (point for own in entry_points_by_name(_GROUP).values() for point in own), _GROUP
+        )
         raise SpecError("unknown kind", where="kind", value=kind, expected=", ".join(kinds()))
-    point = only_one(points, "kind")
-    return checked(brought(point, "kind"), kind, package_of(point))
+    point = single_entry_point(points, "kind")
+    return checked(load_plugin(point, "kind"), kind, package_of(point))

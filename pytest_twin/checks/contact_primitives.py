@@ -42,7 +42,7 @@ class _Record:
         from pytest_twin.realization import scene
 
         stage = self.scene
-        touch = scene.touch(stage.model, stage.data, *self.geoms)
+        touch = scene.pair_contact(stage.model, stage.data, *self.geoms)
         self.touching.append(touch.is_touching)
         self.normal.append(touch.normal_force)
         self.tangential.append(touch.tangential_force)

@@ -65,13 +65,13 @@ class Scene:
             } | set(stimulus.get("effort", {}))
             tied = {t for joint in driven for t in simulate.coupled_joints(realization, joint)}
             locked = set(realization.joints) - tied
-        self.model = simulate.bench(
+        self.model = simulate.prepared_model(
             realization,
             gravity=stimulus.get("gravity", True),
             locked=sorted(locked),
-            edit=scene.setting(free, height),
+            edit=scene.scene_of(free, height),
         )
-        self.data = simulate.start(self.model, realization, pose.qpos)
+        self.data = simulate.initial_state(self.model, realization, pose.qpos)
         self.data.ctrl[:] = simulate.hold(self.model, self.data)
         self.held = np.array(self.data.ctrl)
         self.geoms = (self._geoms(0), self._geoms(1))
@@ -176,7 +176,7 @@ class Scene:
                 pose[:3, 3] = data.geom_xpos[min(self.geoms[1])] + offset
                 if OBJECT in golden.target["pair"][:1]:
                     lifted = joint
-            scene.put(model, data, joint, pose)
+            scene.set_free_joint(model, data, joint, pose)
             if primitive != "grip":
                 scene.set_weight(model, scene.object_body(model), True)
         if given is None and primitive == "release":
@@ -193,7 +193,7 @@ class Scene:
             scene.lift_above(model, data, lifted, self.geoms[0], self.geoms[1], gap)
         mujoco.mj_fwdPosition(model, data)
         if self.object_body is not None:
-            inside = scene.overlapped(model, data, self.object_body)
+            inside = scene.penetrated_geom(model, data, self.object_body)
             if inside is not None:
                 raise spec_error(
                     golden, "target.object", f"starts inside {inside!r}", expected="a free place"

@@ -147,13 +147,13 @@ def prepare(golden: Golden, realization: Realization, extremes: tuple[float, flo
     if stimulus.get("others", "free") == "locked":
         tied = simulate.coupled_joints(realization, joint)
         locked = [name for name in realization.joints if name not in tied]
-    model = simulate.bench(
+    model = simulate.prepared_model(
         realization,
         gravity=stimulus.get("gravity", True),
         contact=stimulus.get("contact", True),
         locked=locked,
     )
-    data = simulate.start(model, realization, pose.qpos)
+    data = simulate.initial_state(model, realization, pose.qpos)
     data.ctrl[:] = simulate.hold(model, data)
     hold = 0.0 if item is None else float(data.ctrl[item.control]) / item.scale
     settle = quantity(golden, "stimulus.settle", stimulus.get("settle", 0.5), "s")

@@ -350,7 +350,7 @@ def _excite(drive: Drive, command: FloatArray, plan: _Plan, progress: Progress) 
         applied[..., drive.dof] = faded
     else:
         control[..., drive.input.control] = drive.input.scale * (drive.hold + faded)
-    qpos, qvel = simulate.periodic(model, data, control, applied, progress)
+    qpos, qvel = simulate.simulate_batch(model, data, control, applied, progress)
     after = drive.series(qpos, qvel)
     start = drive.series(data.qpos, data.qvel)
     return np.concatenate((np.full((rows, 1), start), after[:, :-1]), axis=1)

@@ -307,7 +307,7 @@ def pulse(
 
     from pytest_twin.realization import simulate
 
-    model = simulate.bench(realization, gravity=False)
+    model = simulate.prepared_model(realization, gravity=False)
     disable = mujoco.mjtDisableBit
     model.opt.disableflags |= int(
         disable.mjDSBL_CONTACT | disable.mjDSBL_LIMIT | disable.mjDSBL_FRICTIONLOSS
@@ -315,10 +315,10 @@ def pulse(
     control = realization.control_index(actuator)
     address = realization.joint_qpos_index(joint)
     steps = min(simulate.steps_in(model, duration), _STEPS)
-    hold = simulate.hold(model, simulate.start(model, realization, qpos))
+    hold = simulate.hold(model, simulate.initial_state(model, realization, qpos))
 
     def end(command: float) -> FloatArray:
-        data = simulate.start(model, realization, qpos)
+        data = simulate.initial_state(model, realization, qpos)
         data.ctrl[:] = simulate.hold(model, data)
         data.ctrl[control] = command
         for _ in range(steps):

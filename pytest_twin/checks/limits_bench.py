@@ -25,7 +25,7 @@ def _bench(realization: Realization, free: frozenset[str]) -> mujoco.MjModel:
     from pytest_twin.realization import simulate
 
     held = [joint for joint in realization.joints if joint not in free]
-    model = simulate.bench(realization, gravity=False, locked=held)
+    model = simulate.prepared_model(realization, gravity=False, locked=held)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return model
 
@@ -48,7 +48,9 @@ def _start(
             bounds = model_range(robot, index)
             if bounds is not None and not bounds[0] <= reference <= bounds[1]:
                 inside[joint] = min(max(reference, bounds[0]), bounds[1])
-    return simulate.start(model, realization, configuration(realization, inside | dict(values)))
+    return simulate.initial_state(
+        model, realization, configuration(realization, inside | dict(values))
+    )
 
 
 def _far(model: mujoco.MjModel, control: int, sign: float) -> float:
@@ -166,13 +168,15 @@ def servo_range(realization: Realization, joint: str) -> list[float] | None:
 
     from pytest_twin.realization import simulate
 
-    model = simulate.bench(realization)
+    model = simulate.prepared_model(realization)
     model.actuator_forcelimited[:] = 0
     model.jnt_actfrclimited[:] = 0
     for actuator in drivers_of(realization, joint):
         i = realization.actuator_index(actuator)
         if simulate.command_kind(model, i) == "position":
-            return _aim(model, simulate.start(model, realization, realization.model.qpos0), i)
+            return _aim(
+                model, simulate.initial_state(model, realization, realization.model.qpos0), i
+            )
     return None
 
 

@@ -264,7 +264,7 @@ def tendon_amplitude(realization: Realization, actuator: str) -> float | None:
     control = realization.control_index(actuator)
     if not model.actuator_ctrllimited[control]:
         return None
-    data = simulate.start(model, realization, first_qpos(realization))
+    data = simulate.initial_state(model, realization, first_qpos(realization))
     hold = float(simulate.hold(model, data)[control])
     mujoco.mj_forward(model, data)
     lower, upper = (float(bound) for bound in model.actuator_ctrlrange[control])

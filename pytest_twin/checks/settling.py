@@ -131,12 +131,12 @@ class Settling(Check):
             )
         duration = _positive(golden, "stimulus.duration", stimulus["duration"])
         pose = resolve_pose(golden, realization, stimulus.get("pose", REFERENCE), "stimulus.pose")
-        model = simulate.bench(
+        model = simulate.prepared_model(
             realization,
             gravity=stimulus.get("gravity", True),
             contact=stimulus.get("contact", True),
         )
-        data = simulate.start(model, realization, pose.qpos)
+        data = simulate.initial_state(model, realization, pose.qpos)
         if stimulus.get("input", "hold") == "hold":
             data.ctrl[:] = simulate.hold(model, data)
         for joint, value in stimulus.get("displacement", {}).items():

@@ -100,7 +100,9 @@ def run(args: argparse.Namespace) -> int:
 def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
     with Sandbox(cwd=None) as sandbox, Progress("reading the robot") as progress:
         search = model_files.search_folders(args)
-        seen = sandbox.call("pytest_twin.setup.inspection:look", {"model": str(robot), **search})
+        seen = sandbox.call(
+            "pytest_twin.setup.inspection:inspect_model", {"model": str(robot), **search}
+        )
         folders.make(folder)
         brought = bring_in(
             RobotFiles(

@@ -17,7 +17,7 @@ from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.provenance.past import authentic_now, lay_out
+from pytest_twin.provenance.past import authentic_now, copy_release
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, Twin, load_twin
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
         document = sandbox.call(
             "pytest_twin.adaptation.shadow:shadow",
             {
-                "released": str(lay_out(release, folder, root, Path(scratch).resolve())),
+                "released": str(copy_release(release, folder, root, Path(scratch).resolve())),
                 "candidate": str(file.absolute()),
                 "recordings": [str(path.absolute()) for path in args.recordings],
             },

@@ -9,7 +9,7 @@ from importlib.metadata import entry_points
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
 from pytest_twin.effects.checked import checked
 from pytest_twin.errors import SpecError
-from pytest_twin.installed import brought, package_of, refuse_stale
+from pytest_twin.installed import load_plugin, package_of, refuse_stale_installation
 
 __all__ = ["Effect", "ModelFields", "Parameter", "Values", "World", "catalogue"]
 
@@ -24,7 +24,7 @@ def catalogue() -> Mapping[str, Effect]:
     """
     group = "pytest_twin.effects"
     points = entry_points(group=group)
-    refuse_stale(points, group)
+    refuse_stale_installation(points, group)
     effects: dict[str, Effect] = {}
     for point in points:
         if point.name in effects:
@@ -34,5 +34,5 @@ def catalogue() -> Mapping[str, Effect]:
                 value=point.name,
                 expected="one of them; uninstall the other",
             )
-        effects[point.name] = checked(brought(point, "effect"), point.name, package_of(point))
+        effects[point.name] = checked(load_plugin(point, "effect"), point.name, package_of(point))
     return effects

@@ -1,1 +1,1 @@
-"""The gate: what runs and why, whether it passes, and what is signed."""
+"""The release gate: find stale goldens, run them, decide on a release, and sign it."""

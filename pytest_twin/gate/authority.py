@@ -1,6 +1,7 @@
-"""Results of a golden on simulators that are not authoritative for it. Pure.
+"""Differences between the authoritative realization of a golden and the other realizations.
 
-Each difference is reported alone; nothing is averaged over simulators.
+Each difference is reported separately; nothing is averaged over simulators. This module reads no
+files.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure, Outcome
 from pytest_twin.report.text import number, quantity
 
-_MOST_LINES = 40
-_AGREES = 1e-3
-"""Share of the tolerance below which realizations agree; rounding alone reaches 1e-11."""
+_MAX_LINES = 40
+_EQUAL_FRACTION = 1e-3
+"""Fraction of the tolerance below which results count as equal; rounding errors reach 1e-11."""
 
 
-def recorded_elsewhere(goldens: Iterable[Golden]) -> Iterator[str]:
-    """One line for each golden whose values come from a realization without authority over it."""
+def recorded_without_authority(goldens: Iterable[Golden]) -> Iterator[str]:
+    """Yield one line for each golden that was recorded on a realization without authority."""
     for golden in goldens:
         recorded = golden.provenance
         authority = golden.realizations[0]
@@ -31,7 +32,7 @@ def recorded_elsewhere(goldens: Iterable[Golden]) -> Iterator[str]:
 def difference_lines(
     goldens: Sequence[Golden], outcomes: Mapping[str, Outcome], simulators: Mapping[str, str]
 ) -> list[str]:
-    """How far the other simulators of each golden are from the authoritative one.
+    """Describe the difference of each other realization from the authoritative one, a line each.
 
     Args:
         goldens: their first realization is the authoritative one.
@@ -47,13 +48,13 @@ def difference_lines(
             if own is None or other is None:
                 continue
             title = f"{name} ({simulators[name]}) against {authority} ({simulators[authority]})"
-            lines.append(f"{golden.id}: {title}, which is authoritative: {_between(own, other)}")
-    if len(lines) > _MOST_LINES:
-        lines[_MOST_LINES:] = [f"and {len(lines) - _MOST_LINES} more comparisons"]
+            lines.append(f"{golden.id}: {title}, which is authoritative: {_difference(own, other)}")
+    if len(lines) > _MAX_LINES:
+        lines[_MAX_LINES:] = [f"and {len(lines) - _MAX_LINES} more comparisons"]
     return lines
 
 
-def _between(own: Outcome, other: Outcome) -> str:
+def _difference(own: Outcome, other: Outcome) -> str:
     for outcome in (own, other):
         if outcome.status == "error":
             return f"no comparison, {outcome.realization}: {outcome.error}"
@@ -65,27 +66,28 @@ def _between(own: Outcome, other: Outcome) -> str:
     ]
     if not pairs:
         return "no measure in common"
-    mine, its = max(pairs, key=lambda pair: _share(*pair))
-    if _share(mine, its) < _AGREES:
-        return f"the same to within {number(100.0 * _AGREES)} % of the tolerance"
-    found, own_found = _compared(its), _compared(mine)
+    mine, its = max(pairs, key=lambda pair: _fraction_of_tolerance(*pair))
+    if _fraction_of_tolerance(mine, its) < _EQUAL_FRACTION:
+        return f"the same to within {number(100.0 * _EQUAL_FRACTION)} % of the tolerance"
+    found, own_found = _compared_value(its), _compared_value(mine)
     difference = abs(found - own_found)
     deviation = "" if mine.time is None else " off by"
     return (
         f"{mine.name} of {mine.subject}{deviation} {quantity(found, its.unit)} and "
         f"{quantity(own_found, mine.unit)}, {quantity(difference, mine.unit)} apart, "
-        f"{number(100.0 * _share(mine, its))} % of the tolerance (largest of {len(pairs)})"
+        f"{number(100.0 * _fraction_of_tolerance(mine, its))} % of the tolerance "
+        f"(largest of {len(pairs)})"
     )
 
 
-def _compared(measure: Measure) -> float:
-    """The value, or the error of a series: its worst sample is at another time in each."""
+def _compared_value(measure: Measure) -> float:
+    """The measured value; for a series its error, because the worst samples differ in time."""
     return measure.measured if measure.time is None else measure.error
 
 
-def _share(mine: Measure, its: Measure) -> float:
-    """The difference in multiples of the tolerance."""
-    difference = abs(_compared(its) - _compared(mine))
+def _fraction_of_tolerance(mine: Measure, its: Measure) -> float:
+    """Difference of two measures as a multiple of the tolerance."""
+    difference = abs(_compared_value(its) - _compared_value(mine))
     if mine.tolerance > 0.0:
         return difference / mine.tolerance
     return 0.0 if difference == 0.0 else float("inf")

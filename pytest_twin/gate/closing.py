@@ -1,4 +1,4 @@
-"""The end of a run: verdict, signed release, report, and the lines that a person reads."""
+"""End of a run: verdict, signed release, report, and lines for the terminal."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.gate.authority import difference_lines
-from pytest_twin.gate.diagnosing import Diagnosed
+from pytest_twin.gate.diagnosing import RealizationDiagnosis
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import NEVER_PROVEN, Task, line_of
 from pytest_twin.gate.runner import plot_path
-from pytest_twin.gate.verdict import Facts, Holds, Refused, SessionFacts, Signed, judge
+from pytest_twin.gate.verdict import Facts, Refused, Releasable, SessionFacts, StillValid, judge
 from pytest_twin.outcome import Outcome
 from pytest_twin.report.model import Entry, Report
 
@@ -31,12 +31,12 @@ _PLOT_BYTES = 8 * 2**20
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """What the user asked for.
+    """Options of the user for the end of a run.
 
     Attributes:
-        sign: whether a release is wanted.
-        key, ini_key: the signing key by flag and by configuration file.
-        report: where the report goes, None for its place in the twin's own output.
+        sign: whether to write a release.
+        key, ini_key: path of the signing key, from the command line and the configuration file.
+        report: path of the report, None for ``.twin/report.html``.
     """
 
     sign: bool
@@ -46,22 +46,32 @@ class Policy:
 
 
 @dataclass(frozen=True, slots=True)
-class Closed:
-    """What came of a run.
+class RunResult:
+    """Result of a run.
 
     Attributes:
-        is_blocked: whether a release was wanted and refused.
-        lines: what to say, the verdict last.
+        is_blocked: whether a release was requested and refused.
+        lines: lines for the terminal, the verdict last.
     """
 
     is_blocked: bool
     lines: tuple[str, ...]
 
 
-def close(
-    gate: Gate, session: SessionFacts, policy: Policy, diagnosed: Sequence[Diagnosed] = ()
-) -> Closed:
-    """Judge a run, sign it where that was asked for and earned, write its report."""
+def finish(
+    gate: Gate,
+    session: SessionFacts,
+    policy: Policy,
+    diagnosed: Sequence[RealizationDiagnosis] = (),
+) -> RunResult:
+    """Decide on a release, sign it where requested and allowed, and write the report.
+
+    Args:
+        gate: after its goldens ran.
+        session: facts of the pytest session.
+        policy: options of the user.
+        diagnosed: diagnoses of failed goldens, for the report.
+    """
     plan = gate.plan()
     facts = gate.facts(session)
     lines = [*plan.notes]
@@ -79,7 +89,7 @@ def close(
     refusals: tuple[str, ...] = ()
     released: Release | None = None
     verdict = judge(facts) if policy.sign else None
-    if isinstance(verdict, Signed):
+    if isinstance(verdict, Releasable):
         try:
             released, notes = _sign(gate, facts, policy)
             lines += notes
@@ -93,8 +103,12 @@ def close(
             f"diagnosis of {item.realization}: {item.lines[0]}" if item.report else item.lines[0]
         )
         lines += [] if item.report is None else [f"  {item.report}"]
-    lines.append(_reported(gate, facts, verdict, refusals, header, policy.report, diagnosed))
-    if isinstance(verdict, Holds):
+    lines.append(
+        _write_report_and_say_where(
+            gate, facts, verdict, refusals, header, policy.report, diagnosed
+        )
+    )
+    if isinstance(verdict, StillValid):
         lines.append(f"release {verdict.release:04d} still holds")
     elif released is not None:
         folder = gate.root / "releases" / f"{released.number:04d}"
@@ -102,22 +116,22 @@ def close(
     elif refusals:
         lines.append("no release:")
         lines += [f"  {reason}" for reason in refusals]
-    return Closed(bool(refusals), tuple(lines))
+    return RunResult(bool(refusals), tuple(lines))
 
 
-def _reported(
+def _write_report_and_say_where(
     gate: Gate,
     facts: Facts,
-    verdict: Signed | Holds | Refused | None,
+    verdict: Releasable | StillValid | Refused | None,
     refusals: tuple[str, ...],
     header: Header | None,
     wanted: Path | None,
-    diagnosed: Sequence[Diagnosed],
+    diagnosed: Sequence[RealizationDiagnosis],
 ) -> str:
-    """Write the report, and say where it is."""
+    """Write the report, and return a line that says where it is."""
     quiet = not (refusals or facts.outcomes or facts.unproven or facts.problems)
     if wanted is None and quiet and facts.baseline is not None and not gate.plan().stale:
-        # Nothing is new: the signed report is the report.
+        # No result is new: the report of the release applies.
         return f"report: {gate.root / 'releases' / f'{facts.baseline:04d}' / 'report.html'}"
     path = wanted or gate.root / ".twin" / "report.html"
     try:
@@ -128,8 +142,8 @@ def _reported(
     return f"report: {path}"
 
 
-def _links(folder: Path, diagnosed: Sequence[Diagnosed]) -> dict[str, str]:
-    """Golden's key -> the page of its diagnosis, as a page in ``folder`` refers to it."""
+def _links(folder: Path, diagnosed: Sequence[RealizationDiagnosis]) -> dict[str, str]:
+    """Key of a golden -> link to the report of its diagnosis, for a page in ``folder``."""
     return {
         key: quote(Path(os.path.relpath(item.report, folder)).as_posix())
         for item in diagnosed
@@ -157,7 +171,7 @@ def _sign(gate: Gate, facts: Facts, policy: Policy) -> tuple[Release, list[str]]
     def page(header: Header) -> str:
         from pytest_twin.report.html import render
 
-        return render(_report(gate, facts, Signed(), (), header))
+        return render(_report(gate, facts, Releasable(), (), header))
 
     written, more = release.write(gate.root, draft, signer, page)
     return written, [*notes, *more]
@@ -179,7 +193,7 @@ def _proof(task: Task, facts: Facts) -> Any:
 def _report(
     gate: Gate,
     facts: Facts,
-    verdict: Signed | Holds | Refused | None,
+    verdict: Releasable | StillValid | Refused | None,
     refusals: tuple[str, ...],
     header: Header | None,
     diagnoses: Mapping[str, str] = MappingProxyType({}),
@@ -194,7 +208,7 @@ def _report(
     ]
     return Report(
         twin=gate.twin.name,
-        verdict=_word(verdict, bool(failed)),
+        verdict=_verdict_word(verdict, bool(failed)),
         headline=_headline(facts, verdict, len(failed)),
         created=header.created if header else datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         entries=tuple(_entries(gate, facts, diagnoses)),
@@ -210,13 +224,13 @@ def _report(
     )
 
 
-def _word(verdict: Signed | Holds | Refused | None, failed: bool) -> Any:
+def _verdict_word(verdict: Releasable | StillValid | Refused | None, failed: bool) -> Any:
     if verdict is None:
         return "failed" if failed else "passed"
-    return {Signed: "released", Holds: "holds", Refused: "refused"}[type(verdict)]
+    return {Releasable: "released", StillValid: "holds", Refused: "refused"}[type(verdict)]
 
 
-def _headline(facts: Facts, verdict: Signed | Holds | Refused | None, failed: int) -> str:
+def _headline(facts: Facts, verdict: Releasable | StillValid | Refused | None, failed: int) -> str:
     ran, proven = len(facts.outcomes), len(facts.proven)
     counts = f"{ran} ran, {failed} critical failed, {proven} still proven"
     if not_run := len(facts.criticality.keys() - facts.outcomes.keys() - facts.proven.keys()):

@@ -1,8 +1,7 @@
-"""Why goldens fail against their recordings: one full diagnosis of each realization, at the end.
+"""Diagnose each realization whose goldens failed against recordings, at the end of a run.
 
-The recordings of the goldens that failed are diagnosed together with those of the other goldens of
-the same realization that depend on a recording; which are fitted and which held out, their own
-metadata says.
+A diagnosis uses the recordings of the failed goldens and of all other goldens of the same
+realization. The metadata of a recording decide whether it is fitted or held out.
 """
 
 from __future__ import annotations
@@ -23,24 +22,25 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.text import printable
 
 FOLDER = Path(".twin") / "diagnosis"
-"""Below the twin's root: a folder for each realization, as ``pytest-twin diagnose`` writes it."""
+"""Folder below the twin's root; for each realization a folder in the form of ``diagnose``."""
 DIAGNOSIS_FILE = "diagnosis.json"
 REPORT_FILE = "report.html"
 REALIZATION = "realization"
-Recorded: TypeAlias = tuple[str, int | None]
-"""Path of a recording; of a data set also its episode."""
+RecordingRef: TypeAlias = tuple[str, int | None]
+"""Path of a recording, and the episode where it is a data set."""
 _SECONDS = 3600.0
+"""Time limit of one diagnosis, s."""
 
 
 @dataclass(frozen=True, slots=True)
-class Diagnosed:
-    """What came of the diagnosis of one realization.
+class RealizationDiagnosis:
+    """Result of the diagnosis of one realization.
 
     Attributes:
         realization: its name.
-        goldens: keys of those that failed.
-        report: the page, None where no diagnosis could be made.
-        lines: what a terminal shows: the verdict first; or why there is none.
+        goldens: keys of the failed goldens.
+        report: path of the report, None where the diagnosis was not possible.
+        lines: lines for the terminal, the verdict first; or the reason for no diagnosis.
     """
 
     realization: str
@@ -51,22 +51,22 @@ class Diagnosed:
 
 def diagnose_failures(
     gate: Gate, say: Callable[[str], None], progress: Progress | None = None
-) -> list[Diagnosed]:
+) -> list[RealizationDiagnosis]:
     """Diagnose every realization on which a golden failed against its recording.
 
     Args:
         gate: after its goldens ran.
         say: called with a line when a diagnosis begins.
-        progress: called with the fraction done.
+        progress: called with the fraction that is done, 0 to 1.
     """
     return [
-        _diagnosed(gate, realization, failed, say, progress)
+        _diagnose_realization(gate, realization, failed, say, progress)
         for realization, failed in _failed(gate).items()
     ]
 
 
 def _failed(gate: Gate) -> dict[str, list[Golden]]:
-    """Realization -> goldens that failed on it and depend on a recording."""
+    """Realization -> goldens that failed on it against a recording."""
     found: dict[str, list[Golden]] = {}
     for task in gate.plan().tasks.values():
         outcome = gate.outcomes.get(task.key)
@@ -75,50 +75,50 @@ def _failed(gate: Gate) -> dict[str, list[Golden]]:
     return found
 
 
-def _diagnosed(
+def _diagnose_realization(
     gate: Gate,
     realization: str,
     failed: list[Golden],
     say: Callable[[str], None],
     progress: Progress | None,
-) -> Diagnosed:
+) -> RealizationDiagnosis:
     goldens = tuple(f"{golden.id}@{realization}" for golden in failed)
     try:
         recordings = [_recording(gate, golden) for golden in failed]
-        others = [r for r in _others(gate, realization) if r not in recordings]
+        others = [r for r in _other_recordings(gate, realization) if r not in recordings]
         count = len({*recordings, *others})
         say(
             f"twin {gate.twin.name}: diagnosing {realization} over {count} "
             f"recording{'s' if count > 1 else ''}"
         )
-        report, lines = _written(gate, realization, recordings, others, progress)
+        report, lines = _write_diagnosis(gate, realization, recordings, others, progress)
     except (TwinError, OSError) as error:
         text = f"no diagnosis of {realization}: {' '.join(str(error).split())}"
-        return Diagnosed(realization, goldens, None, (printable(text),))
-    return Diagnosed(realization, goldens, report, lines)
+        return RealizationDiagnosis(realization, goldens, None, (printable(text),))
+    return RealizationDiagnosis(realization, goldens, report, lines)
 
 
-def _recording(gate: Gate, golden: Golden) -> Recorded:
+def _recording(gate: Gate, golden: Golden) -> RecordingRef:
     path = find_file(golden, "target.recording", golden.target["recording"], gate.twin)
     return str(path), golden.target.get("episode")
 
 
-def _others(gate: Gate, realization: str) -> Iterator[Recorded]:
-    """Recordings of all goldens of a realization; of those that can be found."""
+def _other_recordings(gate: Gate, realization: str) -> Iterator[RecordingRef]:
+    """Recordings of all goldens of a realization, as far as their files exist."""
     for task in gate.plan().tasks.values():
         if task.realization == realization and check_of(task.golden.kind).recorded:
             try:
                 yield _recording(gate, task.golden)
             except TwinError:
-                # Its own golden says so.
+                # The error is reported as the result of that golden.
                 continue
 
 
-def _written(
+def _write_diagnosis(
     gate: Gate,
     realization: str,
-    recordings: list[Recorded],
-    others: list[Recorded],
+    recordings: list[RecordingRef],
+    others: list[RecordingRef],
     progress: Progress | None,
 ) -> tuple[Path, tuple[str, ...]]:
     folder = gate.root / FOLDER
@@ -126,7 +126,7 @@ def _written(
     with tempfile.TemporaryDirectory(prefix=".twin-", dir=folder) as scratch:
         staging = Path(scratch) / "diagnosis"
         staging.mkdir()
-        # A process of its own: the simulator writes its log into the working folder.
+        # A separate process, because MuJoCo writes its log into the working directory.
         with Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox:
             said = sandbox.call(
                 "pytest_twin.gate.worker:diagnose",

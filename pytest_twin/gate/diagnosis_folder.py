@@ -1,4 +1,7 @@
-"""The folder of a diagnosis: the patched model, ``diagnosis.json``, the report. In the child."""
+"""Write the folder of a diagnosis: patched model, ``diagnosis.json`` and report.
+
+This module runs in the child process.
+"""
 
 from __future__ import annotations
 
@@ -31,21 +34,20 @@ def write_diagnosis(
     progress: Callable[[float], None],
     run: Run | None = None,
 ) -> dict[str, Any]:
-    """Diagnose, and write what was found into an empty folder.
+    """Diagnose a model, and write the result into an empty folder.
 
     Args:
-        folder: empty.
-        realization: the nominal model; the effects beside it are used where an earlier diagnosis
-            wrote it.
-        trials: what was recorded.
-        model: what the report calls it.
-        threads: of the simulations, 0 for all cores.
-        progress: told the fraction done.
-        run: the time that it may take, and who is told of its steps; as long as it takes by
-            default.
+        folder: an empty folder.
+        realization: the nominal model, with the effects next to it if an earlier diagnosis wrote
+            it.
+        trials: the recordings.
+        model: name of the model in the report.
+        threads: number of threads of the simulations, 0 for all cores.
+        progress: called with the fraction that is done, 0 to 1.
+        run: time limit and receiver of progress messages; no time limit by default.
 
     Returns:
-        The verdict, and the lines for a terminal.
+        ``verdict``, and ``words``: the lines for a terminal.
 
     Raises:
         TwinError: the model or the recordings cannot be used, or the folder cannot be written.

@@ -1,4 +1,4 @@
-"""One twin in one session: its goldens, its plan, its outcomes, its verdict."""
+"""One twin in one pytest session: its goldens, plan, outcomes and facts for the verdict."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from pytest_twin import staleness
 from pytest_twin.errors import TwinError
 from pytest_twin.gate import specs
-from pytest_twin.gate.authority import recorded_elsewhere
+from pytest_twin.gate.authority import recorded_without_authority
 from pytest_twin.gate.identity import digests
-from pytest_twin.gate.parts import changed_since, look_around
-from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, missing_and_dropped, vouched
+from pytest_twin.gate.parts import changed_since, collect_dependencies
+from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, baseline_of, missing_and_dropped
 from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update, record
 from pytest_twin.gate.verdict import Facts, SessionFacts
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pytest_twin.release import Release
 
 MAX_PLOTTED = 100
-"""Goldens of a twin up to which each has its plot; above, those that fail have."""
+"""Number of goldens. A twin with more of them gets plots of failed goldens only."""
 
 Progress = Callable[[float], None]
 
@@ -36,11 +36,11 @@ class Gate:
 
     Args:
         twin_file: its ``twin.yaml``.
-        runner: runs what has to run in a child process.
-        signing: whether a release is wanted: nothing is then taken from a cache.
+        runner: runs goldens in a child process.
+        signing: whether a release is requested; models are then read again, without the cache.
 
     Raises:
-        TwinError: ``twin.yaml`` is broken.
+        TwinError: ``twin.yaml`` is not valid.
     """
 
     def __init__(self, twin_file: Path, runner: Runner, *, signing: bool = False) -> None:
@@ -58,21 +58,21 @@ class Gate:
     # -- specs
 
     @cached_property
-    def _named(self) -> frozenset[Path]:
+    def _files_of_twin(self) -> frozenset[Path]:
         return frozenset(self.twin.files)
 
     def is_spec(self, path: Path) -> bool:
-        """Whether the file at ``path`` is one of the twin's golden specs."""
+        """Whether the file at ``path`` is a golden spec of the twin."""
         folder = path.parent
         if folder not in self._folders:
-            self._folders[folder] = specs.holds_specs(folder, self.twin)
-        return self._folders[folder] and path.suffix == ".yaml" and path not in self._named
+            self._folders[folder] = specs.contains_specs(folder, self.twin)
+        return self._folders[folder] and path.suffix == ".yaml" and path not in self._files_of_twin
 
     def golden(self, path: Path) -> Golden:
-        """The golden in a file, read once.
+        """The golden in a file; the file is read once.
 
         Raises:
-            TwinError: it is broken.
+            TwinError: the spec is not valid.
         """
         if path not in self._goldens:
             try:
@@ -88,11 +88,11 @@ class Gate:
 
     @property
     def planned(self) -> Plan | None:
-        """The plan; None before its first use."""
+        """The plan; None before the first call of :meth:`plan`."""
         return self._plan
 
     def plan(self) -> Plan:
-        """What is stale and why, found out once, before anything runs."""
+        """Determine which goldens are stale and why; computed once, before any golden runs."""
         if self._plan is None:
             goldens: list[Golden] = []
             broken: dict[Path, str] = {}
@@ -101,49 +101,53 @@ class Gate:
                     goldens.append(self.golden(path))
                 except TwinError as error:
                     broken[path] = str(error)
-            self._plan = self._made(goldens, broken)
+            self._plan = self._make_plan(goldens, broken)
         return self._plan
 
-    def _made(self, goldens: list[Golden], broken: Mapping[Path, str]) -> Plan:
+    def _make_plan(self, goldens: list[Golden], broken: Mapping[Path, str]) -> Plan:
         traces = specs.trace_paths(self.twin)
-        today = look_around(self.twin, goldens, self.runner.child(self.twin), fresh=self.signing)
+        current = collect_dependencies(
+            self.twin, goldens, self.runner.child(self.twin), fresh=self.signing
+        )
         baseline, known, notes = self._baseline()
-        reasons = staleness.staleness(today.stock, vouched(baseline) if baseline else None)
+        reasons = staleness.staleness(
+            current.dependencies, baseline_of(baseline) if baseline else None
+        )
         proofs = baseline.goldens if baseline else {}
         tasks = {
             (key := f"{golden.id}@{realization}"): Task(
                 golden,
                 realization,
-                tuple(sorted(today.stock.rests_on[key])),
+                tuple(sorted(current.dependencies.depends_on[key])),
                 (Reason(f"{realization}/model", "cannot be read"),)
-                if realization in today.unread
+                if realization in current.unread
                 else reasons[key],
                 proofs.get(key),
             )
             for golden in goldens
             for realization in golden.realizations
         }
-        # The golden of a broken spec is neither missing nor without a spec.
-        there = {specs.golden_id(path, self.twin) for path in broken}
-        missing, dropped = missing_and_dropped(known, tasks, self.twin.retired, there)
+        # A golden with an invalid spec is not missing, and its trace is not an orphan.
+        broken_ids = {specs.golden_id(path, self.twin) for path in broken}
+        missing, dropped = missing_and_dropped(known, tasks, self.twin.retired, broken_ids)
         referred = {golden.path.parent / golden.trace.file for golden in goldens if golden.trace}
         referred |= {path.with_suffix(".trace.csv") for path in broken}
         return Plan(
             tasks=tasks,
-            parts=today.stock.parts,
+            parts=current.dependencies.parts,
             baseline=baseline,
             missing=missing,
             dropped=dropped,
             orphans=tuple(
                 path.relative_to(self.root).as_posix() for path in traces if path not in referred
             ),
-            files=today.files,
-            problems=(*broken.values(), *today.problems, *recorded_elsewhere(goldens)),
+            files=current.files,
+            problems=(*broken.values(), *current.problems, *recorded_without_authority(goldens)),
             notes=notes,
         )
 
     def _baseline(self) -> tuple[Release | None, Release | None, tuple[str, ...]]:
-        """The last release that holds, the last one that is authentic, and what to say."""
+        """The last valid release, the last authentic release, and notes for the terminal."""
         if not (self.root / "releases").is_dir():
             return None, None, ()
         from pytest_twin import release
@@ -156,7 +160,7 @@ class Gate:
 
     # -- running
 
-    def prove(
+    def run_golden(
         self,
         golden: Golden,
         realization: str,
@@ -164,7 +168,7 @@ class Gate:
         reasons: tuple[Reason, ...],
         progress: Progress | None,
     ) -> Outcome:
-        """Run one golden, unless its tolerance is blank or it was never recorded."""
+        """Run one golden; an error where its tolerance is blank or it was never recorded."""
         if golden.unwritten is not None or golden.provenance is None:
             return Outcome(
                 golden=golden.id,
@@ -175,7 +179,7 @@ class Gate:
                 error=golden.unwritten or NEVER_PROVEN,
                 reasons=reasons,
             )
-        return self.runner.prove(
+        return self.runner.run_golden(
             self.twin,
             golden,
             realization,
@@ -185,15 +189,15 @@ class Gate:
         )
 
     def record(self, golden: Golden, progress: Progress | None) -> tuple[Outcome, Update | None]:
-        """Record one golden on its first realization; the outcome says whether it now passes."""
+        """Record one golden on its first realization; the outcome says whether it then passes."""
         realization = golden.realizations[0]
         task = self.plan().tasks.get(f"{golden.id}@{realization}")
         parts = self.plan().parts
-        rests_on = [parts[ident] for ident in task.parts if ident in parts] if task else []
+        depends_on = [parts[ident] for ident in task.parts if ident in parts] if task else []
         update: Update | None = None
         error: str | None = None
         try:
-            update = record(self.twin, golden, rests_on, self.runner, progress=progress)
+            update = record(self.twin, golden, depends_on, self.runner, progress=progress)
         except TwinError as problem:
             error = str(problem)
         measures = update.measures if update else ()
@@ -212,7 +216,11 @@ class Gate:
     # -- verdict
 
     def facts(self, session: SessionFacts) -> Facts:
-        """Everything that the verdict depends on; digests are taken again where something ran."""
+        """Collect all facts that the verdict depends on.
+
+        If a golden ran, the digests of all files are computed again, to detect a change during the
+        run.
+        """
         plan = self.plan()
         return Facts(
             criticality={key: task.golden.criticality for key, task in plan.tasks.items()},
@@ -250,7 +258,7 @@ class Gate:
         )
 
     def ids(self) -> dict[str, object]:
-        """The tuple of ids that people call this twin's parts by, with their files' digests."""
+        """Ids and digests of all members of the twin, from its asset to its declared parts."""
         twin, files, tasks = self.twin, self.plan().files, self.plan().tasks.values()
 
         def digests_of(paths: Iterable[Path]) -> dict[str, str]:

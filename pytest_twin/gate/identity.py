@@ -1,4 +1,4 @@
-"""Digests of what a release is about: asset, calibration, fit, controller, payload, validation."""
+"""Digests of the members of a twin: asset, calibration, fit, controller, payload, validation."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from pytest_twin.twin import Twin
 
 
 def digests(twin: Twin, goldens: Iterable[Golden], files: Mapping[Path, str]) -> dict[str, str]:
-    """Member of the tuple -> SHA-256, hex.
+    """SHA-256 of each member of a twin, hex.
 
-    The asset and the validation are digests of files; the others are of what ``twin.yaml`` and its
-    files state, so that a comment changes none of them.
+    Asset and validation are digests of files. The others are digests of the values in
+    ``twin.yaml`` and its files, so that a changed comment does not change them.
 
     Args:
         twin: the twin.
         goldens: its goldens.
-        files: file -> SHA-256 of everything that the release depends on.
+        files: file -> SHA-256, for all files that the release depends on.
     """
     validation = {golden.path for golden in goldens}
     validation |= {g.path.parent / g.trace.file for g in goldens if g.trace is not None}
@@ -34,8 +34,8 @@ def digests(twin: Twin, goldens: Iterable[Golden], files: Mapping[Path, str]) ->
     asset = files.keys() - validation - stated
     calibration, fit = twin.calibration, twin.fit
     return {
-        "asset": _of_files(twin, asset, files),
-        "calibration": _of(
+        "asset": _digest_of_files(twin, asset, files),
+        "calibration": _digest(
             None
             if calibration is None
             else {
@@ -44,15 +44,15 @@ def digests(twin: Twin, goldens: Iterable[Golden], files: Mapping[Path, str]) ->
                 "records": sorted(files.get(e.record.path, "") for e in twin.calibrations),
             }
         ),
-        "fit": _of(None if fit is None else {"patches": fit.patches, "option": fit.option}),
-        "controller": _of(twin.controllers),
-        "payload": _of(
+        "fit": _digest(None if fit is None else {"patches": fit.patches, "option": fit.option}),
+        "controller": _digest(twin.controllers),
+        "payload": _digest(
             {
                 name: {body: _plain(added) for body, added in bodies.items()}
                 for name, bodies in twin.payloads.items()
             }
         ),
-        "validation": _of_files(twin, validation, files),
+        "validation": _digest_of_files(twin, validation, files),
     }
 
 
@@ -60,9 +60,9 @@ def _plain(item: Any) -> Any:
     return None if item is None else asdict(item)
 
 
-def _of(content: object) -> str:
+def _digest(content: object) -> str:
     return hashlib.sha256(canonical(content)).hexdigest()
 
 
-def _of_files(twin: Twin, paths: Iterable[Path], files: Mapping[Path, str]) -> str:
-    return _of({os.path.relpath(p, twin.root): files[p] for p in paths if p in files})
+def _digest_of_files(twin: Twin, paths: Iterable[Path], files: Mapping[Path, str]) -> str:
+    return _digest({os.path.relpath(p, twin.root): files[p] for p in paths if p in files})

@@ -1,4 +1,4 @@
-"""Numbers that are recorded as zero, because they are rounding and not a result."""
+"""Set recorded numbers to zero that are rounding errors."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import numpy as np
 from pytest_twin.trace import Trace
 
 SMALLEST = 1e-12
-"""In SI units. Doubles of robots (m, rad, N*m, J, up to 1e3) carry rounding of 1e-16 to 1e-13,
-which differs between machines. Nothing that a robot does is as small: 1e-12 m is less than an atom.
+"""In SI units. Values of robots (m, rad, N*m, J, up to 1e3) in double precision have rounding
+errors of 1e-16 to 1e-13, which differ between machines. No result of a robot is that small: 1e-12 m
+is less than the size of an atom.
 """
 
 
-def without_noise(
+def without_rounding_errors(
     expected: Mapping[str, Any], trace: Trace | None
 ) -> tuple[dict[str, Any], Trace | None]:
-    """What is recorded of a golden: values and series with what is below ``SMALLEST`` as zero."""
+    """Return expected values and trace with all numbers below ``SMALLEST`` set to zero."""
     values = {name: _rounded(value) for name, value in expected.items()}
     if trace is None:
         return values, None

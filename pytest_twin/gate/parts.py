@@ -1,4 +1,4 @@
-"""Every part that goldens depend on today, and every file behind them, before a run."""
+"""Collect the parts and files that goldens depend on, before a run."""
 
 from __future__ import annotations
 
@@ -15,42 +15,42 @@ from pytest_twin.formats.digest import bytes_sha256, file_sha256
 from pytest_twin.gate.promoted import unpromoted
 from pytest_twin.gate.source import changed_sources
 from pytest_twin.golden import Golden
-from pytest_twin.installed import package_of, points_by_name
+from pytest_twin.installed import entry_points_by_name, package_of
 from pytest_twin.realization.features.cache import Features, features_of
 from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.staleness import Model, Stock, Surroundings, rule_problems, take_stock
+from pytest_twin.staleness import DependencyMap, Lookups, Model, dependency_map, rule_problems
 from pytest_twin.twin import MODEL_FORMATS, Twin
 
 _VERSIONED = ("simulator:", "library:")
 
 
 @dataclass(frozen=True, slots=True)
-class Today:
-    """What there is before a run.
+class CollectedDependencies:
+    """Dependencies of a twin's goldens before a run.
 
     Attributes:
-        stock: parts, and what each golden depends on.
+        dependencies: parts, and the parts that each golden depends on.
         files: file -> SHA-256.
-        problems: what could not be found out, one line each.
+        problems: errors while the dependencies were collected, one line each.
         unread: realizations whose model could not be read.
     """
 
-    stock: Stock
+    dependencies: DependencyMap
     files: Mapping[Path, str]
     problems: tuple[str, ...]
     unread: frozenset[str]
 
 
-def look_around(
+def collect_dependencies(
     twin: Twin, goldens: Sequence[Golden], child: Sandbox, *, fresh: bool = False
-) -> Today:
-    """Parts, dependencies and digests of a twin and its goldens, now.
+) -> CollectedDependencies:
+    """Collect parts, dependencies and file digests of a twin and its goldens.
 
     Args:
         twin: the twin.
         goldens: its goldens.
-        child: reads models that are not known yet.
-        fresh: read every model, known or not: for what is to be signed.
+        child: process that reads the models that are not in the cache.
+        fresh: whether to read all models without the cache, for a release.
     """
     problems: list[str] = []
     files: dict[Path, None] = dict.fromkeys(twin.files)
@@ -74,7 +74,7 @@ def look_around(
         return digests[path]
 
     def digest_of_folder(folder: Path) -> str:
-        """Of a recording that is a folder: names and digests of all its files."""
+        """Digest of a recording that is a folder: of the names and digests of all its files."""
         inside = sorted(path for path in folder.rglob("*") if path.is_file())
         listed = "".join(
             f"{digest(path)} {path.relative_to(folder).as_posix()}\n" for path in inside
@@ -90,30 +90,37 @@ def look_around(
         except TwinError:
             return None
 
-    guarded = {golden.kind: _Guarded(check_of(golden.kind), problems) for golden in goldens}
-    surroundings = Surroundings(guarded.__getitem__, installed_version, file_digest)
+    checks = {
+        golden.kind: _CheckWithReportedErrors(check_of(golden.kind), problems) for golden in goldens
+    }
+    lookups = Lookups(checks.__getitem__, installed_version, file_digest)
     problems += changed_sources(twin)
     problems += unpromoted(twin)
     problems += map(str, rule_problems(twin, goldens, models, kinds()))
-    stock = take_stock(twin, goldens, models, surroundings)
+    dependencies = dependency_map(twin, goldens, models, lookups)
     for path in files:
         try:
             digest(path)
         except TwinError as error:
             problems.append(str(error))
     wanted = {name for golden in goldens for name in golden.realizations}
-    return Today(stock, digests, tuple(problems), frozenset(wanted - models.keys()))
+    return CollectedDependencies(
+        dependencies, digests, tuple(problems), frozenset(wanted - models.keys())
+    )
 
 
-class _Guarded:
-    """A check whose ``depends`` may be anyone's code: what it raises costs its own golden only."""
+class _CheckWithReportedErrors:
+    """A check whose errors in ``depends`` are reported and make only its own golden stale.
+
+    The check may come from another package.
+    """
 
     def __init__(self, check: Check, problems: list[str]) -> None:
         self.kind, self.version, self.libraries = check.kind, check.version, check.libraries
         self._check, self._problems = check, problems
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """As the check says, or an id that no part bears."""
+        """Ids of the check, or after an error the id of a part that does not exist."""
         try:
             return frozenset(self._check.depends(golden, structure))
         except Exception as error:
@@ -125,7 +132,7 @@ class _Guarded:
 
 
 def changed_since(parts: Mapping[str, Part], files: Mapping[Path, str]) -> Iterator[str]:
-    """What is not as it was: files by their bytes, installed distributions by their version."""
+    """Yield a line for each file or installed distribution that has changed since ``parts``."""
     for path, before in files.items():
         try:
             if file_sha256(path) != before:
@@ -140,7 +147,7 @@ def changed_since(parts: Mapping[str, Part], files: Mapping[Path, str]) -> Itera
 
 
 def installed_version(distribution: str) -> str:
-    """The version of an installed distribution, ``absent`` where there is none."""
+    """Version of an installed distribution, ``absent`` where it is not installed."""
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:
@@ -148,8 +155,8 @@ def installed_version(distribution: str) -> str:
 
 
 def _converter(model: Path) -> dict[str, str]:
-    """Version of each package that reads a model file of this suffix, where MJCF is not it."""
-    points = points_by_name(MODEL_FORMATS).get(model.suffix.lower().removeprefix("."), ())
+    """Entry point -> package and version, of the packages that read models of this suffix."""
+    points = entry_points_by_name(MODEL_FORMATS).get(model.suffix.lower().removeprefix("."), ())
     return {point.value: package_of(point) for point in points}
 
 

@@ -1,4 +1,7 @@
-"""What runs and why: goldens and parts of today against the last release. Pure."""
+"""Plan of a run: which goldens are stale compared with the last release, and why.
+
+This module reads no files.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +26,11 @@ class Task:
     """One golden on one realization.
 
     Attributes:
-        parts: ids of everything that its result depends on today, sorted.
-        reasons: why the last release does not prove it; empty where it does.
-        proof: what the last release says of it, None where it knows nothing.
+        golden: the golden.
+        realization: name of the realization.
+        parts: ids of the parts that its result depends on now, sorted.
+        reasons: why it is stale; empty where the result in the last release is still valid.
+        proof: its result in the last release, or None.
     """
 
     golden: Golden
@@ -47,18 +52,18 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Every golden of one twin, with what was found out before anything ran.
+    """All goldens of a twin with their state before the run.
 
     Attributes:
         tasks: ``golden@realization`` -> task.
-        parts: part id -> part, today.
-        baseline: the last release that holds.
-        missing: ids of goldens that were released before, are gone, and are not retired.
-        dropped: keys of the baseline that were retired or whose realization was given up.
+        parts: part id -> current part.
+        baseline: the last valid release.
+        missing: ids of released goldens that no longer exist and are not listed as retired.
+        dropped: keys of the baseline that were retired or whose realization was removed.
         orphans: traces that no spec refers to, relative to the twin's root.
         files: file -> SHA-256 before the run.
-        problems: what speaks against a release whatever the outcomes are.
-        notes: what else to say.
+        problems: reasons against a release that do not depend on the outcomes.
+        notes: further lines for the terminal.
     """
 
     tasks: Mapping[str, Task]
@@ -78,7 +83,7 @@ class Plan:
 
     @property
     def fresh(self) -> tuple[Task, ...]:
-        """Tasks that the last release still proves."""
+        """Tasks whose result in the last release is still valid."""
         return tuple(task for task in self.tasks.values() if not task.is_stale)
 
     @property
@@ -88,13 +93,13 @@ class Plan:
         return tuple(ident for ident, golden in goldens.items() if golden.provenance is None)
 
 
-def vouched(release: Release) -> staleness.Baseline:
-    """What staleness asks of a release."""
+def baseline_of(release: Release) -> staleness.Baseline:
+    """Parts and results of a release, as input of :func:`pytest_twin.staleness.staleness`."""
     return staleness.Baseline(
         number=release.number,
         parts=release.parts,
         passed={key: proof.outcome.status == "passed" for key, proof in release.goldens.items()},
-        rested_on={key: frozenset(proof.parts) for key, proof in release.goldens.items()},
+        depended_on={key: frozenset(proof.parts) for key, proof in release.goldens.items()},
     )
 
 
@@ -104,22 +109,28 @@ def missing_and_dropped(
     retired: Mapping[str, str],
     broken: Collection[str] = (),
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Goldens that a release knows and that are not there any more; ``broken`` ids are there.
+    """Find the goldens of a release that no longer exist.
+
+    Args:
+        known: the release.
+        tasks: present goldens, by key.
+        retired: id of a golden that was removed on purpose -> reason.
+        broken: ids of goldens whose spec is not valid; they are not missing.
 
     Returns:
-        Ids that are missing, and keys that were given up knowingly: retired, or on a realization
-        that their spec does not name any more.
+        Ids of missing goldens, and keys that were removed on purpose: retired, or on a realization
+        that the spec no longer names.
     """
     if known is None:
         return (), ()
-    here = {task.golden.id for task in tasks.values()}
+    present = {task.golden.id for task in tasks.values()}
     missing: dict[str, None] = {}
     dropped = []
     for key, proof in known.goldens.items():
         ident = proof.outcome.golden
         if key in tasks:
             continue
-        if ident in here or ident in retired:
+        if ident in present or ident in retired:
             dropped.append(key)
         elif ident not in broken:
             missing[ident] = None
@@ -127,7 +138,7 @@ def missing_and_dropped(
 
 
 def line_of(golden: Golden, outcome: Outcome) -> int:
-    """The line of the tolerance that was left, or of the golden's kind."""
+    """Line in the spec of the exceeded tolerance, or of the kind."""
     worst = outcome.worst
     places = ["kind"]
     if worst is not None and outcome.status == "failed":

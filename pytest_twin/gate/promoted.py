@@ -1,4 +1,4 @@
-"""A residual or an online update is released once a shadow run has found it better."""
+"""Check that a shadow run has promoted the residual and the online update of a twin."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _RECORD_BYTES = 16 * 2**20
 
 
 def unpromoted(twin: Twin) -> Iterator[str]:
-    """One line for each residual or update of a twin that no shadow run vouches for."""
+    """Yield one line for each residual or update of a twin that no shadow run has promoted."""
     for key, spec in (("residual", twin.residual), ("update", twin.update)):
         if spec is None:
             continue
@@ -27,11 +27,11 @@ def unpromoted(twin: Twin) -> Iterator[str]:
         try:
             record = json.loads(read_bytes(path, _RECORD_BYTES))
             file = spec.file if isinstance(spec, ResidualSpec) else None
-            today = digest_of(spec, None if file is None else file_sha256(file))
+            current = digest_of(spec, None if file is None else file_sha256(file))
         except (TwinError, ValueError, RecursionError) as error:
-            yield f"{path}: {key} {spec.id!r}: no shadow run vouches for it: {error} {expected}"
+            yield f"{path}: {key} {spec.id!r}: no valid record of a shadow run: {error} {expected}"
             continue
         if not isinstance(record, dict) or record.get("verdict") != "better":
             yield f"{path}: {key} {spec.id!r}: the shadow run did not find it better {expected}"
-        elif record.get("digest") != today:
+        elif record.get("digest") != current:
             yield f"{path}: {key} {spec.id!r} has changed since its shadow run {expected}"

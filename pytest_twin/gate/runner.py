@@ -1,4 +1,4 @@
-"""Runs goldens in a child process and turns what it says, or its end, into outcomes."""
+"""Run goldens in a child process, and convert its answers or its crash into outcomes."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.twin import Twin
 
 SECONDS = 600.0
-"""Default bound on the wall time of one golden."""
-# Bound on a first look at a failure, s, or in times of the golden's own wall time.
-_GLANCE_SECONDS, _GLANCE_SHARE = 30.0, 10.0
+"""Default limit of the wall time of one golden, s."""
+# Limit of a quick diagnosis: s, or a multiple of the golden's wall time; the larger applies.
+_QUICK_DIAGNOSIS_SECONDS, _QUICK_DIAGNOSIS_FACTOR = 30.0, 10.0
 
 Progress = Callable[[float], None]
 Plots = Literal["all", "failed"]
@@ -27,23 +27,25 @@ _WORKER = "pytest_twin.gate.worker"
 
 
 class Runner:
-    """One child process per twin, started at its first golden; a crash costs that golden only.
+    """Runs the goldens of each twin in one child process, which starts at the first golden.
+
+    A crash of the child fails only the golden that was running.
 
     Args:
-        seconds: bound on the wall time of one golden.
-        confine: whether the child may read only its twin's roots and Python's files, and write
-            only a scratch folder.
+        seconds: limit of the wall time of one golden, s.
+        confine: whether the child may read only the twin's folders and Python's files, and write
+            only into a temporary folder.
     """
 
     def __init__(self, seconds: float = SECONDS, *, confine: bool = False) -> None:
         self.seconds = seconds
         self.confine = confine
         self.unsaved_plots: dict[Path, str] = {}
-        """Root of a twin -> why the first of its plots could not be saved."""
+        """Root of a twin -> error that prevented its first plot from being saved."""
         self._children: dict[Path, Sandbox] = {}
 
     def child(self, twin: Twin) -> Sandbox:
-        """The process that loads and steps this twin's models; it starts with its first call."""
+        """The process that loads and steps the models of a twin; it starts at its first call."""
         if twin.root not in self._children:
             roots = (twin.root, *twin.roots.values()) if self.confine else None
             self._children[twin.root] = Sandbox(
@@ -51,7 +53,7 @@ class Runner:
             )
         return self._children[twin.root]
 
-    def prove(
+    def run_golden(
         self,
         twin: Twin,
         golden: Golden,
@@ -61,12 +63,12 @@ class Runner:
         plots: Plots = "all",
         progress: Progress | None = None,
     ) -> Outcome:
-        """Run one golden on one realization. Raises nothing: what went wrong is the outcome."""
+        """Run one golden on one realization; an error becomes an outcome and is not raised."""
         start = time.perf_counter()
         result: dict[str, Any] = {}
         error: str | None = None
         try:
-            result = self._call("prove", twin, golden, realization, progress, plots=plots)
+            result = self._call("run_golden", twin, golden, realization, progress, plots=plots)
         except TwinError as problem:
             error = str(problem)
         measures = tuple(Measure.from_json(fields) for fields in result.get("measures", ()))
@@ -75,9 +77,11 @@ class Runner:
         failed = [measure.subject for measure in measures if not measure.passed]
         passed = error is None and not failed
         seconds = time.perf_counter() - start
-        looked_at = bool(failed) and check_of(golden.kind).recorded
-        look = (
-            self._quick_diagnosis(twin, golden, realization, failed, seconds) if looked_at else None
+        needs_diagnosis = bool(failed) and check_of(golden.kind).recorded
+        diagnosis = (
+            self._quick_diagnosis(twin, golden, realization, failed, seconds)
+            if needs_diagnosis
+            else None
         )
         return Outcome(
             golden=golden.id,
@@ -89,7 +93,7 @@ class Runner:
             error=error,
             reasons=reasons,
             plot=self._save_plot(twin, golden, realization, result.get("plot")),
-            diagnosis=look,
+            diagnosis=diagnosis,
             seconds=seconds,
         )
 
@@ -97,7 +101,7 @@ class Runner:
         self, twin: Twin, golden: Golden, realization: str, failed: list[str], seconds: float
     ) -> str:
         """Description of a failure in one line, or the reason why there is none."""
-        bound = min(self.seconds, max(_GLANCE_SECONDS, _GLANCE_SHARE * seconds))
+        bound = min(self.seconds, max(_QUICK_DIAGNOSIS_SECONDS, _QUICK_DIAGNOSIS_FACTOR * seconds))
         try:
             said = self._call(
                 "quick_diagnosis", twin, golden, realization, None, bound=bound, failed=failed
@@ -109,7 +113,7 @@ class Runner:
     def _save_plot(
         self, twin: Twin, golden: Golden, realization: str, svg: str | None
     ) -> str | None:
-        """Path of the plot relative to the twin's root; None where there is none on the disk."""
+        """Save a plot; its path relative to the twin's root, None where it was not saved."""
         if svg is None:
             return None
         relative = plot_path(golden.id, realization)
@@ -118,7 +122,7 @@ class Runner:
             atomic.make_folder(path.parent)
             atomic.write_text(path, svg)
         except TwinError as problem:
-            # The verdict does not depend on the plot: a read-only checkout is proven as well.
+            # The verdict does not depend on the plot: goldens also run in a read-only checkout.
             self.unsaved_plots.setdefault(twin.root, str(problem))
             return None
         return relative.as_posix()
@@ -126,10 +130,10 @@ class Runner:
     def record(
         self, twin: Twin, golden: Golden, realization: str, *, progress: Progress | None = None
     ) -> dict[str, Any]:
-        """What ``gate.worker.record`` says of one golden.
+        """Call :func:`pytest_twin.gate.worker.record` for one golden, and return its result.
 
         Raises:
-            TwinError: the check, the model or a file is at fault, or the child ended.
+            TwinError: an error of the check, the model or a file; or the child ended.
         """
         return self._call("record", twin, golden, realization, progress)
 
@@ -175,5 +179,5 @@ class Runner:
 
 
 def plot_path(golden_id: str, realization: str) -> Path:
-    """Where the plot of a golden lies, relative to the twin's root."""
+    """Path of the plot of a golden, relative to the twin's root."""
     return Path(".twin") / "plots" / f"{golden_id}@{realization}.svg"

@@ -1,4 +1,4 @@
-"""The JSON Schema of golden specs, put together from what each kind declares."""
+"""JSON Schema of golden specs, combined from the schemas of all kinds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_twin.formats import atomic
 
 SCHEMA_VERSION = 1
 SHIPPED = "schemas/golden.schema.json"
-# SI unit -> a tolerance as people write one.
+# SI unit -> example of a tolerance.
 _EXAMPLES = {
     **{"m": "0.5 mm", "rad": "5 mrad", "s": "2 ms", "kg": "5 g", "1": "2 %"},
     **{"N": "0.1 N", "N*m": "5 mN*m", "J": "1 mJ", "Hz": "0.2 Hz", "dB": "0.5 dB"},
@@ -37,8 +37,8 @@ _COMMON: Mapping[str, Any] = {
         "description": "critical blocks a release, advisory is reported.",
         "enum": ["critical", "advisory"],
     },
-    "target": {"type": "object", "description": "What of the robot is looked at."},
-    "stimulus": {"type": "object", "description": "What is done to it."},
+    "target": {"type": "object", "description": "The tested joints, frames or bodies."},
+    "stimulus": {"type": "object", "description": "Poses, motions or commands of the test."},
     "tolerance": {
         "description": "Bound on each error, a number and a unit, such as '0.5 mm'.",
         "type": "object",
@@ -49,7 +49,7 @@ _COMMON: Mapping[str, Any] = {
         "description": "Recorded values; written by pytest --twin-update.",
     },
     "trace": {
-        "description": "Recorded series beside the spec; written by pytest --twin-update.",
+        "description": "Recorded series next to the spec; written by pytest --twin-update.",
         "type": "object",
         "properties": {
             "file": {"type": "string", "pattern": r"^[^/\\]+\.csv$"},
@@ -79,13 +79,13 @@ _REQUIRED = ("schema", "kind")
 
 
 def modeline(schema: str) -> str:
-    """The comment by which editors find ``schema``, a path relative to this file."""
+    """Comment that tells editors the path of the schema, relative to the spec."""
     return f"# yaml-language-server: $schema={schema}"
 
 
 @cache
 def schema_of(kind: str) -> Mapping[str, Any]:
-    """The schema of a whole spec of one kind.
+    """Schema of a complete spec of one kind.
 
     Raises:
         SpecError: no such kind is installed.
@@ -102,7 +102,7 @@ def schema_of(kind: str) -> Mapping[str, Any]:
 
 
 def golden_schema(kinds: Iterable[str]) -> dict[str, Any]:
-    """The schema that editors use: every kind of ``kinds`` in one document."""
+    """Schema of all specs of ``kinds`` in one document, for editors."""
     branches = []
     definitions: dict[str, Any] = {}
     for kind in sorted(kinds):
@@ -128,7 +128,7 @@ def golden_schema(kinds: Iterable[str]) -> dict[str, Any]:
 
 
 def _fragment(check: Check) -> dict[str, Any]:
-    """What one kind adds: its target and stimulus, the names and units of its tolerances."""
+    """Schema of what a kind declares: target, stimulus, names and units of tolerances."""
     properties: dict[str, Any] = {
         name: check.schema[name] for name in ("target", "stimulus") if name in check.schema
     }
@@ -146,7 +146,7 @@ def _fragment(check: Check) -> dict[str, Any]:
 
 
 def _quantity(unit: str) -> dict[str, Any]:
-    """A text with a number in ``unit``; another package's check may have any unit."""
+    """Schema of a tolerance in ``unit``; a check of another package may use any unit."""
     example = _EXAMPLES.get(unit, f"1 {unit}")
     return {
         **_TEXT,
@@ -155,12 +155,12 @@ def _quantity(unit: str) -> dict[str, Any]:
     }
 
 
-def _ship() -> None:
-    """Write the schema that ships: of the kinds that this package brings."""
+def _write_shipped_schema() -> None:
+    """Write the schema file of the package, with the kinds of pytest-twin itself."""
     ours = [kind for kind in kinds() if type(check_of(kind)).__module__.startswith("pytest_twin.")]
     path = Path(__file__).parent.parent / SHIPPED
     atomic.write_text(path, json.dumps(golden_schema(ours), indent=1) + "\n")
 
 
 if __name__ == "__main__":
-    _ship()
+    _write_shipped_schema()

@@ -1,4 +1,4 @@
-"""A source asset that was taken in is never written again: hold it to its manifest."""
+"""Check that the files of a source asset have not changed since ``pytest-twin intake``."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pytest_twin.asset import manifest
 from pytest_twin.errors import TwinError
 from pytest_twin.twin import Twin
 
-_NAMED = 3
+_MAX_NAMED = 3
 
 
 def changed_sources(twin: Twin) -> Iterator[str]:
-    """One line for each asset of the twin whose source is not what its manifest froze."""
+    """Yield one line for each source asset of the twin that differs from its manifest."""
     seen: set[Path] = set()
     models = (reference.file for reference in twin.realizations.values())
     for file in dict.fromkeys((*twin.source, *models)):
@@ -27,9 +27,9 @@ def changed_sources(twin: Twin) -> Iterator[str]:
             yield str(error)
             continue
         if lines:
-            more = len(lines) - _NAMED
-            listed = "; ".join(lines[:_NAMED]) + (f"; and {more} more" if more > 0 else "")
+            more = len(lines) - _MAX_NAMED
+            listed = "; ".join(lines[:_MAX_NAMED]) + (f"; and {more} more" if more > 0 else "")
             yield (
                 f"{found[0]}: the source asset has changed since intake: {listed} "
-                "(expected the frozen source; take a new one in with `pytest-twin intake`)"
+                "(expected the files of the manifest; for new files run `pytest-twin intake`)"
             )

@@ -1,4 +1,4 @@
-"""Golden specs of a twin: found, read, checked."""
+"""Find, read and validate the golden specs of a twin."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from pytest_twin.units import Quantity, parse_quantity
 
 GOLDEN_FOLDER = "golden"
 UNWRITTEN = "<write what the task allows, such as"
-"""How a tolerance begins that ``init`` leaves blank; an example and ``>`` follow."""
+"""Beginning of a tolerance that ``init`` leaves blank; an example and ``>`` follow."""
 RESERVED_FOLDERS = ("releases", "keys", ".twin")
-# What pytest does not descend into either.
+# Folders that pytest does not search either.
 _SKIPPED_FOLDERS = ("build", "dist", "node_modules", "venv")
 
 
 def is_reserved(folder: Path) -> bool:
-    """Whether ``folder`` holds a twin's own output: releases, keys, caches."""
+    """Whether ``folder`` contains output of pytest-twin: releases, keys or caches."""
     return folder.name in RESERVED_FOLDERS and (folder.parent / FILE_NAME).is_file()
 
 
 def spec_paths(twin: Twin) -> tuple[Path, ...]:
-    """Every golden spec of ``twin``: YAML below a folder ``golden``, but what twin.yaml names."""
+    """All golden specs of ``twin``: YAML files below ``golden/`` that twin.yaml does not name."""
     return tuple(path for path in _files(twin) if path.suffix == ".yaml")
 
 
 def trace_paths(twin: Twin) -> tuple[Path, ...]:
-    """Every trace of ``twin``: CSV below a folder ``golden``, but what twin.yaml names."""
+    """All traces of ``twin``: CSV files below ``golden/`` that twin.yaml does not name."""
     return tuple(path for path in _files(twin) if path.suffix == ".csv")
 
 
@@ -43,7 +43,7 @@ def _files(twin: Twin) -> Iterator[Path]:
     named = frozenset(twin.files)
     for here, folders, files in os.walk(twin.root):
         folder = Path(here)
-        # A folder with a twin.yaml of its own is another twin.
+        # A folder that contains a twin.yaml is another twin.
         folders[:] = sorted(
             name
             for name in folders
@@ -52,26 +52,26 @@ def _files(twin: Twin) -> Iterator[Path]:
             and not is_reserved(folder / name)
             and not (folder / name / FILE_NAME).exists()
         )
-        if holds_specs(folder, twin):
+        if contains_specs(folder, twin):
             yield from (path for name in sorted(files) if (path := folder / name) not in named)
 
 
-def holds_specs(folder: Path, twin: Twin) -> bool:
-    """Whether YAML in ``folder``, at or below the root of ``twin``, is golden specs of it."""
+def contains_specs(folder: Path, twin: Twin) -> bool:
+    """Whether YAML files in ``folder``, at or below the root of ``twin``, are golden specs."""
     return twin.root.name == GOLDEN_FOLDER or GOLDEN_FOLDER in folder.relative_to(twin.root).parts
 
 
 def golden_id(path: Path, twin: Twin) -> str:
-    """The id of the golden at ``path``: relative to the twin's root, without suffix."""
+    """Id of the golden at ``path``: the path relative to the twin's root, without suffix."""
     return os.path.relpath(path, twin.root).removesuffix(path.suffix).replace(os.sep, "/")
 
 
 def load_golden(path: Path, twin: Twin) -> Golden:
-    """Read and check one spec.
+    """Read and validate one spec.
 
     Raises:
         FormatError: not strict YAML, or beyond its bounds.
-        SpecError: a field that is unknown, missing, or means nothing.
+        SpecError: a field that is unknown, missing or not valid.
     """
     document = yaml.load(path)
     data = document.data
@@ -115,7 +115,7 @@ def load_golden(path: Path, twin: Twin) -> Golden:
 def _realizations(
     data: Mapping[str, Any], twin: Twin, path: Path, lines: Mapping[str, int]
 ) -> tuple[str, ...]:
-    """Where a golden runs, the authoritative realization first: it is what gets recorded."""
+    """Realizations of a golden, the authoritative one first: the golden is recorded on it."""
     authority = twin.authority_of(golden_id(path, twin), data["kind"])
     declared = tuple(data.get("realizations") or (authority or twin.first_realization.name,))
     for index, name in enumerate(declared):
@@ -145,7 +145,7 @@ def _realizations(
 def _tolerance(
     data: Mapping[str, str], kind: str, path: Path, lines: Mapping[str, int]
 ) -> tuple[dict[str, Quantity], str | None]:
-    """The tolerances that are written, and what to say of the first that is a blank."""
+    """The written tolerances, and a message about the first blank one, or None."""
     units = check_of(kind).tolerances
     tolerance = {}
     unwritten: str | None = None
@@ -169,7 +169,7 @@ def _tolerance(
             raise _placed(error, path, lines, where) from None
         if quantity.value < 0:
             raise SpecError(
-                "a tolerance below zero lets nothing pass",
+                "the tolerance is negative",
                 path=path,
                 line=lines.get(where),
                 where=where,

@@ -1,4 +1,7 @@
-"""The only writer of goldens: records what a check observed, and says what that changes."""
+"""Record goldens: write the observed values into the spec, and list the changes.
+
+No other module writes golden specs.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,12 @@ from pytest_twin.outcome import Measure
 from pytest_twin.twin import Twin
 
 Progress = Callable[[float], None]
-_OWN = ("spec:", "trace:")
+_SPEC_LAYERS = ("spec:", "trace:")
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One recorded value that became another; texts, empty where there was or is none."""
+    """Change of one recorded value; ``old`` or ``new`` is empty where there is no value."""
 
     field: str
     old: str
@@ -36,15 +39,16 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Update:
-    """What recording a golden changed.
+    """Changes by the recording of a golden.
 
     Attributes:
         golden: its id.
-        first: whether it was never recorded before.
+        first: whether this is its first recording.
         changes: recorded values that differ, in SI units.
-        moved: how far the observation left the old record, measure by measure.
-        measures: the observation against its new record and the independent references.
-        written: files, relative to the twin's root; empty where the record already said so.
+        moved: deviations of the observation from the previous record.
+        measures: comparison of the observation with the new record and with independent
+            references.
+        written: written files, relative to the twin's root; empty where nothing has changed.
     """
 
     golden: str
@@ -55,7 +59,7 @@ class Update:
     written: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able fields."""
+        """Return the fields as JSON-able values."""
         return {
             "golden": self.golden,
             "first": self.first,
@@ -67,7 +71,7 @@ class Update:
 
     @classmethod
     def from_json(cls, fields: Mapping[str, Any]) -> Update:
-        """The inverse of ``to_json``."""
+        """Build an update from what :meth:`to_json` returned."""
         return cls(
             golden=fields["golden"],
             first=fields["first"],
@@ -87,21 +91,21 @@ def record(
     recorded_by: str | None = None,
     progress: Progress | None = None,
 ) -> Update:
-    """Run a golden on its first realization and write what came out into its spec.
+    """Run a golden on its first realization, and write the result into its spec.
 
-    Writes ``expected``, ``trace`` and ``provenance`` below the spec's recorded mark, and the trace
-    beside it; nothing where the record already says the same.
+    ``expected``, ``trace`` and ``provenance`` are written below the marker of recorded fields, and
+    the trace into a file next to the spec. Nothing is written where the record is the same.
 
     Args:
         twin: the twin that the golden belongs to.
-        golden: as its file says.
-        parts: everything that its result depends on.
-        runner: runs it.
-        recorded_by: who vouches for it; the user that runs this by default.
-        progress: called with the fraction done.
+        golden: the golden.
+        parts: the parts that its result depends on.
+        runner: runs the golden.
+        recorded_by: person or service that is responsible; by default the current user.
+        progress: called with the fraction that is done, 0 to 1.
 
     Raises:
-        TwinError: the check, the model or a file is at fault; nothing was written.
+        TwinError: an error of the check, the model or a file; nothing was written.
     """
     if golden.unwritten is not None:
         raise UnwrittenToleranceError(golden.unwritten)
@@ -137,7 +141,7 @@ def record(
 
 
 def _user() -> str:
-    """Who runs this; in a container that may be a number without a name."""
+    """Name of the current user, or its number where it has no name, as in a container."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):
@@ -145,10 +149,13 @@ def _user() -> str:
 
 
 def layer_digests(parts: Iterable[Part]) -> dict[str, str]:
-    """One SHA-256 per layer, ``mujoco/inertia`` or ``simulator``: what a person can still read."""
+    """SHA-256 of each layer, such as ``mujoco/inertia`` or ``simulator``.
+
+    A spec states digests of layers, not of parts, so that it stays readable.
+    """
     layers: dict[str, dict[str, str]] = {}
     for part in parts:
-        if not part.id.startswith(_OWN):
+        if not part.id.startswith(_SPEC_LAYERS):
             layers.setdefault(part.id.partition(":")[0], {})[part.id] = part.digest
     return {layer: _sha256(canonical(layers[layer])) for layer in sorted(layers)}
 
@@ -158,7 +165,7 @@ def _write(golden: Golden, recorded: dict[str, Any], trace: str | None) -> list[
     written = []
     if trace is not None:
         path = golden.path.parent / recorded["trace"]["file"]
-        # The trace goes first: a spec never names a trace that is not there.
+        # The trace is written first, so that a spec never refers to a missing trace.
         atomic.write_text(path, trace)
         written.append(path)
     atomic.write_text(golden.path, text)

@@ -1,4 +1,7 @@
-"""Whether a run may be signed. Pure: facts in, verdict out."""
+"""Decide from the facts of a run whether it may be released.
+
+This module reads no files.
+"""
 
 from __future__ import annotations
 
@@ -10,36 +13,36 @@ from pytest_twin.outcome import Measure, Outcome
 
 
 @dataclass(frozen=True, slots=True)
-class Signed:
-    """Everything is proven, and something of it is new: a release may be written."""
+class Releasable:
+    """All goldens have a valid result, and some are new: a release may be signed."""
 
 
 @dataclass(frozen=True, slots=True)
-class Holds:
-    """All goldens are proven by the baseline, and none was added or removed."""
+class StillValid:
+    """The baseline release is still valid for all goldens, and none was added or removed."""
 
     release: int
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """No release, and why: one line each, the most serious first."""
+    """No release may be signed, with the reasons: one line each, the most serious first."""
 
     reasons: tuple[str, ...]
 
 
-Verdict = Signed | Holds | Refused
+Verdict = Releasable | StillValid | Refused
 
 
 @dataclass(frozen=True, slots=True)
 class SessionFacts:
-    """What the test session says beside the goldens.
+    """Facts of the pytest session apart from the goldens.
 
     Attributes:
-        selection: what picked a subset, one phrase each: ``-k home``, ``3 tests deselected``.
-        collection_errors: what could not be collected, one line each.
+        selection: options that selected a subset, one phrase each: ``-k home``, ``3 deselected``.
+        collection_errors: errors of the collection, one line each.
         failures: node ids of ordinary tests that failed.
-        interrupted: why the session ended before its end, None where it did not.
+        interrupted: why the session stopped early, or None.
     """
 
     selection: tuple[str, ...] = ()
@@ -50,21 +53,21 @@ class SessionFacts:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What one twin's run has brought out. Keys are ``golden@realization``.
+    """Facts of a run of one twin. Keys are ``golden@realization``.
 
     Attributes:
-        criticality: every key that the specs on disk ask for -> critical or advisory, today.
-        proven: outcomes that the baseline release carries over.
+        criticality: key of each spec on disk -> ``critical`` or ``advisory``.
+        proven: outcomes of the baseline release that are still valid.
         outcomes: outcomes of this run.
-        repeated: keys of ``outcomes`` that ran because they had failed, and failed again.
+        repeated: keys of ``outcomes`` that failed in the baseline and failed again.
         unproven: ids of goldens that were never recorded.
         orphans: traces that no spec refers to.
-        missing: ids that the baseline knows and that are gone without being retired.
-        dropped: keys that the baseline knows and that were retired or given up with a realization.
-        changed: what changed while it ran, one phrase each.
-        problems: what else speaks against a release of this twin.
-        baseline: number of the baseline release, None without one.
-        session: the session around it.
+        missing: ids in the baseline that no longer exist and are not retired.
+        dropped: keys in the baseline that were retired or whose realization was removed.
+        changed: changes of files or packages during the run, one phrase each.
+        problems: other reasons against a release of this twin.
+        baseline: number of the baseline release, or None.
+        session: facts of the session.
     """
 
     criticality: Mapping[str, str]
@@ -82,14 +85,14 @@ class Facts:
 
 
 def judge(facts: Facts) -> Verdict:
-    """The verdict on one twin."""
+    """Decide whether a release of one twin may be signed."""
     reasons = tuple(_reasons(facts))
     if reasons:
         return Refused(reasons)
     news = facts.outcomes.keys() - facts.repeated
     if facts.baseline is not None and not news and not facts.dropped:
-        return Holds(facts.baseline)
-    return Signed()
+        return StillValid(facts.baseline)
+    return Releasable()
 
 
 def _reasons(facts: Facts) -> Iterator[str]:
@@ -103,7 +106,7 @@ def _reasons(facts: Facts) -> Iterator[str]:
     for changed in facts.changed:
         yield f"changed during the run: {changed}"
     yield from (problem for problem in facts.problems if problem not in session.collection_errors)
-    # What did not run for one of these reasons needs no line of its own.
+    # One of these reasons explains why a golden did not run; it is not reported again.
     explained = session.selection or session.collection_errors or session.interrupted is not None
     yield from _unproven_results(facts, say_missing=not explained)
     for golden in facts.unproven:
@@ -130,14 +133,14 @@ def _unproven_results(facts: Facts, *, say_missing: bool) -> Iterator[str]:
         elif (broken := not_finite(outcome)) is not None:
             yield f"{key}: {broken.name} of {broken.subject} is not finite"
         elif outcome.status == "error":
-            # Advisory goldens may fail; one that gave no number proves nothing at all.
+            # An advisory golden may fail, but it must give a result.
             yield f"{key}: could not be compared: {outcome.error}"
         elif criticality == "critical" and outcome.status != "passed":
             yield f"{key}: a critical golden failed"
 
 
 def not_finite(outcome: Outcome) -> Measure | None:
-    """The first measure that is not a number, or None."""
+    """The first measure with a value that is not finite, or None."""
     for measure in outcome.measures:
         if not (
             math.isfinite(measure.error)

@@ -1,4 +1,7 @@
-"""Plans and updates in words, one line each. Pure."""
+"""Describe plans and updates in lines for the terminal.
+
+This module reads no files.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,12 @@ from pytest_twin.gate.update import Update
 from pytest_twin.report.text import quantity
 
 MAX_CHANGES = 60
-_MEASURED_WITH = ("/kinematics", "/frame", "/coupling")
-"""Layers of a realization that a calibration was measured with."""
+_CALIBRATION_LAYERS = ("/kinematics", "/frame", "/coupling")
+"""Layers of a realization that the result of a calibration depends on."""
 
 
 def why_lines(plan: Plan) -> list[str]:
-    """For every golden: fresh or stale, and the part that changed with its old and new value."""
+    """State for each golden whether it is fresh or stale, and which parts have changed."""
     lines = list(plan.notes)
     for task in plan.tasks.values():
         if not task.is_stale:
@@ -33,14 +36,14 @@ def why_lines(plan: Plan) -> list[str]:
 
 
 def _records(plan: Plan) -> Iterator[str]:
-    """Records under ``calibrations:`` whose robot has changed, and those that nothing re-checks."""
+    """Calibration records that are stale, and those that no golden checks."""
     changed: dict[str, set[str]] = {}
     for task in plan.tasks.values():
         if task.golden.kind == "calibration":
             ident = f"record:{task.golden.target['record']}"
             parts = {reason.part for reason in task.reasons}
             changed.setdefault(ident, set()).update(
-                part for part in parts if _measured_with(part, new_record=ident in parts)
+                part for part in parts if _affects_calibration(part, new_record=ident in parts)
             )
     for ident, record in sorted(plan.parts.items()):
         if not ident.startswith("record:") or record.content["superseded"]:
@@ -52,15 +55,15 @@ def _records(plan: Plan) -> Iterator[str]:
             yield from (f"         {part}" for part in sorted(changed[ident]))
 
 
-def _measured_with(part: str, *, new_record: bool) -> bool:
+def _affects_calibration(part: str, *, new_record: bool) -> bool:
     layer = part.partition(":")[0]
-    # A new record brings its own zeros.
+    # A new record changes the joint zeros itself.
     zero = layer == "calibration" and not new_record
-    return zero or layer.endswith(_MEASURED_WITH)
+    return zero or layer.endswith(_CALIBRATION_LAYERS)
 
 
 def update_lines(updates: Sequence[Update]) -> list[str]:
-    """What was recorded, old and new."""
+    """List the recorded goldens with old and new values."""
     lines: list[str] = []
     for update in updates:
         lines += _update(update)

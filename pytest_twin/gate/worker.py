@@ -1,4 +1,4 @@
-"""What the child process does: load a realization once, run goldens on it, say what came out."""
+"""Functions of the child process: load a realization, run goldens on it, return the results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from pytest_twin.checks import Check, Observation, Trace, check_of
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats.trace import read_trace, trace_text
-from pytest_twin.gate.noise import without_noise
+from pytest_twin.gate.noise import without_rounding_errors
 from pytest_twin.gate.specs import load_golden
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
@@ -25,41 +25,43 @@ from pytest_twin.twin import Twin, load_twin
 Progress = Callable[[float], None]
 
 
-def prove(twin: str, spec: str, realization: str, plots: str, progress: Progress) -> dict[str, Any]:
+def run_golden(
+    twin: str, spec: str, realization: str, plots: str, progress: Progress
+) -> dict[str, Any]:
     """Run one golden.
 
     Args:
         twin, spec: paths of ``twin.yaml`` and of the golden.
         realization: its name in ``twin.yaml``.
-        plots: ``all``, or ``failed`` to draw what did not pass alone.
-        progress: called with the fraction done.
+        plots: ``all``, or ``failed`` for plots of failed goldens only.
+        progress: called with the fraction that is done, 0 to 1.
 
     Returns:
         ``measures``, and ``plot``: SVG text or None.
 
     Raises:
-        TwinError: what the check, the model or a file has to say.
+        TwinError: an error of the check, the model or a file.
     """
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
     with quiet():
         observation = check.observe(golden, loaded, progress)
-    stored = _stored(golden)
-    return _compared(golden, check, observation, stored, plots=plots)
+    stored = _stored_trace(golden)
+    return _comparison(golden, check, observation, stored, plots=plots)
 
 
 def quick_diagnosis(twin: str, spec: str, realization: str, failed: list[str]) -> dict[str, str]:
-    """A first look at why a golden fails against its recording, in one line.
+    """Name the probable cause why a golden fails against its recording, in one line.
 
     Args:
         twin, spec: paths of ``twin.yaml`` and of the golden.
         realization: its name in ``twin.yaml``.
-        failed: what left its tolerance, joints among it.
+        failed: subjects of the exceeded tolerances, such as joints.
 
     Returns:
         ``line``.
 
     Raises:
-        TwinError: the recording or the model cannot be used for it.
+        TwinError: the recording or the model cannot be used.
     """
     from pytest_twin.diagnosis.patched.model import patched_of
     from pytest_twin.diagnosis.quick_diagnosis import quick_diagnosis as diagnose_quickly
@@ -79,18 +81,18 @@ def diagnose(
     out: str,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Diagnose a realization over recordings; write the folder that ``pytest-twin diagnose`` does.
+    """Diagnose a realization from recordings; write the same folder as ``pytest-twin diagnose``.
 
     Args:
         twin: path of ``twin.yaml``.
         realization: its name there.
-        failed: recordings to be explained: path, and of a data set the episode.
-        others: further ones; of those the ones that are commanded alike.
+        failed: recordings to explain: path, and the episode of a data set or None.
+        others: further recordings; those with the same command mode are used.
         out: an empty folder.
-        progress: called with the fraction done.
+        progress: called with the fraction that is done, 0 to 1.
 
     Returns:
-        The verdict, and the lines for a terminal.
+        ``verdict``, and ``words``: the lines for a terminal.
 
     Raises:
         TwinError: the model or the recordings cannot be used.
@@ -100,8 +102,8 @@ def diagnose(
 
     loaded = _realization(Path(twin), realization)
     described = _twin(Path(twin))
-    wanted = {_mode(*one, loaded) for one in failed} - {None}
-    alike = [one for one in others if not wanted or _mode(*one, loaded) in wanted]
+    wanted = {_command_mode(*one, loaded) for one in failed} - {None}
+    alike = [one for one in others if not wanted or _command_mode(*one, loaded) in wanted]
     episodes: dict[Path, set[int]] = {}
     for path, episode in (*failed, *alike):
         if episode is not None:
@@ -123,8 +125,8 @@ def diagnose(
     )
 
 
-def _mode(path: str, episode: int | None, realization: Realization) -> str | None:
-    """What a recording commands, None where it cannot be used."""
+def _command_mode(path: str, episode: int | None, realization: Realization) -> str | None:
+    """Command mode of a recording (position, velocity, effort); None where it cannot be read."""
     twin = realization.twin
     assert twin is not None
     try:
@@ -135,34 +137,34 @@ def _mode(path: str, episode: int | None, realization: Realization) -> str | Non
 
 
 def record(twin: str, spec: str, realization: str, progress: Progress) -> dict[str, Any]:
-    """Run one golden and say what its record would be.
+    """Run one golden and return the values to record.
 
     Returns:
-        ``expected``, ``trace`` (CSV text or None), the ``measures`` that hold the observation
-        against that record and against the independent references, and ``moved``: those against
-        the old record that left their tolerance or moved at all.
+        ``expected``, ``trace`` (CSV text or None), ``measures``: comparison of the observation with
+        the new record and with independent references, and ``moved``: deviations from the previous
+        record that are not zero.
 
     Raises:
-        TwinError: as :func:`prove`.
+        TwinError: as :func:`run_golden`.
     """
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
     with quiet():
         observation = check.observe(golden, loaded, progress)
-    expected, trace = without_noise(*check.expect(golden, observation))
+    expected, trace = without_rounding_errors(*check.expect(golden, observation))
     recorded = replace(golden, expected=expected or None)
     moved: list[Measure] = []
     if golden.provenance is not None:
-        before = check.compare(golden, observation, _stored(golden))
+        before = check.compare(golden, observation, _stored_trace(golden))
         moved = [measure for measure in before if measure.against == "golden" and measure.error]
     return {
         "expected": dict(expected),
         "trace": None if trace is None else trace_text(trace),
         "moved": [measure.to_json() for measure in moved],
-        **_compared(recorded, check, observation, trace, plots="none"),
+        **_comparison(recorded, check, observation, trace, plots="none"),
     }
 
 
-def _compared(
+def _comparison(
     golden: Golden,
     check: Check,
     observation: Observation,
@@ -194,7 +196,7 @@ def _open(twin: Path, spec: Path, realization: str) -> tuple[Golden, Realization
     return golden, _realization(twin, realization), check
 
 
-def _stored(golden: Golden) -> Trace | None:
+def _stored_trace(golden: Golden) -> Trace | None:
     if golden.trace is None:
         return None
     return read_trace(golden.path.parent / golden.trace.file, golden.trace.sha256)
@@ -222,6 +224,6 @@ def _realization(twin: Path, name: str) -> Realization:
 
 
 def features(twin: str, realization: str) -> dict[str, Any]:
-    """What the dependency map knows of a realization."""
+    """Parts, structure and files of a realization, for the dependency map."""
     loaded = _realization(Path(twin), realization)
     return Features(loaded.parts, loaded.structure, loaded.source.files).to_json()

@@ -1,6 +1,6 @@
-"""What a contact shows in time: onset, slip, rebound.
+"""Metrics of a contact over time: onset, slip, rebound.
 
-A metric that the contact does not carry is None, never a guess.
+A metric that the signals do not determine is None.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from pytest_twin.arrays import FloatArray
 BoolArray = NDArray[np.bool_]
 
 TAIL = 0.1
-"""Fraction of the time, at its end, over which rest is averaged."""
-_SATURATED = 0.99  # of the friction while it slides
-_STEADY = 0.05  # spread of the friction while it slides; more is a creep, not a slip
+"""Fraction of the time, at its end, over which the values at rest are averaged."""
+_SATURATED = 0.99  # fraction of the sliding friction at which slip starts
+_STEADY = 0.05  # largest relative spread of the friction in slip; with more the contact creeps
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,9 +25,9 @@ class Slip:
     """Sliding under a growing tangential force.
 
     Attributes:
-        friction: tangential over normal force while it slides.
-        time: s, when the ratio first comes within 1 % of it.
-        force: N, the applied tangential force then.
+        friction: ratio of tangential to normal force in sliding.
+        time: time at which the ratio first comes within 1 % of ``friction``, s.
+        force: applied tangential force at that time, N.
     """
 
     friction: float
@@ -37,11 +37,11 @@ class Slip:
 
 @dataclass(frozen=True, slots=True)
 class Rebound:
-    """First bounce of a body that was let go.
+    """First bounce of a dropped body.
 
     Attributes:
-        height: m above where it touched first, 0 where it does not leave again.
-        restitution: speed of leaving over speed of impact (Newton's coefficient).
+        height: rise above the position of the first contact, m; 0 without a bounce.
+        restitution: ratio of the speeds after and before the impact (Newton's coefficient).
     """
 
     height: float
@@ -49,13 +49,13 @@ class Rebound:
 
 
 def onset(touching: BoolArray) -> int | None:
-    """Index of the first sample in contact, None without any."""
+    """Index of the first sample in contact, None without contact."""
     found = np.flatnonzero(touching)
     return int(found[0]) if found.size else None
 
 
 def at_rest(time: FloatArray, values: FloatArray, touching: BoolArray) -> float | None:
-    """Mean over the last tenth of the time, None where the contact is not there throughout."""
+    """Mean over the last tenth of the time; None without contact in all of its samples."""
     tail = time >= time[-1] - TAIL * (time[-1] - time[0])
     return float(np.mean(values[tail])) if touching[tail].all() else None
 
@@ -71,15 +71,17 @@ def slip(
 ) -> Slip | None:
     """Time and friction coefficient at which a contact slips; None if it does not slip.
 
-    Soft contacts creep under any tangential force, so saturation shows slip: friction is the
-    median ratio of tangential to normal force over the samples beyond ``least_travel``, if nine
-    of ten lie within 5 % of it, and slip starts where the ratio first comes within 1 % of it.
+    Soft contacts creep under any tangential force, so that slip is detected from the saturation
+    of the force ratio. Friction is the median ratio of tangential to normal force in the samples
+    beyond ``least_travel``, if 90 % of them are within 5 % of it. Slip starts where the ratio first
+    comes within 1 % of it.
 
     Args:
         time: (n,) s.
-        normal, tangential: (n,) N.
-        applied: (n,) N, the tangential force from outside.
-        travel: (n,) m along the surface.
+        normal, tangential: (n,) contact forces, N.
+        applied: (n,) applied tangential force, N.
+        travel: (n,) displacement along the surface, m.
+        least_travel: displacement beyond which a sample counts as sliding, m.
     """
     sliding = (travel > least_travel) & (normal > 0.0)
     if not sliding.any():
@@ -95,12 +97,12 @@ def slip(
 
 
 def rebound(height: FloatArray, velocity: FloatArray, touching: BoolArray) -> Rebound | None:
-    """First bounce; None where it never touches or does not come down on it.
+    """First bounce of a falling body; None without an impact from above.
 
     Args:
-        height: (n,) m, of the body's centre.
-        velocity: (n,) m/s, its rate.
-        touching: (n,)
+        height: (n,) height of the body's centre, m.
+        velocity: (n,) its vertical velocity, m/s.
+        touching: (n,) whether it is in contact.
     """
     first = onset(touching)
     if first is None or first == 0 or velocity[first] >= 0.0:

@@ -1,4 +1,4 @@
-"""Mechanical energy of a system that nothing should feed."""
+"""Energy balance of a simulated mechanical system."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from pytest_twin.arrays import FloatArray
 def energy_growth(
     energy: FloatArray, actuator_work: FloatArray, constraint_work: FloatArray
 ) -> float:
-    """Energy that came from nowhere, in J, 0 or more.
+    """Energy that the simulation created without a physical source, J, not negative.
 
-    Two balances, the larger of which counts:
+    The result is the larger of two violations:
 
-    - Energy less all work done on the system can only fall, by damping: its largest rise above an
-      earlier value. Servos give and take through their work, contacts and limits likewise.
-    - Contacts, limits and friction start without stored energy, so the work that they have done
-      in all can never be positive: its largest value. Bodies that start inside each other show.
+    - Energy minus the work done on the system can only decrease, by damping. The violation is its
+      largest rise above an earlier value. Servos, contacts and limits are included in the work.
+    - Contacts, limits and friction store no energy at the start, so that their total work cannot be
+      positive. The violation is its largest value, for example of bodies that start in penetration.
 
     Args:
-        energy: (n,) J, kinetic, potential and in springs.
-        actuator_work, constraint_work: (n,) J done on the system since the first sample.
+        energy: (n,) kinetic and potential energy with springs, J.
+        actuator_work, constraint_work: (n,) work done on the system since the first sample, J.
     """
     passive = energy - actuator_work - constraint_work
     rise = float(np.max(passive - np.minimum.accumulate(passive)))

@@ -1,4 +1,4 @@
-"""A predictive envelope against what was measured: coverage, sharpness, probability integral."""
+"""Compare predictive envelopes with measurements: coverage, sharpness, probability integral."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from scipy.stats import beta
 from pytest_twin.arrays import FloatArray
 
 BINS = 10
-"""Of a histogram of the probability integral transform."""
+"""Number of bins in a histogram of the probability integral transform."""
 _WIDTH_FLOOR = 1e-12
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """The central interval of many traces at every sample.
+    """Central interval of many traces at each sample.
 
     Attributes:
-        lower, middle, upper: (n, j).
+        lower, middle, upper: (n, j) lower end, median, upper end, in the unit of the traces.
     """
 
     lower: FloatArray
@@ -28,19 +28,19 @@ class Envelope:
 
     @property
     def half_width(self) -> FloatArray:
-        """(n, j)."""
+        """(n, j) half the width of the interval, at least 1e-12."""
         return np.maximum(0.5 * (self.upper - self.lower), _WIDTH_FLOOR)
 
 
 def envelope(traces: FloatArray, share: float) -> Envelope:
-    """The interval in which a share of further traces is expected at every sample.
+    """Interval that is expected to contain a fraction ``share`` of further traces at each sample.
 
-    Quantiles at ``p (m + 1)`` of ``m`` sorted values, so that the expected coverage is the share
-    and not less (Weibull's plotting position; Hyndman, Fan, The American Statistician 50, 1996).
+    The quantiles are at ``p (m + 1)`` of ``m`` sorted values, so that the expected coverage equals
+    the fraction (Weibull's plotting position; Hyndman, Fan, The American Statistician 50, 1996).
 
     Args:
         traces: (m, n, j).
-        share: of the interval.
+        share: expected coverage, 0 to 1.
     """
     tails = (0.5 - 0.5 * share, 0.5, 0.5 + 0.5 * share)
     lower, middle, upper = np.quantile(traces, tails, axis=0, method="weibull")
@@ -48,19 +48,19 @@ def envelope(traces: FloatArray, share: float) -> Envelope:
 
 
 def inside(values: FloatArray, found: Envelope) -> FloatArray:
-    """(..., n, j) 1 where values lie in the envelope, else 0."""
+    """(..., n, j) 1.0 where a value is in the envelope, else 0.0."""
     return ((values >= found.lower) & (values <= found.upper)).astype(np.float64)
 
 
 def coverage_interval(share: float, samples: float, level: float = 0.95) -> tuple[float, float]:
-    """Interval of a coverage that was found with so many independent samples.
+    """Confidence interval of an observed coverage.
 
-    Clopper and Pearson (Biometrika 26, 1934), with a number of samples that need not be whole.
+    Clopper and Pearson (Biometrika 26, 1934); the number of samples need not be an integer.
 
     Args:
-        share: found.
-        samples: effective number.
-        level: of the interval.
+        share: observed coverage, 0 to 1.
+        samples: effective number of independent samples.
+        level: confidence level of the interval.
     """
     tail = 0.5 - 0.5 * level
     hits = share * samples
@@ -70,21 +70,20 @@ def coverage_interval(share: float, samples: float, level: float = 0.95) -> tupl
     return low, high
 
 
-def tightest(values: FloatArray, found: Envelope, share: float) -> FloatArray:
-    """(..., j) half width of the narrowest band of constant width about the middle that covers a
-    share of the samples.
+def smallest_half_width(values: FloatArray, found: Envelope, share: float) -> FloatArray:
+    """(..., j) smallest constant half width about the median that covers a fraction of the samples.
 
     Args:
         values: (..., n, j).
-        found: its middle counts.
-        share: to cover.
+        found: envelope; only its median is used.
+        share: fraction of the samples to cover.
     """
     off = np.abs(values - found.middle)
     return np.asarray(np.maximum(np.quantile(off, share, axis=-2, method="higher"), _WIDTH_FLOOR))
 
 
 def integral_transform(values: FloatArray, traces: FloatArray) -> FloatArray:
-    """(n, j) share of the traces below each value; ties count half.
+    """(n, j) probability integral transform: fraction of the traces below each value, ties half.
 
     Args:
         values: (n, j).
@@ -95,14 +94,12 @@ def integral_transform(values: FloatArray, traces: FloatArray) -> FloatArray:
 
 
 def histogram(transform: FloatArray) -> FloatArray:
-    """(..., j, ``BINS``) shares of (..., n, j) values of the transform; NaN counts nowhere."""
+    """(..., j, ``BINS``) relative frequencies of (..., n, j) values of the transform."""
     which = np.clip(np.floor(transform * BINS), 0, BINS - 1)
     counts = np.stack([(which == k).sum(axis=-2) for k in range(BINS)], axis=-1)
     return np.asarray(counts / np.maximum(counts.sum(axis=-1, keepdims=True), 1))
 
 
-def uneven(shares: FloatArray) -> FloatArray:
-    """(...) how far histograms (..., ``BINS``) are from an even one: mean squared relative
-    difference.
-    """
+def deviation_from_uniform(shares: FloatArray) -> FloatArray:
+    """(...) mean squared relative deviation of histograms (..., ``BINS``) from a uniform one."""
     return np.asarray(np.mean((shares * BINS - 1.0) ** 2, axis=-1))

@@ -1,10 +1,9 @@
-"""Periodic excitation, and what of a frequency response it carries.
+"""Periodic excitation signals, and frequency responses that they determine.
 
 Commands repeat a whole number of times, and spectra are taken over whole periods after the
-transients: every excited line falls on its own bin and none leaks into another. Several
-realizations of the command tell a linear system from a nonlinear one: what a nonlinearity adds
-changes with the realization and lowers the coherence (Pintelon and Schoukens, System
-Identification, 2nd ed., ch. 4).
+transients, so that there is no leakage between excited lines. Several realizations of the command
+distinguish a linear system from a nonlinear one: nonlinear distortions change with the realization
+and reduce the coherence (Pintelon and Schoukens, System Identification, 2nd ed., ch. 4).
 """
 
 from __future__ import annotations
@@ -18,23 +17,23 @@ from pytest_twin.arrays import FloatArray
 
 IntArray = NDArray[np.int64]
 
-_CANDIDATES = 64  # random phases that compete for the lowest crest
-_EXCITED = 1e-3  # of the strongest line's amplitude: below it a line is not excited
-_PEAK_DB = 0.5  # a lower peak over both ends of the band is no resonance
+_CANDIDATES = 64  # number of random phase sets, of which that with the lowest crest factor is used
+_EXCITED = 1e-3  # fraction of the largest amplitude below which a line is not excited
+_PEAK_DB = 0.5  # smallest height of a resonance above both ends of the band, dB
 _BANDWIDTH_DB = -20.0 * np.log10(np.sqrt(2.0))  # half the power
 
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """A frequency response on the lines that are carried.
+    """A frequency response on the lines with sufficient coherence.
 
     Attributes:
         frequency: (n,) Hz, increasing.
         magnitude: (n,) response per command.
-        phase: (n,) rad, unwrapped from the lowest line on.
+        phase: (n,) rad, unwrapped from the lowest line.
         coherence: (n,) 0 to 1.
-        excited: (m,) Hz, all lines that were excited; ``frequency`` is a subset.
-        best: the highest coherence of any excited line.
+        excited: (m,) all excited lines, Hz; ``frequency`` is a subset.
+        best: the highest coherence of all excited lines.
     """
 
     frequency: FloatArray
@@ -46,20 +45,20 @@ class Response:
 
 
 def log_harmonics(lowest: int, highest: int, lines: int) -> IntArray:
-    """At most ``lines`` different harmonics from ``lowest`` to ``highest``, spaced by ratio."""
+    """At most ``lines`` harmonics from ``lowest`` to ``highest``, spaced geometrically."""
     spaced = np.geomspace(lowest, highest, lines)
     return np.unique(np.round(spaced).astype(np.int64))
 
 
 def multisine(samples: int, harmonics: IntArray, seed: tuple[int, int]) -> FloatArray:
-    """One period of a sum of equal sines with random phases, peak 1.
+    """One period of a multisine with equal amplitudes and random phases, peak 1; (samples,).
 
-    Of 64 draws the one with the lowest crest factor is taken.
+    Of 64 random phase sets, the one with the lowest crest factor is used.
 
     Args:
-        samples: of one period.
-        harmonics: (k,) multiples of the period's frequency.
-        seed: of the signal and of the realization.
+        samples: number of samples of one period.
+        harmonics: (k,) multiples of the fundamental frequency.
+        seed: seed of the signal, and number of the realization.
     """
     generator = np.random.default_rng(seed)
     spectrum = np.zeros((_CANDIDATES, samples // 2 + 1), dtype=np.complex128)
@@ -72,10 +71,10 @@ def multisine(samples: int, harmonics: IntArray, seed: tuple[int, int]) -> Float
 
 
 def chirp(samples: int, lowest: int, highest: int, realization: int) -> FloatArray:
-    """One period of a linear sweep between two harmonics, peak 1, that joins itself smoothly.
+    """One period of a linear sweep between two harmonics, peak 1, continuous when repeated.
 
-    Realizations alternate in direction, sign and phase. The sum of the harmonics is even, or the
-    period would end half a turn off: ``highest`` is lowered by one where it is not.
+    Realizations alternate in direction, sign and phase. The sum of the harmonics must be even, or
+    the phase would jump by half a period; ``highest`` is lowered by one where it is odd.
     """
     highest -= (lowest + highest) % 2
     t = np.arange(samples) / samples
@@ -94,16 +93,16 @@ def frequency_response(
     *,
     coherence: float,
 ) -> Response:
-    """Estimate response per command at ``harmonics``.
+    """Estimate the frequency response at ``harmonics``.
 
-    The H1 estimator over realizations and periods, ``S_yu / S_uu``, and the coherence
+    The estimate is H1 over realizations and periods, ``S_yu / S_uu``, with the coherence
     ``|S_yu|^2 / (S_uu S_yy)`` (Bendat and Piersol, Random Data, ch. 6).
 
     Args:
         command, response: (realizations, periods, samples of one period).
-        harmonics: (k,) lines to look at, multiples of 1 / ``period``.
+        harmonics: (k,) lines to evaluate, multiples of 1 / ``period``.
         period: s.
-        coherence: lines below it are not carried.
+        coherence: lines with a smaller coherence are left out.
     """
     u = np.fft.rfft(command, axis=-1)[..., harmonics].reshape(-1, harmonics.size)
     y = np.fft.rfft(response, axis=-1)[..., harmonics].reshape(-1, harmonics.size)
@@ -113,32 +112,32 @@ def frequency_response(
     excited = power_u >= _EXCITED**2 * power_u.max(initial=0.0)
     excited &= power_u > 0.0
     found = np.zeros(harmonics.size)
-    answered = excited & (power_y > 0.0)
-    found[answered] = np.abs(cross[answered]) ** 2 / (power_u[answered] * power_y[answered])
-    carried = answered & (found >= coherence)
-    gain = cross[carried] / power_u[carried]
+    responding = excited & (power_y > 0.0)
+    found[responding] = np.abs(cross[responding]) ** 2 / (power_u[responding] * power_y[responding])
+    sufficient = responding & (found >= coherence)
+    gain = cross[sufficient] / power_u[sufficient]
     frequency = harmonics / period
     return Response(
-        frequency=frequency[carried],
+        frequency=frequency[sufficient],
         magnitude=np.abs(gain),
         phase=np.unwrap(np.angle(gain)),
-        coherence=found[carried],
+        coherence=found[sufficient],
         excited=frequency[excited],
         best=float(found.max(initial=0.0)),
     )
 
 
 def decibel(ratio: FloatArray) -> FloatArray:
-    """20 log10 of amplitudes."""
+    """Amplitude ratios in dB: 20 log10."""
     return np.asarray(20.0 * np.log10(ratio))
 
 
 def bandwidth(response: Response) -> float | None:
-    """Hz where the magnitude first falls 3 dB (half the power) below that of the lowest line.
+    """Frequency at which the magnitude first falls 3 dB below that of the lowest line, Hz.
 
-    None where it does not fall that far on the lines that are carried, where the lowest excited
-    line is not carried, where the fall lies in a gap, or where it falls within the first octave:
-    then there is no plateau to fall from, as of an integrator.
+    None if the magnitude does not fall that far, if the lowest excited line has too little
+    coherence, if the crossing is in a gap between lines, or if it is within the first octave: then
+    the response has no plateau, like an integrator.
     """
     if response.frequency.size < 2 or response.frequency[0] != response.excited[0]:
         return None
@@ -156,10 +155,10 @@ def bandwidth(response: Response) -> float | None:
 
 
 def resonance(response: Response) -> tuple[float, float] | None:
-    """(Hz, dB over the lowest line) of the highest peak inside the band.
+    """Highest peak inside the band: frequency (Hz) and level above the lowest line (dB).
 
-    The peak of the parabola through the three highest neighbours, over the logarithm of
-    frequency. None where no line stands 0.5 dB above both ends of what is carried.
+    It is the maximum of the parabola through the highest line and its neighbours, over the
+    logarithm of frequency. None if no line is 0.5 dB above both ends of the band.
     """
     if response.frequency.size < 3:
         return None

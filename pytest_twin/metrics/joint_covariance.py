@@ -1,4 +1,4 @@
-"""One covariance from several estimates of it, and from intervals that are wider than it says."""
+"""Combine covariance matrices conservatively, and adjust them to given standard deviations."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 
-_NOTHING = 1e-13
-"""Share of the largest variance below which a direction has none."""
+_NO_VARIANCE = 1e-13
+"""Fraction of the largest variance below which a direction counts as without variance."""
 
 
 def upper_covariance(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(n, n) covariance that is nowhere narrower than either: no direction has less variance.
+    """(n, n) covariance with at least the variance of both matrices in every direction.
 
-    The widest of two intervals is right for each parameter alone. Correlations of one estimate with
-    variances of the other would make combinations too certain, which the first determines well and
-    the second does not.
+    Taking the larger variance of each parameter is not sufficient: with the correlations of the
+    other matrix, some combinations of parameters would get too small a variance.
 
     Args:
         first, second: (n, n) symmetric, positive semidefinite.
@@ -24,10 +23,10 @@ def upper_covariance(first: FloatArray, second: FloatArray) -> FloatArray:
     scale = np.where(scale > 0.0, scale, 1.0)
     a, b = (one / np.outer(scale, scale) for one in (first, second))
     values, vectors = np.linalg.eigh(a + b)
-    used = values > _NOTHING * max(float(values.max(initial=0.0)), 1e-300)
+    used = values > _NO_VARIANCE * max(float(values.max(initial=0.0)), 1e-300)
     root = vectors[:, used] * np.sqrt(values[used])
     inverse = vectors[:, used] / np.sqrt(values[used])
-    # Of the sum, each direction is a share of the first and the rest of the second.
+    # In each direction, the variance of the sum consists of a fraction from either matrix.
     share, axes = np.linalg.eigh(inverse.T @ a @ inverse)
     larger = np.maximum(share, 1.0 - share)
     found = root @ axes
@@ -35,11 +34,14 @@ def upper_covariance(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def with_deviations(covariance: FloatArray, deviation: FloatArray) -> FloatArray:
-    """(n, n) with these standard deviations: what is added to a variance varies on its own.
+    """(n, n) covariance with given standard deviations.
+
+    Where a deviation is larger than that of the covariance, the added variance is independent.
+    Where it is smaller, the correlations are kept.
 
     Args:
         covariance: (n, n).
-        deviation: (n,) of the intervals; where it is smaller, correlations are kept.
+        deviation: (n,) standard deviations, in the units of the parameters.
     """
     own = np.sqrt(np.diag(covariance).clip(1e-300))
     shrunk = np.minimum(1.0, deviation / own)

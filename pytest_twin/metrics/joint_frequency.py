@@ -1,4 +1,4 @@
-"""Frequency responses of a recorded joint: from its command or effort to its motion."""
+"""Frequency responses of a recorded joint, from its command or effort to its position."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pytest_twin.metrics.frequency import Response, bandwidth, decibel, resonanc
 from pytest_twin.metrics.recorded_frequency import recorded_response, uniform
 from pytest_twin.trial import Trial
 
-_FEWEST_LINES = 3
-"""A response on fewer lines is not shown: neither a band nor a peak can be seen in it."""
+_MIN_LINES = 3
+"""Smallest number of lines of a response; with fewer, it shows neither bandwidth nor peak."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +21,12 @@ class JointFrequency:
     """The response of one joint in one recording.
 
     Attributes:
-        joint: name.
+        joint: its name.
         input: ``command`` or ``effort``; the response is the position.
-        unit: of the magnitude.
+        unit: unit of the magnitude.
         recording: name of the file.
-        measured: on the lines that excitation and coherence support.
-        predicted: the same of a model's prediction, None without one.
+        measured: measured response, on the lines with sufficient excitation and coherence.
+        predicted: response of a model's prediction, or None.
     """
 
     joint: str
@@ -37,7 +37,7 @@ class JointFrequency:
     predicted: Response | None
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands in a result file: Hz, dB, rad."""
+        """Return JSON-able values in Hz, dB and rad, as in a result file."""
         found = {
             "joint": self.joint,
             "input": self.input,
@@ -54,11 +54,11 @@ class JointFrequency:
 def joint_responses(
     trial: Trial, joint: str, predicted: FloatArray | None = None
 ) -> list[JointFrequency]:
-    """The responses of one joint that a recording supports; none where it supports none.
+    """Frequency responses of a joint that a recording determines; empty if it determines none.
 
     Args:
-        trial: with measured positions.
-        joint: that it has.
+        trial: recording with measured positions.
+        joint: name of a recorded joint.
         predicted: (n,) positions of a model at the trial's stamps, rad or m.
     """
     column = trial.joints.index(joint)
@@ -77,14 +77,14 @@ def joint_responses(
         if ours is not None:
             series.append(ours)
         responses = _responses(trial.time, series)
-        if responses and responses[0] is not None and len(responses[0].frequency) >= _FEWEST_LINES:
+        if responses and responses[0] is not None and len(responses[0].frequency) >= _MIN_LINES:
             theirs = responses[1] if len(responses) > 1 else None
             out.append(JointFrequency(joint, name, unit, trial.path.name, responses[0], theirs))
     return out
 
 
 def _responses(time: FloatArray, series: list[FloatArray]) -> list[Response | None]:
-    """The response of each further series to the first."""
+    """Frequency response of each further series to the first."""
     known = np.all(np.isfinite(series), axis=0)
     if known.sum() < 2 or np.any(np.diff(time[known]) < 0):
         return []

@@ -1,4 +1,4 @@
-"""The lag at which two signals on one regular grid are most alike."""
+"""Lag between two signals on one regular grid, by correlation."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from scipy.signal import correlate, correlation_lags
 
 from pytest_twin.arrays import FloatArray
 
-_LEAST_OVERLAP = 0.3
+_MIN_OVERLAP = 0.3
 
 
 @dataclass(frozen=True)
 class Lag:
-    """Where the correlation of two signals peaks.
+    """Maximum of the cross-correlation of two signals.
 
     Attributes:
-        steps: of the grid by which the second has to be moved to lie on the first, with a parabola
-            between grid points.
-        correlation: there, -1 to 1.
-        rival: the largest correlation at another peak, divided by ``correlation``.
+        steps: shift of the second signal to match the first, in grid steps, interpolated by a
+            parabola.
+        correlation: correlation at this lag, -1 to 1.
+        rival: correlation of the second highest peak, divided by ``correlation``.
     """
 
     steps: float
@@ -29,12 +29,12 @@ class Lag:
 
 
 def best_lag(first: FloatArray, second: FloatArray, apart: float) -> Lag:
-    """The lag of the largest Pearson correlation over the overlap.
+    """Find the lag with the largest Pearson correlation in the overlap.
 
     Args:
-        first: (n,) on a regular grid.
-        second: (m,) on a grid of the same step.
-        apart: steps within which another peak is the same one.
+        first: (n,) signal on a regular grid.
+        second: (m,) signal on a grid with the same step.
+        apart: smallest distance of another peak, in grid steps.
     """
     best = correlations(first, second)
     lags = correlation_lags(len(first), len(second))
@@ -52,7 +52,7 @@ def best_lag(first: FloatArray, second: FloatArray, apart: float) -> Lag:
 
 
 def correlations(mine: FloatArray, theirs: FloatArray) -> FloatArray:
-    """Pearson's correlation at each lag, over the overlap; -1 where that is too short."""
+    """(n + m - 1,) Pearson correlation at each lag in the overlap; -1 where it is too short."""
     one, other = np.ones_like(mine), np.ones_like(theirs)
     count = np.round(correlate(one, other, method="fft"))
     count = np.maximum(count, 1.0)
@@ -65,6 +65,6 @@ def correlations(mine: FloatArray, theirs: FloatArray) -> FloatArray:
     both = sums(mine, theirs) / count - first * second
     spread = (sums(mine**2, other) / count - first**2) * (sums(one, theirs**2) / count - second**2)
     floor = 1e-6 * mine.var() * theirs.var()
-    enough = count > _LEAST_OVERLAP * min(len(mine), len(theirs))
+    enough = count > _MIN_OVERLAP * min(len(mine), len(theirs))
     usable = enough & (spread > max(floor, 1e-18))
     return np.where(usable, both / np.sqrt(np.maximum(spread, 1e-30)), -1.0)

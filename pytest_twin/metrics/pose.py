@@ -9,10 +9,10 @@ from pytest_twin.arrays import FloatArray
 
 
 def rotation_angle(rotation: ArrayLike) -> float:
-    """Angle of a rotation matrix, in rad, 0 to pi.
+    """Angle of a rotation matrix, rad, 0 to pi.
 
-    ``atan2`` of sine and cosine (Siciliano et al., Robotics, 2009, eq. 2.28): unlike ``arccos`` of
-    the trace, it keeps full precision near 0, and near pi.
+    It is the ``atan2`` of sine and cosine (Siciliano et al., Robotics, 2009, eq. 2.28), which,
+    unlike the ``arccos`` of the trace, is precise near 0 and pi.
 
     Args:
         rotation: (3, 3).
@@ -27,7 +27,7 @@ def rotation_angle(rotation: ArrayLike) -> float:
 
 
 def rotation_vector(rotation: ArrayLike) -> FloatArray:
-    """Axis times angle of a rotation matrix, (3,), in rad; NaN where it is not finite."""
+    """(3,) rotation vector (axis times angle) of a rotation matrix, rad; NaN where not finite."""
     matrix = np.asarray(rotation, dtype=np.float64)
     if not np.isfinite(matrix).all():
         return np.full(3, np.nan)
@@ -35,7 +35,7 @@ def rotation_vector(rotation: ArrayLike) -> FloatArray:
     quaternion = quaternion_of(matrix)
     axis = quaternion[1:]
     length = float(np.linalg.norm(axis))
-    # Below this the quotient angle / sin(angle / 2) is 2 to machine precision.
+    # Below 1e-9 the ratio angle / sin(angle / 2) equals 2 within machine precision.
     scale = 2.0 if length < 1e-9 else angle / length
     return np.asarray(axis * scale, dtype=np.float64)
 
@@ -51,9 +51,9 @@ def position_error(position: ArrayLike, other: ArrayLike) -> float:
 
 
 def direction_error(direction: ArrayLike, other: ArrayLike) -> float:
-    """Angle between two (3,) vectors, in rad, 0 to pi; NaN where one has no direction.
+    """Angle between two (3,) vectors, rad, 0 to pi; NaN where one has zero length.
 
-    ``2 atan2(|u - v|, |u + v|)`` of the unit vectors (Kahan, 2006): precise for every angle.
+    ``2 atan2(|u - v|, |u + v|)`` of the unit vectors (Kahan, 2006) is precise for all angles.
     """
     first = np.asarray(direction, dtype=np.float64)
     second = np.asarray(other, dtype=np.float64)
@@ -67,8 +67,8 @@ def direction_error(direction: ArrayLike, other: ArrayLike) -> float:
 def quaternion_of(rotation: ArrayLike) -> FloatArray:
     """Unit quaternion (w, x, y, z), w not negative, of a (3, 3) rotation matrix.
 
-    The largest of the four components is found first (Shepperd, 1978), so that no small number is
-    divided by.
+    The largest of the four components is computed first (Shepperd, 1978), which avoids a division
+    by a small number.
     """
     r = np.asarray(rotation, dtype=np.float64)
     trace = r[0, 0] + r[1, 1] + r[2, 2]
@@ -91,7 +91,7 @@ def quaternion_of(rotation: ArrayLike) -> FloatArray:
 
 
 def rotation_of(quaternion: ArrayLike) -> FloatArray:
-    """Rotation matrix (3, 3) of a quaternion (w, x, y, z) of any length but 0."""
+    """(3, 3) rotation matrix of a quaternion (w, x, y, z) of any non-zero length."""
     q = np.asarray(quaternion, dtype=np.float64)
     w, x, y, z = q / np.linalg.norm(q)
     return np.array(
@@ -110,7 +110,7 @@ def pose_vector(transform: ArrayLike) -> FloatArray:
 
 
 def _vee(matrix: FloatArray) -> FloatArray:
-    """The (3,) vector of a (3, 3) matrix's skew part, doubled."""
+    """(3,) twice the vector of the skew-symmetric part of a (3, 3) matrix."""
     return np.array(
         [
             matrix[2, 1] - matrix[1, 2],

@@ -1,4 +1,4 @@
-"""Distances between two motions of a rigid body, sample by sample."""
+"""Distances between two trajectories of a rigid body, at each sample."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pytest_twin.arrays import FloatArray
 
 
 def position_errors(poses: FloatArray, measured: FloatArray) -> FloatArray:
-    """(..., n) Euclidean distances of two motions, in the unit of both.
+    """(..., n) Euclidean distances of the positions of two trajectories, in their unit.
 
     Args:
         poses, measured: (..., n, 7) position and quaternion w x y z.
@@ -17,10 +17,10 @@ def position_errors(poses: FloatArray, measured: FloatArray) -> FloatArray:
 
 
 def rotation_errors(poses: FloatArray, measured: FloatArray) -> FloatArray:
-    """(..., n) geodesic distances on SO(3) of two motions, rad, 0 to pi.
+    """(..., n) geodesic distances on SO(3) of two trajectories, rad, 0 to pi.
 
-    ``2 atan2(|q - p|, |q + p|)`` doubled for unit quaternions of either sign (Kahan, 2006): precise
-    near 0, where an arc cosine is not.
+    ``4 atan2(|q - p|, |q + p|)`` for unit quaternions of either sign (Kahan, 2006) is precise near
+    0, unlike the arc cosine.
 
     Args:
         poses, measured: (..., n, 7) position and unit quaternion w x y z.

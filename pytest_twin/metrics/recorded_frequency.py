@@ -1,7 +1,7 @@
-"""Frequency response of what was recorded: no period, no choice of lines, and noise.
+"""Frequency responses from recordings without periodic excitation and with noise.
 
-Welch's averaged spectra; a line counts only where the command excites it and the coherence says
-that the response follows (Bendat and Piersol, Random Data, 4th ed., ch. 6 and 9).
+The spectra are averaged by Welch's method. A line is used only if the command excites it and the
+coherence is sufficient (Bendat and Piersol, Random Data, 4th ed., ch. 6 and 9).
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.metrics.frequency import Response
 
-LEAST_COHERENCE = 0.8
-"""Below, the random error of the magnitude is more than 10 % with twelve averages."""
+MIN_COHERENCE = 0.8
+"""Smallest coherence; below it, the random error of the magnitude exceeds 10 % with 12 averages."""
 _SEGMENTS = 12
-"""Averages that a recording is cut for, each overlapping the next by half."""
-_FEWEST_SAMPLES = 32
-"""Of one segment."""
+"""Number of averaged segments of a recording, each overlapping the next by half."""
+_MIN_SEGMENT_SAMPLES = 32
+"""Smallest number of samples of a segment."""
 _EXCITED = 1e-3
-"""Of the strongest line's amplitude: below it a line is not excited."""
+"""Fraction of the largest amplitude below which a line is not excited."""
 _CHANCE = 0.01
-"""Chance by which two unrelated signals may reach the coherence that is asked for."""
+"""Probability with which two unrelated signals may reach the required coherence."""
 
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """How far a predicted response is from a measured one.
+    """Difference between a predicted and a measured frequency response.
 
     Attributes:
-        magnitude: greatest difference, dB.
-        phase: greatest difference, rad.
-        magnitude_at, phase_at: Hz.
-        lowest, highest: Hz, of the lines that the coherence supports.
-        lines: how many.
+        magnitude: largest difference of the magnitude, dB.
+        phase: largest difference of the phase, rad.
+        magnitude_at, phase_at: frequencies of these differences, Hz.
+        lowest, highest: lowest and highest line with sufficient coherence, Hz.
+        lines: number of these lines.
     """
 
     magnitude: float
@@ -47,11 +47,11 @@ class Compared:
 
 
 def uniform(time: FloatArray, *series: FloatArray) -> tuple[float, tuple[FloatArray, ...]]:
-    """Samples a second, and each series at equal intervals.
+    """Resample series to equal intervals by linear interpolation; the sampling rate (Hz) first.
 
     Args:
         time: (n,) s, increasing.
-        series: (n,) each.
+        series: each (n,).
     """
     step = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1] + 0.5 * step, step)
@@ -59,37 +59,39 @@ def uniform(time: FloatArray, *series: FloatArray) -> tuple[float, tuple[FloatAr
 
 
 def recorded_response(command: FloatArray, response: FloatArray, rate: float) -> Response | None:
-    """Response per command on the lines that excitation and coherence support.
+    """Frequency response on the lines with sufficient excitation and coherence.
 
-    None where the recording is too short to average.
+    None if the recording is too short.
 
     Args:
-        command, response: (n,) at equal intervals.
-        rate: Hz.
+        command, response: (n,) signals at equal intervals.
+        rate: sampling rate, Hz.
     """
     length = 2 * len(command) // (_SEGMENTS + 1)
-    if length < _FEWEST_SAMPLES:
+    if length < _MIN_SEGMENT_SAMPLES:
         return None
-    # Imported where it is used: it takes 0.6 s, and every check imports this module.
+    # The import takes 0.6 s, and every check imports this module.
     from scipy import signal
 
-    # The mean is taken off: the lowest line has none of the signal.
+    # The mean is removed, so that the line at 0 Hz contains no signal.
     frequency, cross = (x[1:] for x in signal.csd(command, response, fs=rate, nperseg=length))
     power_u = np.abs(signal.csd(command, command, fs=rate, nperseg=length)[1])[1:]
     power_y = np.abs(signal.csd(response, response, fs=rate, nperseg=length)[1])[1:]
     excited = (power_u >= _EXCITED**2 * power_u.max(initial=0.0)) & (power_u > 0.0)
     coherence = np.zeros(len(frequency))
-    answered = excited & (power_y > 0.0)
-    coherence[answered] = np.abs(cross[answered]) ** 2 / (power_u[answered] * power_y[answered])
-    # What unrelated signals reach by chance with so many averages.
+    responding = excited & (power_y > 0.0)
+    coherence[responding] = np.abs(cross[responding]) ** 2 / (
+        power_u[responding] * power_y[responding]
+    )
+    # Coherence that unrelated signals reach with probability _CHANCE.
     by_chance = 1.0 - _CHANCE ** (1.0 / (_SEGMENTS - 1))
-    carried = answered & (coherence >= max(LEAST_COHERENCE, by_chance))
-    gain = cross[carried] / power_u[carried]
+    sufficient = responding & (coherence >= max(MIN_COHERENCE, by_chance))
+    gain = cross[sufficient] / power_u[sufficient]
     return Response(
-        frequency=np.asarray(frequency[carried]),
+        frequency=np.asarray(frequency[sufficient]),
         magnitude=np.abs(gain),
         phase=np.unwrap(np.angle(gain)),
-        coherence=coherence[carried],
+        coherence=coherence[sufficient],
         excited=np.asarray(frequency[excited]),
         best=float(coherence.max(initial=0.0)),
     )
@@ -98,13 +100,13 @@ def recorded_response(command: FloatArray, response: FloatArray, rate: float) ->
 def compared(
     command: FloatArray, predicted: FloatArray, measured: FloatArray, rate: float
 ) -> Compared | None:
-    """How far a prediction's response is from the measured one, where both follow the command.
+    """Compare the frequency responses of a prediction and a measurement to the same command.
 
-    None where no line is supported.
+    None if no line has sufficient coherence in both.
 
     Args:
-        command, predicted, measured: (n,) at equal intervals.
-        rate: Hz.
+        command, predicted, measured: (n,) signals at equal intervals.
+        rate: sampling rate, Hz.
     """
     ours = recorded_response(command, predicted, rate)
     theirs = recorded_response(command, measured, rate)

@@ -1,4 +1,4 @@
-"""How far a prediction is from a measurement."""
+"""Statistics of the difference between a prediction and a measurement."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from pytest_twin.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """One series of ``predicted - measured``, in the unit of both.
+    """Statistics of a series ``predicted - measured``, in its unit.
 
     Attributes:
-        rms: root of the mean square over the samples.
-        maximum: largest absolute value; ``maximum_at`` is its sample.
+        rms: root mean square.
+        maximum: largest absolute value.
         mean: signed mean.
+        maximum_at: index of the sample with the largest absolute value.
     """
 
     rms: float
@@ -26,9 +27,9 @@ class Residual:
 
 
 def residual(predicted: FloatArray, measured: FloatArray) -> Residual:
-    """Compare two (n,) series sample by sample; samples count alike.
+    """Compare two (n,) series sample by sample, with equal weights.
 
-    A sample that is not finite in either makes every number NaN, and is the worst sample.
+    If a sample is not finite, all statistics are NaN, and ``maximum_at`` is its index.
     """
     difference = predicted - measured
     broken = np.flatnonzero(~np.isfinite(difference))
@@ -44,13 +45,13 @@ def residual(predicted: FloatArray, measured: FloatArray) -> Residual:
 
 
 def rotation_angle(quaternion_a: FloatArray, quaternion_b: FloatArray) -> FloatArray:
-    """Angle (rad, 0 to pi) between orientations.
+    """(n,) angles between orientations, rad, 0 to pi.
 
     Args:
         quaternion_a, quaternion_b: (n, 4) unit quaternions, w x y z; q and -q are one orientation.
     """
-    # |q_a -+ q_b| = 2 sin, cos of a quarter of the angle: exact for small angles, where the
-    # arc cosine of the inner product is not.
+    # |q_a - q_b| and |q_a + q_b| are 2 sin and 2 cos of a quarter of the angle. This is precise for
+    # small angles, unlike the arc cosine of the inner product.
     minus = np.linalg.norm(quaternion_a - quaternion_b, axis=-1)
     plus = np.linalg.norm(quaternion_a + quaternion_b, axis=-1)
     angle: FloatArray = 4.0 * np.arctan2(np.minimum(minus, plus), np.maximum(minus, plus))

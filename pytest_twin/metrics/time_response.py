@@ -1,6 +1,6 @@
-"""What a response in time carries: rise, overshoot, settling, steady state.
+"""Metrics of a step response: rise, overshoot, settling, steady state.
 
-A metric that the response does not carry is None, never a guess.
+A metric that the response does not determine is None.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 
 TAIL = 0.1
-"""Fraction of the response, at its end, that must be quiet for a steady state to exist."""
+"""Fraction of the time, at its end, in which the response must stay in the band."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,11 +21,11 @@ class StepMetrics:
     """Metrics of a step response (Franklin, Powell, Emami-Naeini, Feedback Control, ch. 3.4).
 
     Attributes:
-        final: mean over the last tenth, in the unit of the response, or None where it does not
-            stay within the band around it.
-        rise_time: s from 10 % to 90 % of the change.
-        overshoot: peak beyond the final value, as a fraction of the change, 0 where none.
-        settling_time: s from the step until the response stays within the band.
+        final: mean over the last tenth, in the unit of the response; None if the response does
+            not stay within the band around it.
+        rise_time: time from 10 % to 90 % of the change, s.
+        overshoot: peak beyond the final value as a fraction of the change, not negative.
+        settling_time: time from the step until the response stays within the band, s.
         steady_state_error: (target - final) / (target - start), None without a target.
     """
 
@@ -48,10 +48,10 @@ def step_metrics(
 
     Args:
         time: (n,) s, increasing.
-        response: (n,) its first value is where the step starts from.
-        target: where the command wants it, in the unit of the response.
-        band: of the settling time, as a fraction of the change.
-        smallest: a change up to this, in the unit of the response, counts as no response.
+        response: (n,) response; its first value is the initial value.
+        target: commanded final value, in the unit of the response.
+        band: settling band as a fraction of the change.
+        smallest: change up to which there is no response, in the unit of the response.
     """
     start = float(response[0])
     final = float(np.mean(response[_tail(time)]))
@@ -79,7 +79,7 @@ def step_metrics(
 def settling_time(
     time: FloatArray, values: FloatArray, final: FloatArray, band: FloatArray
 ) -> float | None:
-    """When all columns have come within ``band`` of ``final`` to stay, in s after ``time[0]``.
+    """Time from which all columns stay within ``band`` of ``final``, s after ``time[0]``.
 
     Args:
         time: (n,) s.
@@ -97,7 +97,7 @@ def settling_time(
     last = int(outside[-1])
     if last + 1 >= time.size or time[last] >= _tail_start(time):
         return None
-    # Where the largest excess comes back to the band, between two samples.
+    # Interpolated time at which the largest excess returns to the band.
     share = (excess[last] - 1.0) / (excess[last] - excess[last + 1])
     return float(time[last] + share * (time[last + 1] - time[last]) - time[0])
 
@@ -105,7 +105,7 @@ def settling_time(
 def worst_sample(
     time: FloatArray, now: FloatArray, golden: FloatArray
 ) -> tuple[float, float, float, float]:
-    """(error, time, now, golden) where two series on one axis differ most; NaN differs most."""
+    """(error, time, now, golden) at the largest difference of two series; NaN counts as largest."""
     error = np.abs(now - golden)
     index = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
     return float(error[index]), float(time[index]), float(now[index]), float(golden[index])

@@ -1,4 +1,4 @@
-"""Properties that any robot's realizations have to hold, ready to run.
+"""Property tests for the realizations of any robot.
 
 One line in a test file makes a test of each property::
 
@@ -6,7 +6,7 @@ One line in a test file makes a test of each property::
 
     test_asset = asset_properties("twin.yaml")
 
-Needs hypothesis: ``pip install 'pytest-twin[properties]'``.
+They need hypothesis: ``pip install 'pytest-twin[properties]'``.
 """
 
 from __future__ import annotations

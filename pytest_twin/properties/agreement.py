@@ -1,4 +1,4 @@
-"""What all realizations of one robot have to agree on, each compared with the first."""
+"""Properties that compare each realization of a robot with the first one."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from pytest_twin.realization.tree import inverse
 Vector = NDArray[np.float64]
 Q = Mapping[str, float]
 
-_STEP = 0.1  # rad or m that a joint is moved to see its direction
-_REST = 1e-9  # m, below which a motion has no direction
-_TINY_INERTIA = 1e-11  # kg*m^2, below the inertia of anything that a robot feels
-_TINY_FORCE = 1e-9  # N*m or N, likewise
-_TINY_MASS = 1e-9  # kg, likewise
+_STEP = 0.1  # rad or m, displacement of a joint to determine its direction
+_MIN_MOTION = 1e-9  # m, below which a motion has no direction
+_TINY_INERTIA = 1e-11  # kg*m^2, negligible
+_TINY_FORCE = 1e-9  # N*m or N, negligible
+_TINY_MASS = 1e-9  # kg, negligible
 
 
-def _between(asset: Asset, form: Form) -> str:
+def _compared_forms(asset: Asset, form: Form) -> str:
     return f"{form.name} against {asset.first.name}"
 
 
@@ -33,27 +33,31 @@ def _between(asset: Asset, form: Form) -> str:
 
 
 def forward_kinematics(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Every frame stands at the same pose."""
+    """Every frame has the same pose."""
     first = asset.first.dynamics.poses(q)
     for form in asset.others:
         factor = asset.factor(asset.first, form)
         poses = form.dynamics.poses(q)
         shared = [frame for frame in first if frame in poses]
         if not shared:
-            yield _absent("the robot", "no frame of one name", _between(asset, form))
+            yield _missing("the robot", "no frame of one name", _compared_forms(asset, form))
         for frame in shared:
             apart = position_error(poses[frame][:3, 3], first[frame][:3, 3])
             bound = factor * asset.tolerances.position
             if not apart <= bound:
-                yield _off(f"frame '{frame}'", "stands elsewhere", apart, bound, "m", asset, form)
+                yield _deviation(
+                    f"frame '{frame}'", "has another position", apart, bound, "m", asset, form
+                )
             turned = orientation_error(poses[frame][:3, :3], first[frame][:3, :3])
             bound = factor * asset.tolerances.orientation
             if not turned <= bound:
-                yield _off(f"frame '{frame}'", "is turned", turned, bound, "rad", asset, form)
+                yield _deviation(
+                    f"frame '{frame}'", "has another orientation", turned, bound, "rad", asset, form
+                )
 
 
 def joint_direction(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Every joint, moved alone, turns or shifts what it carries about or along the same axis."""
+    """Every joint moves its links about or along the same axis."""
     for form in asset.others:
         bound = asset.factor(asset.first, form) * asset.tolerances.orientation
         frames = [frame for frame in asset.first.dynamics.frames if frame in form.dynamics.frames]
@@ -64,20 +68,20 @@ def joint_direction(asset: Asset, q: Q) -> Iterator[Broken]:
             one, two = (_first_motion(a, b, frames) for a, b in zip(here, there, strict=True))
             if one is None and two is None:
                 continue
-            words = "moves another way"
+            words = "moves in another direction"
             if one is None or two is None or one[0] != two[0]:
-                yield _off(f"joint '{joint}'", words, math.inf, bound, "rad", asset, form)
+                yield _deviation(f"joint '{joint}'", words, math.inf, bound, "rad", asset, form)
                 continue
             apart = direction_error(one[1], two[1])
             if not apart <= bound:
-                words = "moves the other way round" if apart > 3.0 else words
-                yield _off(f"joint '{joint}'", words, apart, bound, "rad", asset, form)
+                words = "moves in the opposite direction" if apart > 3.0 else words
+                yield _deviation(f"joint '{joint}'", words, apart, bound, "rad", asset, form)
 
 
 def _first_motion(
     before: Mapping[str, Vector], after: Mapping[str, Vector], frames: list[str]
 ) -> tuple[str, Vector] | None:
-    """Frame and unit screw of the first frame that moves: what a joint carries moves as one."""
+    """First frame that moves, and its direction of rotation or translation."""
     for frame in frames:
         if np.array_equal(after[frame], before[frame]):
             continue
@@ -87,13 +91,13 @@ def _first_motion(
         if np.linalg.norm(turn) > 1e-6:
             return frame, turn
         shift = after[frame][:3, 3] - before[frame][:3, 3]
-        if np.linalg.norm(shift) > _REST:
+        if np.linalg.norm(shift) > _MIN_MOTION:
             return frame, shift
     return None
 
 
 def center_of_mass(asset: Asset, q: Q) -> Iterator[Broken]:
-    """The robot weighs the same, and its centre of mass stands at the same place."""
+    """The robot has the same mass and the same centre of mass."""
     first = asset.first.dynamics
     for form in asset.others:
         other, factor = form.dynamics, asset.factor(asset.first, form)
@@ -101,15 +105,17 @@ def center_of_mass(asset: Asset, q: Q) -> Iterator[Broken]:
         apart = abs(other.mass() - first.mass())
         if not apart <= bound:
             words = f"weighs {other.mass():.6g} kg, not {first.mass():.6g} kg,"
-            yield _off("the robot", words + " off", apart, bound, "kg", asset, form)
+            yield _deviation("the robot", words + " off", apart, bound, "kg", asset, form)
         bound = factor * asset.tolerances.position
         apart = position_error(other.center_of_mass(q), first.center_of_mass(q))
         if first.mass() > _TINY_MASS and not apart <= bound:
-            yield _off("the centre of mass", "stands elsewhere", apart, bound, "m", asset, form)
+            yield _deviation(
+                "the centre of mass", "has another position", apart, bound, "m", asset, form
+            )
 
 
 def gravity_torque(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Gravity asks the same of every joint."""
+    """Every joint has the same gravity torque."""
     first = asset.first.dynamics
     for form in asset.others:
         joints = asset.shared(form)
@@ -121,12 +127,12 @@ def gravity_torque(asset: Asset, q: Q) -> Iterator[Broken]:
             bound = factor * scales[joint] + _TINY_FORCE
             if not apart <= bound:
                 unit = _unit(asset.first.description.joints[joint], "N*m", "N")
-                words = "is loaded otherwise by gravity"
-                yield _off(f"joint '{joint}'", words, apart, bound, unit, asset, form)
+                words = "has another gravity torque"
+                yield _deviation(f"joint '{joint}'", words, apart, bound, unit, asset, form)
 
 
 def mass_matrix(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Every pair of joints is coupled by the same inertia."""
+    """All elements of the mass matrix are the same."""
     for form in asset.others:
         joints = asset.shared(form)
         one, two = (matrix_of(f, q, joints) for f in (asset.first, form))
@@ -141,13 +147,15 @@ def mass_matrix(asset: Asset, q: Q) -> Iterator[Broken]:
                 if i == k
                 else f"joints '{joints[min(i, k)]}' and '{joints[max(i, k)]}'"
             )
-            words = "feel another inertia" if i != k else "feels another inertia"
+            words = "have another inertia" if i != k else "has another inertia"
             unit = _inertia_unit(asset, joints[i], joints[k])
-            yield _off(where, words, float(apart[i, k]), float(bounds[i, k]), unit, asset, form)
+            yield _deviation(
+                where, words, float(apart[i, k]), float(bounds[i, k]), unit, asset, form
+            )
 
 
 def matrix_of(form: Form, q: Q, joints: tuple[str, ...] | None = None) -> Vector:
-    """(n, n) mass matrix without armature, of ``joints`` in their order."""
+    """(n, n) mass matrix without armature, in the order of ``joints``."""
     dynamics = form.dynamics
     names = dynamics.joints
     matrix = np.array(dynamics.mass_matrix(q), dtype=np.float64).reshape(len(names), len(names))
@@ -157,7 +165,7 @@ def matrix_of(form: Form, q: Q, joints: tuple[str, ...] | None = None) -> Vector
 
 
 def gravity_scales(asset: Asset, form: Form, q: Q) -> dict[str, float]:
-    """Joint -> the most that gravity could ask of it, N*m or N: g sqrt(M_jj m)."""
+    """Joint -> upper bound of its gravity torque, N*m or N: g sqrt(M_jj m)."""
     names = form.dynamics.joints
     diagonal = np.maximum(np.diag(matrix_of(form, q)), 0.0)
     gravity = float(np.linalg.norm(form.gravity))
@@ -167,31 +175,35 @@ def gravity_scales(asset: Asset, form: Form, q: Q) -> dict[str, float]:
     }
 
 
-# -- at no configuration: what the realizations hold
+# -- independent of the configuration
 
 
 def joints_and_frames(asset: Asset) -> Iterator[Broken]:
-    """The same joints of the same kinds; of one source, the same frames."""
+    """The joints and their types are the same, and the frames of one source."""
     first = asset.first.description
     for form in asset.others:
         other = form.description
         for joint, facts in first.joints.items():
             if joint in other.joints:
                 held = other.joints[joint].kind
-                # A free body needs no joint in some simulators, a planar one several in others.
+                # In some simulators, a free body has no joint, or a planar one several.
                 if facts.kind in ("hinge", "slide") and held != facts.kind:
                     words = f"is a {held}, not a {facts.kind}"
-                    yield _absent(f"joint '{joint}'", words, _between(asset, form))
+                    yield _missing(f"joint '{joint}'", words, _compared_forms(asset, form))
             elif facts.kind in ("hinge", "slide"):
-                yield _absent(f"joint '{joint}'", "is missing", _between(asset, form))
+                yield _missing(f"joint '{joint}'", "is missing", _compared_forms(asset, form))
         for joint, facts in other.joints.items():
             if joint not in first.joints and facts.kind in ("hinge", "slide") and form.complete:
                 if any(name.startswith(joint.rsplit("_", 1)[0]) for name in first.joints):
                     continue  # one axis of a planar or floating joint
-                yield _absent(f"joint '{joint}'", "is one too many", _between(asset, form))
+                yield _missing(
+                    f"joint '{joint}'",
+                    "is not in the first realization",
+                    _compared_forms(asset, form),
+                )
         missing = set(first.dynamics.frames) - set(other.dynamics.frames) - {"world"}
         for frame in sorted(missing) if form.complete else ():
-            yield _absent(f"frame '{frame}'", "is missing", _between(asset, form))
+            yield _missing(f"frame '{frame}'", "is missing", _compared_forms(asset, form))
 
 
 def limits(asset: Asset) -> Iterator[Broken]:
@@ -209,7 +221,7 @@ def limits(asset: Asset) -> Iterator[Broken]:
 
 
 def passive_terms(asset: Asset) -> Iterator[Broken]:
-    """Damping, friction, and armature where both can state it, are the same on every joint."""
+    """Damping, friction and armature of every joint are the same."""
     for form in asset.others:
         if "armature" in form.carries & asset.first.carries:
             yield from _rotors(asset, form)
@@ -227,11 +239,13 @@ def _rotors(asset: Asset, form: Form) -> Iterator[Broken]:
         if not abs(before - after) <= bound:
             words = f"has {after:.6g}, not {before:.6g}, as armature, off"
             unit = _inertia_unit(asset, joint, joint)
-            yield _off(f"joint '{joint}'", words, abs(before - after), bound, unit, asset, form)
+            yield _deviation(
+                f"joint '{joint}'", words, abs(before - after), bound, unit, asset, form
+            )
 
 
 def couplings(asset: Asset) -> Iterator[Broken]:
-    """The same joints follow the same leaders by the same law."""
+    """The same joints follow the same leaders, with the same ratio and offset."""
     first = asset.first
     for form in asset.others:
         if "mimic" not in form.carries & first.carries:
@@ -244,13 +258,13 @@ def couplings(asset: Asset) -> Iterator[Broken]:
             where = f"joint '{joint}'"
             if joint not in two:
                 words = f"no longer follows '{one[joint][0]}'"
-                yield _absent(where, words, _between(asset, form))
+                yield _missing(where, words, _compared_forms(asset, form))
             elif joint not in one:
                 words = f"follows '{two[joint][0]}', and should not"
-                yield _absent(where, words, _between(asset, form))
+                yield _missing(where, words, _compared_forms(asset, form))
             elif one[joint][0] != two[joint][0]:
                 words = f"follows '{two[joint][0]}', not '{one[joint][0]}'"
-                yield _absent(where, words, _between(asset, form))
+                yield _missing(where, words, _compared_forms(asset, form))
             else:
                 for what, unit, before, after in (
                     ("follows with another ratio", "", one[joint][1], two[joint][1]),
@@ -258,7 +272,7 @@ def couplings(asset: Asset) -> Iterator[Broken]:
                 ):
                     room = bound * max(1.0, abs(before))
                     if not abs(before - after) <= room:
-                        yield _off(where, what, abs(before - after), room, unit, asset, form)
+                        yield _deviation(where, what, abs(before - after), room, unit, asset, form)
 
 
 def link_inertias(asset: Asset) -> Iterator[Broken]:
@@ -275,29 +289,29 @@ def link_inertias(asset: Asset) -> Iterator[Broken]:
             if two is None:
                 if heavy:
                     words = f"has lost its body of {one.mass:.6g} kg"
-                    yield _absent(where, words, _between(asset, form))
+                    yield _missing(where, words, _compared_forms(asset, form))
                 continue
             bound = factor * bounds.mass * one.mass + _TINY_MASS
             apart = abs(one.mass - two.mass)
             if not apart <= bound:
                 words = f"weighs {two.mass:.6g} kg, not {one.mass:.6g} kg, off"
-                yield _off(where, words, apart, bound, "kg", asset, form)
+                yield _deviation(where, words, apart, bound, "kg", asset, form)
             if one.mass <= _TINY_MASS:
                 continue
             bound = factor * bounds.position
             apart = position_error(one.com, two.com)
             if not apart <= bound:
-                words = "has its centre of mass elsewhere"
-                yield _off(where, words, apart, bound, "m", asset, form)
+                words = "has another centre of mass"
+                yield _deviation(where, words, apart, bound, "m", asset, form)
             bound = factor * bounds.inertia * float(np.abs(one.inertia).max()) + _TINY_INERTIA
             apart = float(np.abs(one.inertia - two.inertia).max())
             if not apart <= bound:
                 words = "has another inertia about its centre of mass"
-                yield _off(where, words, apart, bound, "kg*m^2", asset, form)
+                yield _deviation(where, words, apart, bound, "kg*m^2", asset, form)
 
 
 def collision_shapes(asset: Asset) -> Iterator[Broken]:
-    """Every link's collision shapes take the same room."""
+    """The collision shapes of every link have the same extent."""
     holders = [form for form in asset.forms if "shapes" in form.carries]
     for form in holders[1:]:
         one, two = holders[0].description.shapes, form.description.shapes
@@ -309,7 +323,7 @@ def collision_shapes(asset: Asset) -> Iterator[Broken]:
             where = f"link '{link}'"
             if len(before) != len(after):
                 words = f"has {len(after)} collision shapes, not {len(before)}"
-                yield _absent(where, words, pair)
+                yield _missing(where, words, pair)
                 continue
             for a, b in zip(before, after, strict=True):
                 size = max(1.0, float(np.abs(a.upper - a.lower).max()))
@@ -332,7 +346,7 @@ def _fact(
 ) -> Iterator[Broken]:
     before, after = getattr(one, fact), getattr(two, fact)
     if fact == "effort":
-        # URDF's effort of 0 says that nothing is stated.
+        # In URDF, an effort of 0 means that no limit is stated.
         before, after = before or None, after or None
     where = f"joint '{joint}'"
     if before is None and after is None:
@@ -341,26 +355,26 @@ def _fact(
         words = f"has no {fact}, and should have" if after is None else f"has a {fact} too many"
         value = np.atleast_1d(before if after is None else after)
         numbers = " to ".join(f"{number:.6g}" for number in value)
-        yield _absent(where, f"{words} ({numbers} {unit})", _between(asset, form))
+        yield _missing(where, f"{words} ({numbers} {unit})", _compared_forms(asset, form))
         return
     ends = ("lower end of its range", "upper end of its range") if fact == "range" else (fact,)
     factor = asset.factor(asset.first, form) * asset.tolerances.limit
     for what, a, b in zip(ends, np.atleast_1d(before), np.atleast_1d(after), strict=True):
         bound = factor * max(1.0, abs(float(a)))
         apart = abs(float(a) - float(b))
-        # Beyond every number that a joint reaches, two bounds are both none.
+        # Limits above 1e10 mean that there is none.
         if min(abs(a), abs(b)) < 1e10 and not apart <= bound:
             words = f"has {b:.6g}, not {a:.6g} {unit}, as {what}, off"
-            yield _off(where, words, apart, bound, unit, asset, form)
+            yield _deviation(where, words, apart, bound, unit, asset, form)
 
 
-def _off(
+def _deviation(
     element: str, what: str, amount: float, bound: float, unit: str, asset: Asset, form: Form
 ) -> Broken:
-    return Broken(element, what, float(amount), float(bound), unit, _between(asset, form))
+    return Broken(element, what, float(amount), float(bound), unit, _compared_forms(asset, form))
 
 
-def _absent(element: str, what: str, forms: str) -> Broken:
+def _missing(element: str, what: str, forms: str) -> Broken:
     return Broken(element, what, math.inf, 0.0, "", forms)
 
 

@@ -1,4 +1,4 @@
-"""An asset whose properties are tested: all realizations of one robot."""
+"""All realizations of one robot, whose properties are tested."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _GOLDEN = 0.6180339887498949
 
 
 class Asset:
-    """Realizations of one robot; the first is what the others are compared with.
+    """Realizations of one robot; the others are compared with the first.
 
     Attributes:
-        name: as errors call it.
+        name: name in error messages.
         forms: the realizations.
-        left_out: realizations that could not be had, each with the reason.
-        tolerances: how far apart they may be.
+        left_out: realizations that are not available, with the reason.
+        tolerances: allowed differences.
     """
 
     def __init__(
@@ -56,32 +56,32 @@ class Asset:
 
     @property
     def first(self) -> Form:
-        """What the others are compared with."""
+        """The realization with which the others are compared."""
         return self.forms[0]
 
     @property
     def others(self) -> tuple[Form, ...]:
-        """All but the first."""
+        """All realizations but the first."""
         return self.forms[1:]
 
     @property
     def simulated(self) -> tuple[Form, ...]:
-        """Those that MuJoCo holds."""
+        """Realizations in MuJoCo."""
         return tuple(form for form in self.forms if form.model is not None)
 
     @cached_property
     def configurations(self) -> Configurations:
-        """What limits and couplings leave to be chosen, by the first that MuJoCo holds."""
+        """Independent joints and their limits, from the first realization in MuJoCo."""
         return Configurations(self.simulated[0].model)
 
     @cached_property
     def rest(self) -> dict[str, float]:
-        """Every joint at its reference, followers where that puts them, rad or m."""
+        """Configuration with all independent joints at their reference, rad or m."""
         return self.configurations.complete({}) or {}
 
     @cached_property
     def generic(self) -> dict[str, float]:
-        """One configuration with no joint at a special value, rad or m."""
+        """A generic configuration, in which no joint has a special value, rad or m."""
         for turn in range(1, 50):
             values = {
                 joint: lower + (upper - lower) * ((turn + i) * _GOLDEN % 1.0)
@@ -94,7 +94,7 @@ class Asset:
 
     @cached_property
     def carried(self) -> dict[str, float]:
-        """Joint -> mass that it carries, kg."""
+        """Joint -> mass of all bodies that it moves, kg."""
         model = self.simulated[0].model
         return {
             model.joint(i).name: float(model.body_subtreemass[int(model.jnt_bodyid[i])])
@@ -103,17 +103,17 @@ class Asset:
 
     @cached_property
     def velocity(self) -> dict[str, float]:
-        """A joint velocity with no special value, rad/s or m/s."""
+        """Generic joint velocities, rad/s or m/s."""
         joints = self.first.dynamics.joints
         return {joint: 0.5 + (i * _GOLDEN) % 1.0 for i, joint in enumerate(joints)}
 
     def shared(self, form: Form) -> tuple[str, ...]:
-        """Joints of one degree of freedom that the first form and ``form`` both have."""
+        """Joints with one degree of freedom in both the first realization and ``form``."""
         theirs = set(form.dynamics.joints)
         return tuple(j for j in self.first.dynamics.joints if j in theirs)
 
     def factor(self, *forms: Form) -> float:
-        """On tolerances, where one of them holds its numbers in single precision."""
+        """Factor on tolerances, larger than 1 if one realization has single precision."""
         return self.tolerances.single if any(form.single for form in forms) else 1.0
 
 
@@ -125,20 +125,22 @@ def load_asset(
     packages: Mapping[str, Path] | None = None,
     accept: Iterable[str] = (),
 ) -> Asset:
-    """The asset of a file.
+    """Load all realizations of a robot.
 
-    - ``twin.yaml``: every realization as it is simulated, and each one's source in Pinocchio.
-    - a URDF: its own text, MuJoCo, Pinocchio and USD, each through its own importer.
+    - ``twin.yaml``: each realization as it is simulated, and its source in Pinocchio.
+    - a URDF: its own values, MuJoCo, Pinocchio and USD, each through its own importer.
     - an MJCF: MuJoCo and Pinocchio.
 
     Args:
-        usd: of a URDF: a stage that is at hand; or whether one is made of it, where the extra
-            ``usd`` is installed.
+        path: the file.
+        tolerances: allowed differences.
+        usd: for a URDF: an existing stage; or whether to create one, if the extra ``usd`` is
+            installed.
         packages: ROS package -> its folder.
-        accept: named repairs of a URDF, ``inertia-repair:<link>``.
+        accept: accepted repairs of a URDF, ``inertia-repair:<link>``.
 
     Raises:
-        TwinError: no robot that could be read.
+        TwinError: a file that cannot be read as a robot.
     """
     if path.suffix in (".yaml", ".yml"):
         return _of_twin(path, tolerances)

@@ -1,4 +1,4 @@
-"""A property that does not hold: which element, by how much."""
+"""Violations of a property: element and amount."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ _SHOWN = 4
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """One number beyond its tolerance.
+    """Violation of a property.
 
     Attributes:
-        element: of the robot, ``joint 'elbow'``.
-        what: what is wrong there, in words.
-        amount, tolerance, unit: by how much, and how much is let pass.
-        forms: the realizations that it was seen on.
+        element: element of the robot, ``joint 'elbow'``.
+        what: description of the violation.
+        amount, tolerance: deviation and largest allowed deviation, in ``unit``.
+        unit: SI unit.
+        forms: the realizations.
     """
 
     element: str
@@ -29,7 +30,7 @@ class Broken:
 
     @property
     def excess(self) -> float:
-        """Amount in tolerances; infinite for what has no amount."""
+        """Ratio of amount to tolerance; infinite for a violation without an amount."""
         if not math.isfinite(self.amount):
             return math.inf
         return self.amount / self.tolerance if self.tolerance > 0 else math.inf
@@ -43,11 +44,11 @@ class Broken:
 
 
 class PropertyError(AssertionError):
-    """A property that does not hold.
+    """Failure of a property.
 
     Attributes:
         property: its name.
-        broken: all that is beyond tolerance, worst first.
+        broken: all violations, the largest first.
     """
 
     def __init__(

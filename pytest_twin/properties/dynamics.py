@@ -1,7 +1,7 @@
-"""What the mechanics of every realization have to hold by themselves.
+"""Properties of the dynamics of each realization by itself.
 
-The laws are those of any rigid body system (Siciliano et al., "Robotics: Modelling, Planning and
-Control", 2009, ch. 7; Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2 and 6).
+They follow from the laws of rigid-body dynamics (Siciliano et al., "Robotics: Modelling, Planning
+and Control", 2009, ch. 7; Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2 and 6).
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
 
-_STEP = 1e-4  # rad or m, of finite differences: their error is about its square
-_NOISE = 1e-8  # N*m, N, J: what rounding leaves of a difference of energies
-_LIGHT = 1e-9  # kg that a joint carries, below which it moves no body
-_TRIANGLE = 1e-5  # share of the largest moment: rounded digits of a file
+_STEP = 1e-4  # rad or m, step of finite differences; their error is about its square
+_NOISE = 1e-8  # N*m, N, J: rounding error of a difference of energies
+_LIGHT = 1e-9  # kg, moved mass below which a joint counts as moving no body
+_TRIANGLE = 1e-5  # fraction of the largest moment: rounded digits of a file
 _DURATION = 0.05  # s
 _TIMESTEP = 1e-3  # s
-_ROTOR = 1e-3  # least inertia that a joint feels when stepped, share of the largest
-_REFINED = 5  # halvings of the step before energy counts as not conserved
+_MIN_INERTIA_SHARE = 1e-3  # smallest inertia of a joint in the simulation, fraction of the largest
+_REFINED = 5  # number of halvings of the step before energy counts as not conserved
 
 
 def positive_definite_mass_matrix(asset: Asset, q: Q) -> Iterator[Broken]:
-    """The mass matrix is symmetric, and every motion of bodies with mass costs energy."""
+    """The mass matrix is symmetric and positive definite."""
     for form in asset.forms:
         joints = tuple(
             joint for joint in form.dynamics.joints if asset.carried.get(joint, 1.0) > _LIGHT
@@ -51,7 +51,7 @@ def positive_definite_mass_matrix(asset: Asset, q: Q) -> Iterator[Broken]:
             words = "is not symmetric, as a share of its diagonal"
             yield Broken("the mass matrix", words, skew, bound, "", form.name)
         values, vectors = np.linalg.eigh((unit + unit.T) / 2)
-        # Rounding of a sum of n terms of size 1.
+        # Rounding error of a sum of n terms of size 1.
         least = -1e-15 * len(joints)
         if not values[0] > least:
             joint = joints[int(np.argmax(np.abs(vectors[:, 0])))]
@@ -60,12 +60,12 @@ def positive_definite_mass_matrix(asset: Asset, q: Q) -> Iterator[Broken]:
 
 
 def possible_inertias(asset: Asset) -> Iterator[Broken]:
-    """Every link's mass and inertia are such as a body can have: the triangle inequality."""
+    """The mass and inertia of every link are physically consistent (triangle inequality)."""
     from pytest_twin.realization.inertia import MASS_FLOOR, violation
 
     for form in asset.forms:
         for name, link in form.description.links.items():
-            # A zero that is not exact after a change of frame counts as zero.
+            # An inertia that is zero apart from rounding errors of a frame transformation.
             none = float(np.abs(link.inertia).max()) < MASS_FLOOR
             share = 0.0 if none else violation(link.inertia)
             if link.mass < 0:
@@ -77,7 +77,7 @@ def possible_inertias(asset: Asset) -> Iterator[Broken]:
 
 
 def gravity_is_gradient(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Gravity's torque is the slope of the potential energy along each joint."""
+    """The gravity torque is the gradient of the potential energy."""
     for form in asset.forms:
         dynamics = form.dynamics
         gravity, mass = np.array(form.gravity), dynamics.mass()
@@ -97,7 +97,7 @@ def gravity_is_gradient(asset: Asset, q: Q) -> Iterator[Broken]:
 
 
 def kinetic_energy(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Half q' M q' is the kinetic energy of the links, from how their poses move."""
+    """Half q' M q' equals the kinetic energy of the links, computed from their poses."""
     for form in asset.forms:
         if not form.description.links:
             continue
@@ -114,7 +114,7 @@ def kinetic_energy(asset: Asset, q: Q) -> Iterator[Broken]:
             one, two = behind[name], ahead[name]
             arm = np.append(link.com, 1.0)
             velocity = ((two @ arm) - (one @ arm))[:3] / (2 * _STEP)
-            # In the link: what stands between the two rotations.
+            # The rotation between the two orientations, in the frame of the link.
             turn = (inverse(one) @ two)[:3, :3]
             spin = np.array([turn[2, 1], turn[0, 2], turn[1, 0]]) - np.array(
                 [turn[1, 2], turn[2, 0], turn[0, 1]]
@@ -131,9 +131,10 @@ def kinetic_energy(asset: Asset, q: Q) -> Iterator[Broken]:
 
 
 def coriolis_forces(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Velocity-dependent forces are those of the mass matrix: M' q' - grad(q' M q') / 2.
+    """Coriolis and centrifugal forces follow from the mass matrix: M' q' - grad(q' M q') / 2.
 
-    Of these Christoffel terms M' - 2C is skew: they do no work.
+    With the matrix C of these Christoffel terms, M' - 2C is skew-symmetric, so that they do no
+    work.
     """
     import mujoco
 
@@ -180,10 +181,10 @@ def coriolis_forces(asset: Asset, q: Q) -> Iterator[Broken]:
 
 
 def energy_conservation(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Undamped, undriven and untouched, the robot neither gains nor loses energy.
+    """Without damping, actuation and contact, the energy of the robot is constant.
 
-    Stepped by Runge-Kutta 4 with springs and gravity alone; the step is halved until the energy
-    stays, as it does for any step small enough where nothing feeds or drains it.
+    The robot is simulated with RK4, with springs and gravity only. The step is halved until the
+    energy is constant, which it must be for a sufficiently small step.
     """
     from pytest_twin.realization.quiet import quiet
 
@@ -201,7 +202,7 @@ def energy_conservation(asset: Asset, q: Q) -> Iterator[Broken]:
 
 
 def _drift(asset: Asset, form: Form, q: Q, timestep: float) -> tuple[float, float]:
-    """Greatest change of the energy, and the greatest kinetic energy, J."""
+    """Largest change of the energy, and largest kinetic energy, J."""
     import mujoco
 
     model = copy.copy(form.model)
@@ -213,12 +214,14 @@ def _drift(asset: Asset, form: Form, q: Q, timestep: float) -> tuple[float, floa
     model.opt.density = model.opt.viscosity = 0.0
     model.body_gravcomp[:] = 0.0
     data = mujoco.MjData(model)
-    # Rotors keep energy too: with them, joints that move next to nothing need no tiny steps.
+    # Armature also conserves energy; with it, joints with tiny inertia need no tiny steps.
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
     diagonal = np.diag(inertia)
-    model.dof_armature[:] += np.maximum(_ROTOR * diagonal.max(initial=0.0) - diagonal, 0.0)
+    model.dof_armature[:] += np.maximum(
+        _MIN_INERTIA_SHARE * diagonal.max(initial=0.0) - diagonal, 0.0
+    )
     for name in form.dynamics.joints:
         joint = model.joint(name)
         data.qpos[int(joint.qposadr[0])] = q.get(name, float(model.qpos0[int(joint.qposadr[0])]))

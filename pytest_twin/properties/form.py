@@ -1,7 +1,6 @@
-"""One realization as the properties ask it, and how each kind of file becomes one.
+"""A common interface to realizations for property tests, and its implementations.
 
-Simulators are imported where they are used: a test file that names an asset costs nothing until
-its tests run.
+Simulators are imported only when a test runs, so that the collection of tests is fast.
 """
 
 from __future__ import annotations
@@ -27,16 +26,16 @@ EARTH = (0.0, 0.0, -9.81)
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A realization.
+    """A realization for property tests.
 
     Attributes:
-        name: as errors call it.
-        description: what it holds, and its dynamics.
-        carries: facts that this kind of form can hold at all; the others are not compared.
-        complete: whether it has to hold every frame and joint of the first form.
-        single: whether it holds its numbers in single precision.
-        gravity: (3,) m/s^2 in its root.
-        model: MuJoCo's, where that is what it is.
+        name: name in error messages.
+        description: its links, joints, shapes and dynamics.
+        carries: quantities that this kind of file can express; others are not compared.
+        complete: whether it must contain all frames and joints of the first realization.
+        single: whether its numbers have single precision.
+        gravity: (3,) m/s^2 in its root frame.
+        model: MuJoCo's model, or None.
         rotors: joint -> armature in its mass matrix, kg*m^2 or kg.
     """
 
@@ -51,12 +50,12 @@ class Form:
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Its dynamics; joint values of joints that it lacks are passed over."""
-        return _Own(self.description.dynamics)
+        """Dynamics of the realization; values of joints that it lacks are ignored."""
+        return _DynamicsOfKnownJoints(self.description.dynamics)
 
 
-class _Own:
-    """Dynamics that take the joint values of another realization."""
+class _DynamicsOfKnownJoints:
+    """Dynamics that ignore the values of unknown joints."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         self._dynamics = dynamics
@@ -82,7 +81,7 @@ class _Own:
 
 
 def text_form(urdf: Path) -> Form:
-    """What a URDF states, by its own numbers."""
+    """Realization of a URDF from its own values, without a physics engine."""
     from pytest_twin.realization import urdf as urdf_text
     from pytest_twin.realization import urdf_tree
 
@@ -116,7 +115,7 @@ def text_form(urdf: Path) -> Form:
 
 
 def mujoco_form(urdf: Path) -> Form:
-    """What MuJoCo makes of a normalized URDF, through an MJCF in full digits beside it."""
+    """Realization of a normalized URDF in MuJoCo; writes an MJCF with full precision next to it."""
     from pytest_twin.asset.loss import from_mujoco
     from pytest_twin.formats.paths import Roots
     from pytest_twin.realization import mjcf_file, urdf_spec
@@ -136,7 +135,7 @@ def mujoco_form(urdf: Path) -> Form:
 
 
 def pinocchio_form(urdf: Path) -> Form:
-    """What Pinocchio makes of a normalized URDF."""
+    """Realization of a normalized URDF in Pinocchio."""
     from pytest_twin.asset.loss import from_pinocchio
     from pytest_twin.realization import urdf as urdf_text
 
@@ -145,7 +144,7 @@ def pinocchio_form(urdf: Path) -> Form:
 
 
 def usd_form(urdf: Path) -> Form:
-    """What UsdPhysics says of the stage of a normalized URDF, written beside it.
+    """Realization of a normalized URDF in UsdPhysics; the stage is written next to it.
 
     Raises:
         UsdMissingError: the extra ``usd`` is not installed.
@@ -158,14 +157,14 @@ def usd_form(urdf: Path) -> Form:
 
 
 def stage_form(stage: Path) -> Form:
-    """What UsdPhysics says of a stage."""
+    """Realization of a USD stage in UsdPhysics."""
     from pytest_twin.asset.loss import from_usd
 
     return Form("USD", from_usd.describe(stage), ALL - {"effort"}, single=True)
 
 
 def realization_form(realization: Realization, name: str, *, complete: bool) -> Form:
-    """A realization in MuJoCo as it is simulated: fit and base applied."""
+    """Realization of a twin in MuJoCo, with fit and base pose applied."""
     from pytest_twin.asset.loss import from_mujoco
 
     gravity = tuple(float(value) for value in realization.model.opt.gravity)
@@ -181,7 +180,7 @@ def realization_form(realization: Realization, name: str, *, complete: bool) -> 
 
 
 def reference_form(realization: Realization, name: str, *, complete: bool) -> Form:
-    """The same source in Pinocchio, the fit applied."""
+    """Realization of the same source in Pinocchio, with the fit applied."""
     dynamics = ReferenceDynamics(realization)
     found = Description("Pinocchio", "Pinocchio", dynamics, {}, _kinds(realization), 0, {})
     gravity = tuple(float(value) for value in realization.model.opt.gravity)
@@ -196,7 +195,7 @@ def reference_form(realization: Realization, name: str, *, complete: bool) -> Fo
 
 
 class ReferenceDynamics:
-    """A realization's Pinocchio reference, asked as the other forms are."""
+    """Dynamics of a realization's Pinocchio reference."""
 
     def __init__(self, realization: Realization) -> None:
         self._reference = realization.reference
@@ -215,33 +214,33 @@ class ReferenceDynamics:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Hinges and slides."""
+        """Names of hinges and slides."""
         return tuple(self._joints)
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Bodies."""
+        """Names of the bodies."""
         return self._frames
 
     def poses(self, q: Mapping[str, float]) -> dict[str, Vector]:
-        """``transform_world_to_frame`` (4, 4) of every body."""
+        """Pose (4, 4) of each body in the world, m."""
         return {frame: self._reference.frame_pose(q, frame) for frame in self._frames}
 
     def mass(self) -> float:
-        """kg."""
+        """Total mass, kg."""
         return self._reference.mass()
 
     def center_of_mass(self, q: Mapping[str, float]) -> Vector:
-        """(3,) m."""
+        """(3,) centre of mass in the world, m."""
         return self._reference.center_of_mass(q)
 
     def gravity_torque(self, q: Mapping[str, float]) -> Vector:
-        """(n,) N*m or N."""
+        """(n,) generalized forces that balance gravity, N*m or N."""
         torque = self._reference.gravity_torque(q)
         return np.array([float(torque[name]) for name in self._joints])
 
     def mass_matrix(self, q: Mapping[str, float]) -> Vector:
-        """(n, n), armature included."""
+        """(n, n) mass matrix with armature, SI units."""
         return self._reference.mass_matrix(q)[np.ix_(self._columns, self._columns)]
 
 

@@ -1,4 +1,4 @@
-"""All properties, and the tests that they become."""
+"""List of all properties, and the tests of an asset."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from pytest_twin.errors import SpecError
 from pytest_twin.old_names import old_name
-from pytest_twin.properties import agreement, dynamics, other_clothes
+from pytest_twin.properties import agreement, dynamics, transformed
 from pytest_twin.properties.asset import Asset, load_asset
 from pytest_twin.properties.broken import Broken, PropertyError
 from pytest_twin.properties.tolerances import Tolerances
@@ -20,11 +20,12 @@ EXAMPLES = 10
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """One property.
+    """A property of realizations.
 
     Attributes:
-        check: what of it is broken on an asset, at a configuration if it ``needs_poses``.
-        needs_poses: whether it is held at drawn configurations, or once.
+        name: its name.
+        check: returns the violations of an asset, at a configuration if it ``needs_poses``.
+        needs_poses: whether it is tested at random configurations, or once.
         compares: whether it needs two realizations.
     """
 
@@ -37,14 +38,18 @@ class Property:
 
     @property
     def doc(self) -> str:
-        """What it says, in one line."""
+        """Description of the property, one line."""
         return (self.check.__doc__ or "").strip().splitlines()[0]
 
     def hold(self, asset: Asset, q: Mapping[str, float] | None = None) -> None:
-        """Hold it against an asset.
+        """Test the property on an asset.
+
+        Args:
+            asset: the asset.
+            q: joint -> rad or m; the generic configuration if None.
 
         Raises:
-            PropertyError: it is broken.
+            PropertyError: the asset violates the property.
         """
         __tracebackhide__ = True
         if self.needs_poses:
@@ -80,9 +85,9 @@ PROPERTIES: Mapping[str, Property] = {
         _property(dynamics.gravity_is_gradient, posed=True, compares=False),
         _property(dynamics.coriolis_forces, posed=True, compares=False),
         _property(dynamics.energy_conservation, posed=True, compares=False),
-        _property(other_clothes.written_and_read, posed=True, compares=False),
-        _property(other_clothes.mirrored, posed=True, compares=False),
-        _property(other_clothes.rerooted, posed=True, compares=False),
+        _property(transformed.written_and_read, posed=True, compares=False),
+        _property(transformed.mirrored, posed=True, compares=False),
+        _property(transformed.rerooted, posed=True, compares=False),
     )
 }
 """Name -> property, in the order in which they are tested."""
@@ -98,20 +103,19 @@ def asset_properties(
     packages: Mapping[str, Path] | None = None,
     accept: Iterable[str] = (),
 ) -> Callable[..., None]:
-    """A parametrized test of every property, to be bound to a name that pytest collects.
+    """Create a parametrized test of all properties, ``test_asset = asset_properties("twin.yaml")``.
 
-    ``test_asset = asset_properties("twin.yaml")``. Nothing is loaded before the first of them runs,
-    and then once.
+    The asset is loaded once, when the first test runs.
 
     Args:
         asset: ``twin.yaml``, a URDF or an MJCF, relative to the calling file; or an asset.
-        tolerances: how far apart realizations may be.
+        tolerances: allowed differences between realizations.
         leave_out: names of properties that are not tested.
-        examples: drawn configurations for each property, after a generic one.
-        usd: of a URDF: a stage that is at hand, relative to the calling file; or whether one is
-            made of it, where the extra ``usd`` is installed.
+        examples: number of random configurations for each property, after a generic one.
+        usd: for a URDF: an existing stage, relative to the calling file; or whether to create one,
+            if the extra ``usd`` is installed.
         packages: ROS package -> its folder, for meshes of a URDF.
-        accept: named repairs of a URDF, ``inertia-repair:<link>``.
+        accept: accepted repairs of a URDF, ``inertia-repair:<link>``.
 
     Raises:
         SpecError: a property that does not exist.
@@ -124,7 +128,7 @@ def asset_properties(
     wanted = wanted_properties(leave_out)
     if isinstance(asset, str | Path):
         beside = Path(sys._getframe(1).f_globals.get("__file__", "")).parent
-        ready = _Later(
+        ready = _LazyAsset(
             beside / asset,
             tolerances=tolerances,
             usd=usd if isinstance(usd, bool) else beside / usd,
@@ -132,7 +136,7 @@ def asset_properties(
             accept=tuple(accept),
         )
     else:
-        ready = _Later(asset)
+        ready = _LazyAsset(asset)
 
     @pytest.mark.parametrize("robot_property", list(wanted))
     def test_property(robot_property: str) -> None:
@@ -142,20 +146,22 @@ def asset_properties(
         if made.compares and not loaded.others:
             pytest.skip("; ".join(loaded.left_out) or "one realization alone")
         if made.needs_poses:
-            # The simplest pose at which it can break is the one to be told.
+            # A failure at the reference configuration is the simplest to understand.
             made.hold(loaded, loaded.rest)
         made.hold(loaded)
         if made.needs_poses and loaded.configurations.independent:
-            _drawn(made, loaded, strategies.configurations(loaded.simulated[0]), examples)
+            _test_random_configurations(
+                made, loaded, strategies.configurations(loaded.simulated[0]), examples
+            )
 
     return test_property
 
 
 def wanted_properties(leave_out: Collection[str]) -> dict[str, Property]:
-    """All properties but some.
+    """All properties without those in ``leave_out``, by name.
 
     Raises:
-        SpecError: a name that is none.
+        SpecError: a name that is not a property.
     """
     for name in leave_out:
         if name not in PROPERTIES:
@@ -168,7 +174,7 @@ def wanted_properties(leave_out: Collection[str]) -> dict[str, Property]:
     return {name: made for name, made in PROPERTIES.items() if name not in leave_out}
 
 
-def _drawn(made: Property, asset: Asset, drawn: Any, examples: int) -> None:
+def _test_random_configurations(made: Property, asset: Asset, drawn: Any, examples: int) -> None:
     from hypothesis import HealthCheck, given, settings
 
     @settings(
@@ -185,8 +191,8 @@ def _drawn(made: Property, asset: Asset, drawn: Any, examples: int) -> None:
     holds()
 
 
-class _Later:
-    """An asset that is loaded once, when it is first asked for."""
+class _LazyAsset:
+    """An asset that is loaded once, when it is first used."""
 
     def __init__(self, source: Asset | Path, **options: Any) -> None:
         self._source = source

@@ -1,4 +1,4 @@
-"""How far apart two realizations of one robot may be."""
+"""Allowed differences between realizations of one robot."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """Bounds of the properties.
+    """Tolerances of the properties.
 
     Attributes:
-        position: of a frame, and of the centre of mass, m.
-        orientation: of a frame, and of a joint's direction, rad.
-        mass: share of the mass.
-        inertia: of a link's inertia, share of its largest moment.
-        gravity_torque: share of what the mass that a joint carries weighs at its radius of
-            gyration, g * sqrt(M_jj m): the most that gravity could ask of the joint.
-        mass_matrix: of M_ij, share of sqrt(M_ii M_jj).
-        limit: of ranges, velocities, efforts, damping, friction and couplings; share of the larger
-            value, or rad, m, and so on, where that is below 1. Bounds beyond 1e10 are none.
-        shape: of the box that holds a collision shape, along each axis, m.
-        differences: of what is compared with finite differences, share of the same scales.
-        energy: growth or loss of a system that nothing damps or drives, share of the kinetic
-            energy.
-        single: factor on all of them for a form that holds its numbers in single precision (USD).
+        position: position of a frame or of the centre of mass, m.
+        orientation: orientation of a frame or of a joint axis, rad.
+        mass: fraction of the mass.
+        inertia: inertia of a link, fraction of its largest moment.
+        gravity_torque: fraction of the upper bound g * sqrt(M_jj m) of a joint's gravity torque,
+            with the mass m that the joint moves.
+        mass_matrix: element M_ij, fraction of sqrt(M_ii M_jj).
+        limit: ranges, velocities, efforts, damping, friction and couplings: fraction of the larger
+            value, or absolute in its unit where it is below 1. Limits above 1e10 mean none.
+        shape: bounding box of a collision shape along each axis, m.
+        differences: comparisons with finite differences, fraction of the same scales.
+        energy: change of energy of a system without damping and actuation, fraction of the
+            kinetic energy.
+        single: factor on all tolerances for a realization in single precision (USD).
     """
 
     position: float = 1e-6

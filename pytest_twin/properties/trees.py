@@ -1,4 +1,7 @@
-"""A robot as a plain tree of rigid bodies, and the same robot seen otherwise. Pure."""
+"""Transformations of a robot as a tree of rigid bodies: mirrored, or with another root.
+
+This module reads no files.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +20,18 @@ from pytest_twin.realization.tree import RigidTree, TreeBody, TreeJoint, inverse
 Vector = NDArray[np.float64]
 
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
-"""Left for right: the plane of x and z."""
+"""(4, 4) reflection at the plane of x and z."""
 
 
 GROUND = "the world"
-"""Name of MuJoCo's body ``world`` here, where it may be the child of another body."""
+"""Name for MuJoCo's body ``world``, which may become the child of another body."""
 
 
 def tree_of(model: Any) -> RigidTree:
-    """The tree of a compiled MuJoCo model, from the world.
+    """Build the tree of a compiled MuJoCo model, with the world as its root.
 
-    Several joints of one body become bodies without mass between. Ball and free joints stand as
-    they are drawn. A joint's value is told from its reference (``qpos0``).
+    Several joints of one body are connected by bodies without mass. Ball and free joints stay at
+    their initial pose. The value of a joint is relative to its reference (``qpos0``).
     """
     import mujoco
 
@@ -68,9 +71,9 @@ def tree_of(model: Any) -> RigidTree:
 
 
 def mirrored(tree: RigidTree) -> RigidTree:
-    """The tree left for right.
+    """The mirrored tree.
 
-    A hinge's axis is the axis of a turn, which a mirror turns round; a slide's is a direction.
+    The axis of a hinge is a pseudovector, so that its sign changes; that of a slide is a vector.
     """
     flip = MIRROR[:3, :3]
     found = []
@@ -96,7 +99,7 @@ def mirrored(tree: RigidTree) -> RigidTree:
 
 
 def rerooted(tree: RigidTree, root: str) -> RigidTree:
-    """The same robot held by another body: joints between it and the old root turn round.
+    """The same robot with another root; the joints between the two roots are reversed.
 
     ``T = X A m(q) inv(A)`` from parent to child becomes ``inv(X) (X A) m(-q) inv(X A)``.
     """
@@ -125,13 +128,13 @@ def rerooted(tree: RigidTree, root: str) -> RigidTree:
 
 
 def leaves(tree: RigidTree) -> list[str]:
-    """Bodies that carry no other."""
+    """Names of the bodies without children."""
     parents = {body.parent for body in tree.bodies.values()}
     return [name for name in tree.bodies if name not in parents]
 
 
 def urdf_text(tree: RigidTree, name: str = "robot") -> str:
-    """The tree as URDF, every number in full; a joint without its own frame gets a link for it."""
+    """URDF of the tree with full precision; a link is added for each joint frame."""
     root = etree.Element("robot", name=name)
     for body in tree.bodies.values():
         link = etree.SubElement(root, "link", name=body.name)
@@ -150,22 +153,22 @@ def urdf_text(tree: RigidTree, name: str = "robot") -> str:
         if body.parent is None:
             continue
         if body.joint is None:
-            _tie(root, f"{body.name}/held", "fixed", body.parent, body.name, body.placement)
+            _add_joint(root, f"{body.name}/held", "fixed", body.parent, body.name, body.placement)
             continue
         between = f"{body.name}/at {body.joint.name}"
         etree.SubElement(root, "link", name=between)
         start = body.placement @ body.joint.anchor
         kind = "prismatic" if body.joint.kind == "slide" else "continuous"
-        made = _tie(root, body.joint.name, kind, body.parent, between, start)
+        made = _add_joint(root, body.joint.name, kind, body.parent, between, start)
         etree.SubElement(made, "axis", xyz=_words(body.joint.axis))
         if kind == "prismatic":
             etree.SubElement(made, "limit", lower="-1e9", upper="1e9", effort="0", velocity="0")
         back = inverse(body.joint.anchor)
-        _tie(root, f"{body.name}/held", "fixed", between, body.name, back)
+        _add_joint(root, f"{body.name}/held", "fixed", between, body.name, back)
     return str(etree.tostring(root, encoding="unicode"))
 
 
-def _tie(root: Any, name: str, kind: str, parent: str, child: str, pose: Vector) -> Any:
+def _add_joint(root: Any, name: str, kind: str, parent: str, child: str, pose: Vector) -> Any:
     made = etree.SubElement(root, "joint", name=name, type=kind)
     origin = _words(pose[:3, 3])
     etree.SubElement(made, "origin", xyz=origin, rpy=_words(_rpy(pose[:3, :3])))
@@ -175,7 +178,7 @@ def _tie(root: Any, name: str, kind: str, parent: str, child: str, pose: Vector)
 
 
 def _rpy(rotation: Vector) -> tuple[float, float, float]:
-    """Roll, pitch, yaw about fixed axes, rad; where roll and yaw turn alike, yaw is 0."""
+    """Roll, pitch, yaw about fixed axes, rad; in the singularity, yaw is 0."""
     r = rotation
     flat = math.hypot(r[0, 0], r[1, 0])
     pitch = math.atan2(-r[2, 0], flat)

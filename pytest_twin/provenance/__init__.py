@@ -1,1 +1,1 @@
-"""What a stamped data set was made with, and what has changed in the twin since."""
+"""Compare the twin that a stamped data set was made with to the present twin."""

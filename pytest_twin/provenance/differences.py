@@ -1,12 +1,12 @@
-"""What differs between a twin as it was released and today, and whether it matters to some data.
+"""Changes between a released and the present twin, and whether they affect a data set.
 
-Runs in the child process: it loads both models. How a change is judged:
+This module runs in the child process and loads both models. Changes are rated as follows:
 
-- A change of where things are (joint zeros, link poses, base, tool frame) by how far the tool
-  centre point moves, over the data's own joint positions.
-- A change of how the robot moves (inertia, friction, drives, contacts, controllers) by how far
-  simulated joints move differently under the data's own commands.
-- A change that no part of the data's chain feels does not matter.
+- Geometry (joint zeros, link poses, base, tool frame): displacement of the tool centre point at the
+  joint positions of the data set.
+- Dynamics (inertia, friction, drives, contacts, controllers): difference of simulated joint
+  positions under the commands of the data set.
+- A change that the kinematic chain of the data set does not depend on has no effect.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.recording import Recording
 from pytest_twin.outcome import Reason
-from pytest_twin.provenance.displacement import Moved, moved, tool_poses
+from pytest_twin.provenance.displacement import Displacement, moved, tool_poses
 from pytest_twin.provenance.poses import (
     Poses,
     drawn_poses,
@@ -37,25 +37,25 @@ from pytest_twin.realization.encoders import calibration_of
 from pytest_twin.staleness import changes, twin_parts
 from pytest_twin.twin import FreshPolicy, JointCalibration, Twin, load_twin
 
-PLACES = ("kinematics", "frame", "coupling", "base", "tcp", "calibration")
-"""Layers of parts that say where things are."""
-UNSEEN = ("keyframe", "sensor", "record", "variants", "geom")
-"""Layers that neither move the robot nor say where it is."""
-STATED = ("topics", "declared")
-"""Layers whose effect on data no model shows."""
+GEOMETRY = ("kinematics", "frame", "coupling", "base", "tcp", "calibration")
+"""Layers of parts that determine the geometry."""
+WITHOUT_EFFECT = ("keyframe", "sensor", "record", "variants", "geom")
+"""Layers that change neither geometry nor motion."""
+NOT_MODELLED = ("topics", "declared")
+"""Layers whose effect on data cannot be computed from a model."""
 _REPLAYED_SECONDS = 30.0
 _TCP = "tcp:frame"
 
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """A twin at one time.
+    """A version of a twin.
 
     Attributes:
-        twin: as read.
-        realization: its first.
-        parts: part id -> part: of the realization and of ``twin.yaml``.
-        frame: the tool centre point: ``tcp:`` of ``twin.yaml``, else the last moving body.
+        twin: the twin.
+        realization: its first realization.
+        parts: part id -> part, of the realization and of ``twin.yaml``.
+        frame: tool centre point: ``tcp:`` of ``twin.yaml``, or the last moving body.
     """
 
     twin: Twin
@@ -89,11 +89,15 @@ def _digest(file: str) -> str | None:
 
 
 def differences(before: str, today: str, dataset: str) -> dict[str, Any]:
-    """Every change between two versions of a twin, with its size and whether it matters.
+    """All changes between two versions of a twin, with their size and their effect on a data set.
 
     Args:
-        before, today: ``twin.yaml`` of either version.
-        dataset: the data set or policy that was made with the first.
+        before, today: ``twin.yaml`` of the released and the present version.
+        dataset: data set or policy that was made with the released version.
+
+    Returns:
+        JSON-able: ``changes``, ``tcp``, ``moved`` (m, rad), ``poses``, ``tolerance``, ``verdict``
+        (``stale`` or ``fresh``) and ``notes``.
 
     Raises:
         TwinError: a version does not load, or the data set is damaged.
@@ -102,13 +106,13 @@ def differences(before: str, today: str, dataset: str) -> dict[str, Any]:
     recordings = recordings_of(Path(dataset), new.twin)
     poses = poses_of(recordings, new.realization.structure, new.twin)
     shown = poses or drawn_poses(new.realization.structure)
-    known = _in_both(shown, old, new)
+    known = _common_joints(shown, old, new)
     changed = {
         ident: _reasons(ident, old.parts, new.parts)
         for ident in sorted(old.parts.keys() | new.parts.keys())
         if _digest_of(old.parts, ident) != _digest_of(new.parts, ident)
     }
-    judged = _Judge(old, new, recordings, known, changed, new.twin.fresh)
+    judged = _Differences(old, new, recordings, known, changed, new.twin.fresh)
     listed = [judged.change(ident, reasons) for ident, reasons in changed.items()]
     total = judged.total()
     return {
@@ -135,8 +139,8 @@ def _reasons(ident: str, old: Mapping[str, Part], new: Mapping[str, Part]) -> li
     return [Reason(ident, "is new" if ident in new else "is gone")]
 
 
-def _in_both(poses: Poses, old: Version, new: Version) -> Poses:
-    """Poses of the joints that both versions have."""
+def _common_joints(poses: Poses, old: Version, new: Version) -> Poses:
+    """Poses, reduced to the joints that both versions have."""
     joints = [
         j
         for j in poses.joints
@@ -146,8 +150,8 @@ def _in_both(poses: Poses, old: Version, new: Version) -> Poses:
     return replace(poses, joints=tuple(joints), positions=poses.positions[:, columns])
 
 
-class _Judge:
-    """Sizes of changes, each computed once."""
+class _Differences:
+    """Computes the sizes of changes; each is computed once."""
 
     def __init__(
         self,
@@ -164,7 +168,7 @@ class _Judge:
         self.notes: list[str] = []
         self._simulated: dict[str, float] | None = None
         self._before: FloatArray | None = None
-        self._geometry: Moved | None = None
+        self._geometry: Displacement | None = None
         structures = (old.realization.structure, new.realization.structure)
         frames = (old.frame, new.frame)
         self.chain = frozenset().union(
@@ -177,33 +181,33 @@ class _Judge:
     # -- one change
 
     def change(self, ident: str, reasons: Sequence[Reason]) -> dict[str, Any]:
-        """One changed part in words and numbers."""
+        """Description, size and effect of one changed part, JSON-able."""
         layer, _, name = ident.partition(":")
         layer = layer.rpartition("/")[2]
         size: dict[str, Any] | None = None
-        if layer in UNSEEN:
-            matters, why = False, "it neither moves the robot nor says where it is"
-        elif layer in STATED:
+        if layer in WITHOUT_EFFECT:
+            matters, why = False, "it changes neither geometry nor motion"
+        elif layer in NOT_MODELLED:
             matters, why = True, "no model shows its effect on this data"
         elif layer in ("controller", "payload") and self._unused(layer, name):
             matters, why = False, f"no recording of this data names this {layer}"
         elif layer == "calibration":
             found = self._zero(name)
             size = None if found is None else found.to_json()
-            matters, why = self._by_place(found, self._zero_in_words(name))
-        elif layer in PLACES:
+            matters, why = self._effect_of_displacement(found, self._zero_in_words(name))
+        elif layer in GEOMETRY:
             if ident in self.chain or layer in ("base", "tcp"):
                 found = self.geometry()
                 size = found.to_json()
-                matters, why = self._by_place(found, "where the links are has changed")
+                matters, why = self._effect_of_displacement(found, "the pose of links has changed")
             elif ident in self.dynamics:
-                matters, why, size = self._by_motion()
+                matters, why, size = self._effect_on_motion()
             else:
                 matters, why = False, f"it is not on the chain to {self.new.frame!r}"
         elif ident in self.dynamics or layer in ("controller", "payload"):
-            matters, why, size = self._by_motion()
+            matters, why, size = self._effect_on_motion()
         else:
-            matters, why = False, "nothing that this data's joints move feels it"
+            matters, why = False, "nothing that this data's joints move depends on it"
         return {
             "part": ident,
             "changed": [
@@ -218,9 +222,9 @@ class _Judge:
         named = self.variants[layer]
         return bool(self.recordings) and name not in named
 
-    def _by_place(self, found: Moved | None, what: str) -> tuple[bool, str]:
+    def _effect_of_displacement(self, found: Displacement | None, what: str) -> tuple[bool, str]:
         if found is None:
-            return False, "this data does not hold that joint"
+            return False, "this data does not contain that joint"
         matters = (
             found.translation > self.tolerance.translation
             or found.rotation > self.tolerance.rotation
@@ -231,10 +235,14 @@ class _Judge:
         )
         return matters, words
 
-    def _by_motion(self) -> tuple[bool, str, dict[str, Any] | None]:
+    def _effect_on_motion(self) -> tuple[bool, str, dict[str, Any] | None]:
         found = self.simulated()
         if found is None:
-            return True, "how it moves has changed, and this data holds no commands to replay", None
+            return (
+                True,
+                "the dynamics have changed, and this data contains no commands to replay",
+                None,
+            )
         worst = max(found, key=lambda joint: found[joint] / self._bound(joint))
         slide = self.new.realization.structure.joint_type[worst] == "slide"
         value = f"{1e3 * found[worst]:.3g} {'mm' if slide else 'mrad'}"
@@ -252,7 +260,7 @@ class _Judge:
     # -- sizes
 
     def before(self) -> FloatArray:
-        """(n, 7) where the tool was."""
+        """(n, 7) poses of the tool in the released version."""
         if self._before is None:
             old = self.old
             self._before = tool_poses(
@@ -267,7 +275,7 @@ class _Judge:
         )
         slide = self.new.realization.structure.joint_type.get(joint) == "slide"
         if was.sign != now.sign:
-            return f"the direction of joint {joint!r} was turned round"
+            return f"the direction of joint {joint!r} was reversed"
         if was.scale != now.scale:
             percent = 100.0 * (now.scale / was.scale - 1.0)
             return f"the scale of the encoder of joint {joint!r} changed by {percent:+.3g} %"
@@ -275,8 +283,8 @@ class _Judge:
             "m" if slide else "rad"
         )
 
-    def _zero(self, joint: str) -> Moved | None:
-        """The displacement by the calibration of one joint alone."""
+    def _zero(self, joint: str) -> Displacement | None:
+        """Displacement by the changed calibration of a joint; None if it is not in the data."""
         if joint not in self.poses.joints:
             return None
         old = self.old.realization
@@ -287,8 +295,8 @@ class _Judge:
             one[joint] = now[joint]
         return moved(self.before(), tool_poses(old, self.old.frame, one, self.poses))
 
-    def geometry(self) -> Moved:
-        """The displacement by everything but the calibration of joints."""
+    def geometry(self) -> Displacement:
+        """Displacement by all changes of geometry except the calibration of joints."""
         if self._geometry is None:
             new = self.new
             before = calibration_of(self.old.realization)
@@ -296,17 +304,17 @@ class _Judge:
             self._geometry = moved(self.before(), after)
         return self._geometry
 
-    def total(self) -> Moved | None:
-        """The displacement by all changes together; None where nothing has moved places."""
+    def total(self) -> Displacement | None:
+        """Displacement by all changes together; None where the geometry has not changed."""
         layers = {ident.partition(":")[0].rpartition("/")[2] for ident in self.changed}
-        if layers.isdisjoint(PLACES) or not self.poses.joints:
+        if layers.isdisjoint(GEOMETRY) or not self.poses.joints:
             return None
         new = self.new
         after = tool_poses(new.realization, new.frame, calibration_of(new.realization), self.poses)
         return moved(self.before(), after)
 
     def simulated(self) -> dict[str, float] | None:
-        """Joint -> largest difference between replays of both versions, rad or m."""
+        """Joint -> largest difference between replays of both versions, rad or m; or None."""
         if self._simulated is None:
             part = first_seconds(self.recordings, _REPLAYED_SECONDS)
             self._simulated, notes = simulated_differences(

@@ -1,4 +1,4 @@
-"""How far changes of a twin move its tool centre point, over given joint positions."""
+"""Displacement of the tool centre point between two versions of a twin."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from pytest_twin.twin import JointCalibration
 
 
 @dataclass(frozen=True, slots=True)
-class Moved:
-    """How far a frame moves between two versions of a twin, the encoders reading the same.
+class Displacement:
+    """Displacement of a frame between two versions of a twin at the same encoder readings.
 
     Attributes:
         translation: largest distance over the poses, m.
@@ -30,7 +30,7 @@ class Moved:
     translation_rms: float
 
     def to_json(self) -> dict[str, float]:
-        """JSON-able fields, in m and rad."""
+        """Return the fields as JSON-able values, m and rad."""
         return {
             "translation": self.translation,
             "rotation": self.rotation,
@@ -38,15 +38,15 @@ class Moved:
         }
 
 
-def moved(before: FloatArray, after: FloatArray) -> Moved:
-    """The displacement between two (n, 7) series of poses, position and quaternion (w x y z)."""
+def moved(before: FloatArray, after: FloatArray) -> Displacement:
+    """Displacement between two (n, 7) series of poses: position (m) and quaternion (w x y z)."""
     distance = np.linalg.norm(after[:, :3] - before[:, :3], axis=1)
-    # The chord between unit quaternions keeps small angles that the arccosine loses.
+    # The chord between unit quaternions is precise for small angles, unlike the arc cosine.
     sign = np.sign(np.sum(before[:, 3:] * after[:, 3:], axis=1))
     sign[sign == 0.0] = 1.0
     chord = np.linalg.norm(after[:, 3:] - sign[:, None] * before[:, 3:], axis=1)
     angle = 4.0 * np.arcsin(np.clip(chord / 2.0, 0.0, 1.0))
-    return Moved(
+    return Displacement(
         float(distance.max()), float(angle.max()), float(np.sqrt(np.mean(np.square(distance))))
     )
 
@@ -57,9 +57,9 @@ def tool_poses(
     calibration: Mapping[str, JointCalibration],
     poses: Poses,
 ) -> FloatArray:
-    """(n, 7) poses of a frame in the world, for what the encoders read.
+    """(n, 7) poses of a frame in the world at given encoder readings.
 
-    Joints outside ``poses`` stand at the model's reference.
+    Joints that ``poses`` does not contain are at the model's reference.
     """
     encoders = Encoders.of(calibration, poses.joints)
     qpos = np.tile(realization.model.qpos0, (len(poses.positions), 1))

@@ -1,4 +1,4 @@
-"""A twin as a release holds it, laid out so that it loads."""
+"""Copy the files of a release into a folder in which its twin can be loaded."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from pytest_twin.release.restore import authentic, copy_files
 from pytest_twin.release.statement import Release
 from pytest_twin.twin import FILE_NAME
 
-_OF_RECORDINGS = ("budget", "ranges")
-"""Sections of ``twin.yaml`` that no comparison of two twins needs."""
+_RECORDING_SECTIONS = ("budget", "ranges")
+"""Sections of ``twin.yaml`` that the comparison of two twins does not need."""
 
 
 def release_folder(root: Path, number: int) -> Path:
-    """The folder of a twin's release.
+    """Folder of a release of a twin.
 
     Raises:
-        ReleaseError: it is not there.
+        ReleaseError: it does not exist.
     """
     folder = root / RELEASES / f"{number:04d}"
     if not folder.is_dir():
@@ -35,40 +35,40 @@ def release_folder(root: Path, number: int) -> Path:
 
 
 def authentic_now(folder: Path) -> Release:
-    """A release that is signed by a trusted key and undamaged, of whatever age.
+    """Read a release that is undamaged and signed by a trusted key; it may have expired.
 
     Raises:
-        ReleaseError: it is not.
+        ReleaseError: it is damaged, or not signed by a trusted key.
     """
     return authentic(folder, datetime.now(UTC))
 
 
-def lay_out(release: Release, folder: Path, root: Path, into: Path) -> Path:
-    """Copy the files of a release to where its ``twin.yaml`` expects them.
+def copy_release(release: Release, folder: Path, root: Path, into: Path) -> Path:
+    """Copy the files of a release to the places that its ``twin.yaml`` refers to.
 
-    Sections that name recordings are left out: a release holds no recordings. Every copy is
-    compared with the signed digest. Folders under ``roots:`` that lie outside the twin are those of
-    today.
+    Sections that name recordings are removed, because a release contains no recordings. The digest
+    of each copy is compared with the signed one. Folders under ``roots:`` outside the twin are the
+    present ones.
 
     Args:
-        release: authenticated.
-        folder: of the release.
-        root: the twin's folder today.
+        release: a verified release.
+        folder: folder of the release.
+        root: present folder of the twin.
         into: an empty folder.
 
     Returns:
-        The ``twin.yaml``.
+        Path of the copied ``twin.yaml``.
 
     Raises:
-        ReleaseError: a file is not what was signed, or there is no ``twin.yaml``.
-        PathError: a file is missing, or cannot be copied.
+        ReleaseError: a file differs from the signed one, or there is no ``twin.yaml``.
+        PathError: a file does not exist, or cannot be copied.
     """
     copy_files(release, folder, into)
     file = into / FILE_NAME
     data = yaml.load(file).data
     if not isinstance(data, dict):
         return file
-    kept = {key: value for key, value in data.items() if key not in _OF_RECORDINGS}
+    kept = {key: value for key, value in data.items() if key not in _RECORDING_SECTIONS}
     if data.get("roots"):
         kept["roots"] = _absolute(data["roots"], root)
     if kept != data:
@@ -77,7 +77,7 @@ def lay_out(release: Release, folder: Path, root: Path, into: Path) -> Path:
 
 
 def _absolute(roots: Any, root: Path) -> Any:
-    """Roots for the laid out copy: absolute, but for those inside the twin's folder."""
+    """Roots for the copied twin: absolute paths, except for folders inside the twin."""
 
     def placed(reference: str) -> str:
         folder = (root / reference).resolve()

@@ -1,4 +1,4 @@
-"""Joint positions of a data set, in the model's names."""
+"""Joint positions of a data set, with the joint names of the model."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from pytest_twin.trial.joints import in_model_names, named_by_actuators
 from pytest_twin.trial.read import recordings_at
 from pytest_twin.twin import Twin
 
-MOST_POSES = 4000
+MAX_POSES = 4000
 _DRAWN_POSES = 512
 
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Where a robot was.
+    """Joint positions at which two versions of a twin are compared.
 
     Attributes:
         joints: names in the model.
-        positions: (n, j) rad or m, as the encoders read them.
-        source: where they come from, in words.
+        positions: (n, j) encoder readings, rad or m.
+        source: their origin, as text.
     """
 
     joints: tuple[str, ...]
@@ -37,7 +37,7 @@ class Poses:
 
 
 def recordings_of(dataset: Path, twin: Twin) -> list[Recording]:
-    """The recordings of a data set; none of a policy or of HDF5, which says no joint names.
+    """Recordings of a data set; empty for a policy, and for HDF5, which has no joint names.
 
     Raises:
         TwinError: a damaged recording.
@@ -52,12 +52,12 @@ def recordings_of(dataset: Path, twin: Twin) -> list[Recording]:
 
 
 def poses_of(recordings: Sequence[Recording], structure: Structure, twin: Twin) -> Poses | None:
-    """Joint positions of recordings, spread evenly over them; None where none can be read.
+    """Joint positions of recordings, sampled evenly; None where none can be read.
 
     Args:
-        recordings: of one data set.
-        structure: of the model.
-        twin: says how recorded joints are called in the model.
+        recordings: recordings of one data set.
+        structure: structure of the model.
+        twin: twin with the mapping of joint names.
     """
     tables: list[FloatArray] = []
     joints: tuple[str, ...] = ()
@@ -79,14 +79,14 @@ def poses_of(recordings: Sequence[Recording], structure: Structure, twin: Twin) 
     positions = np.concatenate(tables) if tables else np.zeros((0, 0))
     if not len(positions):
         return None
-    keep = np.unique(np.linspace(0, len(positions) - 1, MOST_POSES).astype(int))
+    keep = np.unique(np.linspace(0, len(positions) - 1, MAX_POSES).astype(int))
     return Poses(joints, positions[keep], f"over this data's poses ({len(keep)} of them)")
 
 
 def drawn_poses(structure: Structure) -> Poses:
-    """Poses drawn evenly within the joints' ranges, for data whose joint positions are not known.
+    """Random poses, uniform in the joint ranges, for data without joint positions.
 
-    Joints without a range are drawn from half a turn, or 0.1 m, on either side.
+    A joint without a range is drawn from -pi to pi rad, or from -0.1 m to 0.1 m.
     """
     joints, low, high = [], [], []
     for joint, kind in structure.joint_type.items():
@@ -112,7 +112,7 @@ def variants_of(recordings: Sequence[Recording]) -> dict[str, set[str]]:
 
 
 def first_seconds(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
-    """The first recordings that together last so long; always one, where there is any."""
+    """First recordings with a total duration of at least ``seconds``; at least one, if any."""
     found: list[Recording] = []
     left = seconds
     for one in recordings:

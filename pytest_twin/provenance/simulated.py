@@ -1,4 +1,4 @@
-"""How differently two versions of a twin move under the same commands."""
+"""Differences of the simulated motion of two versions of a twin under the same commands."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from pytest_twin.trial import Trial, make_trials
 def simulated_differences(
     old: Realization, new: Realization, recordings: Sequence[Recording]
 ) -> tuple[dict[str, float], list[str]]:
-    """Joint -> largest difference between the replays of two models, rad or m.
+    """Largest difference between the replays of two models, for each joint.
 
     Args:
-        old, new: with their twins.
-        recordings: their commands and first states are read.
+        old, new: realizations with their twins.
+        recordings: recordings, of which commands and first states are used.
 
     Returns:
-        Empty where nothing can be replayed, and notes that say why.
+        Joint -> difference, rad or m, empty if nothing can be replayed; and notes with the reasons.
     """
     found: dict[str, float] = {}
     notes: list[str] = []
@@ -48,7 +48,7 @@ def simulated_differences(
 def simulated_positions(
     realization: Realization, trials: Sequence[Trial]
 ) -> list[dict[str, FloatArray]]:
-    """For each trial joint -> (n,) simulated positions, as the encoders read them, rad or m.
+    """Simulated positions of each trial: joint -> (n,) encoder readings, rad or m.
 
     Raises:
         SimulationError: a simulation diverged.

@@ -12,12 +12,12 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.metrics.envelope import (
     Envelope,
     coverage_interval,
+    deviation_from_uniform,
     envelope,
     histogram,
     inside,
     integral_transform,
-    tightest,
-    uneven,
+    smallest_half_width,
 )
 from pytest_twin.ranges.simulate import Traces
 
@@ -138,9 +138,9 @@ def _joint(found: Sequence[Predicted], joint: str, share: float, level: float) -
     coverage = _coverage(found, [joint], 1.0 - level)
     shares = np.average([histogram(t)[0] for t in transforms], axis=0, weights=lengths)
     robots_shares = np.average(_common(of_robots), axis=0, weights=lengths)
-    unevenness = float(uneven(shares))
+    unevenness = float(deviation_from_uniform(shares))
     # Each simulated robot is treated as the measured one, to get the distribution of the statistic.
-    chance = _share_at_least(uneven(robots_shares), unevenness)
+    chance = _share_at_least(deviation_from_uniform(robots_shares), unevenness)
     ratio, ratio_chance = _sharpness(found, share, joint)
     motion = float(np.ptp(np.concatenate([o.traces.measured[:, c] for o, c in own])))
     unit = "m" if joint in _slides(found) else "rad"
@@ -241,8 +241,8 @@ def _sharpness(
                 continue
             bounds = _column(one.envelope, column)
             width = float(bounds.half_width.mean())
-            need = tightest(one.traces.measured[:, [column]], bounds, share)[0]
-            each = tightest(one.robots[:_REFERENCE, :, [column]], bounds, share)[:, 0]
+            need = smallest_half_width(one.traces.measured[:, [column]], bounds, share)[0]
+            each = smallest_half_width(one.robots[:_REFERENCE, :, [column]], bounds, share)[:, 0]
             measured.append(float(np.log(width / need)))
             robots.append(np.log(width / each))
     mine = float(np.mean(measured))

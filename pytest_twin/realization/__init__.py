@@ -1,6 +1,6 @@
-"""Robots as simulators see them: the only room, with replay, that loads a model.
+"""Load robot models for simulators: MJCF, URDF, USD and installed formats.
 
-Nothing heavy is imported until a name is used.
+The simulators are imported only when a name of this package is used.
 """
 
 from __future__ import annotations
@@ -15,12 +15,17 @@ if TYPE_CHECKING:
 
 __all__ = ["Realization", "Reference", "Sandbox", "load"]
 
-_HOMES = {"Realization": "model", "Reference": "reference", "Sandbox": "sandbox", "load": "loading"}
+_MODULES = {
+    "Realization": "model",
+    "Reference": "reference",
+    "Sandbox": "sandbox",
+    "load": "loading",
+}
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -1,4 +1,4 @@
-"""Convex hulls as coal takes them: a vertex may have at most 255 neighbours."""
+"""Build convex hulls for coal, in which a vertex may have at most 255 neighbours."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ Vector = NDArray[np.float64]
 Faces = NDArray[np.integer[Any]]
 
 _DIRECTIONS = (4000, 1000, 250)
-"""Directions whose farthest vertices make a coarser hull. With 4000 it lies within 2e-4 of the
-size of the shape, with 250 within 3e-3."""
+"""Numbers of directions of a coarser hull, which keeps the farthest vertex in each direction. Its
+error is 2e-4 of the size of the shape with 4000 directions and 3e-3 with 250."""
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 
 def convex(vertices: Vector, faces: Faces) -> coal.Convex:
-    """A hull, or a coarser one where a vertex has more neighbours than coal counts.
+    """Convex hull for coal; a coarser hull where a vertex has too many neighbours.
 
     Args:
         vertices: (n, 3) m, all on the hull.
@@ -56,7 +56,7 @@ def _convex(vertices: Vector, faces: Faces) -> coal.Convex:
 
 
 def _sphere(count: int) -> Vector:
-    """(count, 3) unit vectors, evenly over the sphere (Fibonacci lattice)."""
+    """(count, 3) unit vectors, evenly distributed over the sphere (Fibonacci lattice)."""
     turn = np.arange(count) * _GOLDEN_ANGLE
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     radius = np.sqrt(1.0 - height**2)

@@ -1,4 +1,4 @@
-"""Shapes that can collide: their distances by MuJoCo and by coal, and the pairs kept apart."""
+"""Distances of collision geometries by MuJoCo and by coal, and disabled collision pairs."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ Vector = NDArray[np.float64]
 Geom = mujoco.mjtGeom
 
 _GJK_TOLERANCE = 1e-8
-# Tighter, and EPA gives up on round shapes in deep overlap.
+# With a smaller tolerance, EPA does not converge for round shapes in deep penetration.
 _EPA_TOLERANCE = 1e-6
 _ITERATIONS = 1000
-_IN_PART = "contype and conaffinity keep some of their geoms apart"
+_SOME_DISABLED = "contype and conaffinity keep some of their geoms apart"
 _SUPPORTED = frozenset(
     {
         Geom.mjGEOM_PLANE,
@@ -40,7 +40,7 @@ _SUPPORTED = frozenset(
 
 
 class Shapes:
-    """Geoms of a realization that can collide, by name and by body, and their distances."""
+    """Geoms of a realization that can collide, by name and body, and their signed distances."""
 
     def __init__(self, realization: Realization) -> None:
         self._realization = realization
@@ -49,17 +49,17 @@ class Shapes:
 
     @cached_property
     def bodies(self) -> tuple[str, ...]:
-        """Bodies with a geom that can collide, the world too."""
+        """Bodies with a geom that can collide; the world may be among them."""
         names = _body_names(self._realization)
         return tuple(names[body] for body in sorted(_bodies(self._model)))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Every name that :meth:`geoms` takes: named geoms, and ``bodies``."""
+        """All names that :meth:`geoms` accepts: named geoms, and ``bodies``."""
         return (*self._realization.names("geom"), *self.bodies)
 
     def geoms(self, name: str) -> frozenset[int]:
-        """Index of a geom, or indices of the geoms of a body that can collide."""
+        """Index of a named geom, or indices of all geoms of a body that can collide."""
         geom = int(mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, name))
         if geom >= 0:
             return frozenset({geom})
@@ -68,10 +68,15 @@ class Shapes:
         return frozenset(_bodies(self._model).get(body, ()))
 
     def distance(self, data: mujoco.MjData, first: frozenset[int], second: frozenset[int]) -> float:
-        """Least signed distance of two sets of geoms, m, by MuJoCo, after ``mj_kinematics``.
+        """Smallest signed distance of two sets of geoms by MuJoCo, m; negative in penetration.
+
+        Args:
+            data: state after ``mj_kinematics``.
+            first, second: indices of geoms.
 
         Raises:
-            ModelError: height fields and signed distance fields have no distance to all shapes.
+            ModelError: a height field or signed distance field, for which MuJoCo cannot compute
+                the distance to every shape.
         """
         return min(
             float(mujoco.mj_geomDistance(self._model, data, a, b, self._bound(data, a, b), None))
@@ -81,11 +86,11 @@ class Shapes:
     def distance_by_coal(
         self, data: mujoco.MjData, first: frozenset[int], second: frozenset[int]
     ) -> float:
-        """The same by coal; NaN where its solver does not converge.
+        """Smallest signed distance by coal, m; NaN where its solver does not converge.
 
-        Primitives are coal's own; of a mesh it gets the convex hull of the vertices, built by
-        qhull and not taken from MuJoCo (unless the mesh bounds the number of hull vertices: then
-        it is the hull of those that MuJoCo kept). A plane is a half space.
+        Primitives are those of coal, and a plane is a half space. A mesh is replaced by the convex
+        hull of its vertices, which qhull computes independently of MuJoCo. If the mesh limits the
+        number of hull vertices, it is the hull of the vertices that MuJoCo kept.
         """
         least = np.inf
         request = coal.DistanceRequest()
@@ -94,7 +99,8 @@ class Shapes:
         request.gjk_max_iterations = request.epa_max_iterations = _ITERATIONS
         for a, b in self._ordered(first, second):
             kinds = {int(self._model.geom_type[a]), int(self._model.geom_type[b])}
-            # coal's own sphere-cylinder depth leaves out ways through the curved side.
+            # For sphere and cylinder, coal's special function ignores penetration through the
+            # curved side; with an ellipsoid it uses the general algorithm.
             plain = kinds == {int(Geom.mjGEOM_SPHERE), int(Geom.mjGEOM_CYLINDER)}
             distance = coal.distance(
                 self._shape(a, plain),
@@ -110,7 +116,7 @@ class Shapes:
         return float(least)
 
     def measurable_distance(self, data: mujoco.MjData, first: str, second: str) -> float | None:
-        """Least distance of two bodies, m; None where MuJoCo or coal cannot tell it."""
+        """Smallest distance of two bodies, m; None where MuJoCo or coal cannot compute it."""
         sides = self.geoms(first), self.geoms(second)
         try:
             by_coal = self.distance_by_coal(data, *sides)
@@ -134,7 +140,7 @@ class Shapes:
                 yield a, b
 
     def _bound(self, data: mujoco.MjData, a: int, b: int) -> float:
-        """A distance in m that the pair cannot exceed: beyond it MuJoCo finds none."""
+        """Upper bound of the distance of two geoms, m; MuJoCo searches up to this distance."""
         centers = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
         return 1.0 + 2.0 * centers + float(self._model.geom_rbound[a] + self._model.geom_rbound[b])
 
@@ -183,7 +189,7 @@ class Shapes:
 
 
 def hull_points(model: mujoco.MjModel, spec: mujoco.MjSpec, mesh: int) -> Vector:
-    """Vertices (n, 3) in m, in the mesh's compiled frame, whose hull collides."""
+    """(n, 3) vertices whose convex hull is the collision shape, m, in the compiled mesh frame."""
     start = int(model.mesh_vertadr[mesh])
     points = model.mesh_vert[start : start + int(model.mesh_vertnum[mesh])].astype(np.float64)
     graph = int(model.mesh_graphadr[mesh])
@@ -197,22 +203,24 @@ def hull_points(model: mujoco.MjModel, spec: mujoco.MjSpec, mesh: int) -> Vector
 
 
 def enabled_pairs(realization: Realization) -> list[tuple[str, str]]:
-    """Pairs of bodies of which some geoms can collide, sorted by name."""
-    return sorted(pair for pair, why in _verdicts(realization) if why in ("", _IN_PART))
+    """Pairs of bodies with geoms that can collide with each other, sorted by name."""
+    return sorted(
+        pair for pair, why in _disabling_reasons(realization) if why in ("", _SOME_DISABLED)
+    )
 
 
 def disabled_pairs(realization: Realization) -> list[tuple[tuple[str, str], str]]:
-    """Pairs of bodies of which geoms could meet but are kept apart, and by what, sorted by name.
+    """Pairs of bodies whose collision is disabled, with the reason, sorted by name.
 
-    Not counted: geoms without any mask (they are drawn and never collide), bodies that do not
-    move against each other, a body and its parent (where the model keeps MuJoCo's filter), and
-    geoms that an explicit ``pair`` brings together.
+    The list excludes geoms without a contact mask (visual shapes), bodies without relative motion,
+    a body and its parent (unless the model turns off MuJoCo's filter), and geoms in an explicit
+    ``pair``.
     """
-    return sorted((pair, why) for pair, why in _verdicts(realization) if why)
+    return sorted((pair, why) for pair, why in _disabling_reasons(realization) if why)
 
 
-def _verdicts(realization: Realization) -> Iterator[tuple[tuple[str, str], str]]:
-    """Every pair of bodies that could meet, by sorted names, and what disables it, or ''."""
+def _disabling_reasons(realization: Realization) -> Iterator[tuple[tuple[str, str], str]]:
+    """Yield each pair of bodies that could collide, and the reason why it is disabled, or ''."""
     model = realization.model
     names = _body_names(realization)
     excluded = _excluded(model)
@@ -238,14 +246,14 @@ def _verdicts(realization: Realization) -> Iterator[tuple[tuple[str, str], str]]
         elif not any(masked) and not any(paired):
             why = "contype and conaffinity keep them apart"
         elif not all(p or m for p, m in zip(paired, masked, strict=True)):
-            why = _IN_PART
+            why = _SOME_DISABLED
         else:
             why = ""
         yield (first, second), why
 
 
 def _bodies(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Body -> its geoms that can collide: those with a mask, or in an explicit pair."""
+    """Body -> geoms that can collide: those with a contact mask or in an explicit pair."""
     paired = {int(g) for g in (*model.pair_geom1, *model.pair_geom2)}
     bodies: dict[int, list[int]] = {}
     for geom in range(model.ngeom):
@@ -255,7 +263,7 @@ def _bodies(model: mujoco.MjModel) -> dict[int, list[int]]:
 
 
 def _candidates(model: mujoco.MjModel, bodies: dict[int, list[int]]) -> Iterator[tuple[int, int]]:
-    """Pairs of ``bodies`` that MuJoCo's own rules would let collide."""
+    """Pairs of ``bodies`` that MuJoCo's built-in filters do not exclude."""
     parents = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     for a, b in combinations(sorted(bodies), 2):
         weld_a, weld_b = int(model.body_weldid[a]), int(model.body_weldid[b])
@@ -277,5 +285,5 @@ def _excluded(model: mujoco.MjModel) -> set[tuple[int, int]]:
 
 
 def _body_names(realization: Realization) -> tuple[str, ...]:
-    """Names of all bodies by index, as the parts of the realization have them."""
+    """Names of all bodies by index, the same as in the part ids of the realization."""
     return ("world", *realization.structure.body_parent)

@@ -1,13 +1,13 @@
-"""Confine a child process to the files it needs, by Landlock (Linux 5.13 and later).
+"""Restrict a child process to the files that it needs, with Landlock (Linux 5.13 and later).
 
-Run as a script, it gives up all other files and then becomes the command that it is given. The
-kernel holds that command, its threads and its children to it, whatever code they run:
+Run as a script, this module gives up access to all other files and then executes a command. The
+kernel enforces the restriction for the command, its threads and its child processes:
 
 - Files of the twin's roots, of Python and of the system's libraries can be read.
-- A scratch folder can be written, and folders that are named for it; nothing else.
+- Only a temporary folder, and folders that are given for it, can be written.
 - No TCP connection (Linux 6.7), no signal to another process, no abstract socket (Linux 6.12).
 
-Landlock has no rules yet for UDP and for named Unix sockets: those stay open.
+Landlock has no rules for UDP and named Unix sockets, which stay accessible.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ _SYSTEM = (
     *("/usr", "/bin", "/sbin", "/lib", "/lib64", "/nix/store"),
     *("/etc/ld.so.cache", "/etc/ld.so.conf", "/etc/localtime", "/etc/passwd", "/etc/group"),
     *("/etc/nsswitch.conf", "/etc/fonts", "/etc/alternatives"),
-    # What other processes hold (environment, memory) Landlock closes by itself.
+    # Landlock itself denies access to the environment and memory of other processes.
     *("/proc", "/sys/devices/system", "/dev/zero", "/dev/random", "/dev/urandom"),
 )
 _VARIABLES = ("PATH", "LANG", "LANGUAGE", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
 _VARIABLE_PREFIXES = ("LC_", "PYTHON", "OMP_", "OPENBLAS_", "MKL_", "MUJOCO_")
-# Landlock's ABI versions that know network rules and scopes, and the bits of both.
+# First ABI versions of Landlock with network rules and with scopes, and the bits of both.
 _ABI_NETWORK, _ABI_SCOPES = 4, 6
 _BIND_AND_CONNECT_TCP = 0b11
 _SIGNALS_AND_SOCKETS = 0b11
 
 
-def obstacle() -> str | None:
-    """Why this machine cannot confine a process, with what to do; None where it can."""
+def why_not_confined() -> str | None:
+    """Why this machine cannot restrict a process, and what to do; None where it can."""
     if sys.platform != "linux":
         return "confinement needs Linux; run without it, or in a container"
     try:
@@ -55,25 +55,25 @@ def obstacle() -> str | None:
 def confined_command(
     command: Iterable[str], read: Iterable[Path], scratch: Path, write: Iterable[Path] = ()
 ) -> list[str]:
-    """The command that runs ``command`` confined.
+    """Command that runs ``command`` with restricted access.
 
     Args:
-        command: starts with the path of a program.
-        read: folders and files that it may read besides Python's and the system's.
-        scratch: the folder that it may write.
+        command: path of a program, and its arguments.
+        read: folders and files that it may read in addition to those of Python and the system.
+        scratch: folder that it may write.
         write: further folders that it may write.
     """
     home = Path.home().resolve()
-    # `python -m pytest` in the user's home puts all of it on the import path.
+    # `python -m pytest` in the home folder puts the whole folder on the import path.
     imports = [p for p in sys.path if p and not home.is_relative_to(Path(p).resolve())]
     readable = [*_SYSTEM, sys.prefix, sys.base_prefix, *imports, *map(str, read)]
-    # -P: no module of the working folder comes before an installed one.
+    # -P: a module in the working directory does not replace an installed one.
     start = [sys.executable, "-P", "-m", __name__, str(scratch), *map(str, write)]
     return [*start, "--", *dict.fromkeys(readable), "--", *command]
 
 
 def confined_environment(environment: Mapping[str, str], scratch: Path) -> dict[str, str]:
-    """The variables that a program needs to run: no tokens, and ``scratch`` as its home."""
+    """Environment variables that a program needs, without secrets; ``scratch`` is its home."""
     kept = {
         name: value
         for name, value in environment.items()
@@ -84,20 +84,20 @@ def confined_environment(environment: Mapping[str, str], scratch: Path) -> dict[
 
 
 def confine(read: Iterable[str], write: Iterable[str]) -> None:
-    """Give up, for this process and those it starts, what the module's docstring excludes.
+    """Restrict this process and its children as the docstring of this module states.
 
     Args:
-        read: folders and files that stay readable, where they exist.
+        read: folders and files that stay readable; those that do not exist are ignored.
         write: folders that stay writable.
 
     Raises:
-        OSError: the kernel refuses.
+        OSError: the kernel refuses the rules.
     """
     import landlock
     from landlock import plumbing
 
     class NoNetwork(plumbing.RulesetAttr):  # type: ignore[misc]
-        """The ruleset's later fields, which the library does not know yet."""
+        """Newer fields of the ruleset, which the library lacks."""
 
         _fields_ = (("handled_access_net", ctypes.c_uint64), ("scoped", ctypes.c_uint64))
 
@@ -122,7 +122,11 @@ def confine(read: Iterable[str], write: Iterable[str]) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Confine this process and become the command after ``--``."""
+    """Restrict this process, and replace it by the command after the second ``--``.
+
+    Args:
+        arguments: folders that may be written, ``--``, paths that may be read, ``--``, command.
+    """
     first = arguments.index("--")
     second = arguments.index("--", first + 1)
     command = arguments[second + 1 :]

@@ -1,6 +1,6 @@
-"""Where independent work runs: in forks of this process, or on the workers of a Dask scheduler.
+"""Run independent tasks in forked processes, or on the workers of a Dask scheduler.
 
-The batches of a search and the robots of a fleet are run by the same call.
+A search runs its batches, and a fleet its robots, with the same call.
 """
 
 from __future__ import annotations
@@ -21,52 +21,55 @@ _CONNECT_SECONDS = 30.0
 
 
 class Executor(Protocol):
-    """Runs a function on items that are independent of one another."""
+    """Runs a function on independent items."""
 
     def map(self, function: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
-        """Results in the order of the items.
+        """Run ``function`` on each item; the results are in the order of the items.
 
-        An item whose worker dies is done again by another; what was finished stands.
+        An item whose worker dies is run again on another worker; finished results are kept.
 
         Raises:
-            Exception: what the function raises.
-            SimulationError: every worker that had an item died.
+            Exception: an exception of the function.
+            SimulationError: each worker that ran an item died.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Forks:
-    """Forks of this process, which have all that it has in memory.
+    """Runs items in forks of this process, which share its memory.
 
     Attributes:
-        processes: at most, this one among them.
+        processes: largest number of processes, including this one.
     """
 
     processes: int
 
     def map(self, function: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
-        """As :meth:`Executor.map`; whoever is done takes the next item, the longest should be
-        first.
+        """As :meth:`Executor.map`; each process that becomes free takes the next item.
+
+        The run is shortest when the longest items come first.
         """
         return in_forks([partial(function, item) for item in items], self.processes)
 
 
 @dataclass(frozen=True, slots=True)
 class Dask:
-    """Workers of a Dask scheduler (extra ``dask``), each with pytest-twin of this version.
+    """Runs items on the workers of a Dask scheduler (extra ``dask``).
+
+    The workers need the same version of pytest-twin.
 
     Attributes:
-        address: of the scheduler, ``tcp://host:8786``.
+        address: address of the scheduler, ``tcp://host:8786``.
     """
 
     address: str
 
     def map(self, function: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
-        """As :meth:`Executor.map`; function, items and results travel by pickle.
+        """As :meth:`Executor.map`; function, items and results are sent with pickle.
 
         Raises:
-            TwinError: Dask is not installed, or nothing answers at the address.
+            TwinError: Dask is not installed, or no scheduler answers at the address.
         """
         try:
             dask: Any = importlib.import_module("distributed")

@@ -1,4 +1,4 @@
-"""Where a model starts, and what its drives are told, of which no recording says anything."""
+"""Initial state and controls of joints and actuators that a recording does not contain."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 def follow_joint_equalities(
     model: mujoco.MjModel, data: mujoco.MjData, placed: Collection[int]
 ) -> None:
-    """Move joints to where active joint equalities put them, followers of followers too.
+    """Set positions and velocities of joints that follow others by active joint equalities.
+
+    A follower may itself be followed by another joint.
 
     Args:
-        model: whose equalities.
+        model: the model with its equalities.
         data: its ``qpos`` and ``qvel`` are changed.
-        placed: ids of joints that stay where they are.
+        placed: ids of joints that keep their position.
     """
     still = set(placed)
     pending = [
@@ -54,11 +56,11 @@ def follow_joint_equalities(
 
 
 def settle_actuators(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Let filters, integrators and delays of actuators have settled on ``data.ctrl``.
+    """Set filters, integrators and delays of actuators to their steady state for ``data.ctrl``.
 
     Args:
-        model: whose actuators.
-        data: holds positions and controls; its activations and delay lines are changed.
+        model: the model with its actuators.
+        data: contains positions and controls; its activations and delay buffers are changed.
     """
     mujoco.mj_fwdPosition(model, data)
     for actuator in range(model.nactuator):
@@ -73,11 +75,10 @@ def settle_actuators(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 def settle_under_load(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """As :func:`settle_actuators`, and servos that integrate their command carry the load where
-    their joints are.
+    """As :func:`settle_actuators`; servos with an integrator also support the load at rest.
 
-    A recorded joint rests where it starts: its servo had been told to go on until it did. Joints
-    with several such servos stay as they are settled.
+    A recorded joint rests at the start, so that the integrator of its servo must have reached the
+    value that supports the load. Joints with several such servos are left unchanged.
     """
     settle_actuators(model, data)
     integrators = [
@@ -101,15 +102,15 @@ def settle_under_load(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 def holding_controls(
     model: mujoco.MjModel, data: mujoco.MjData, commanded: Collection[str]
 ) -> NDArray[np.float64]:
-    """(nu,) controls with which position servos hold joints that nobody commands where they are.
+    """(nu,) controls with which position servos hold the joints that have no recorded command.
 
-    What such a servo was told is not known; that it holds the joint is. Its setpoint lies off
-    the joint by what the load stretches the servo. Other controls are zero.
+    The command of such a servo is unknown, but it holds the joint. Its setpoint is the position
+    of the joint plus the deflection of the servo under the load. Other controls are zero.
 
     Args:
-        model: whose servos.
-        data: holds positions.
-        commanded: joints with commands of their own.
+        model: the model with its servos.
+        data: contains positions.
+        commanded: joints with recorded commands.
     """
     control = np.zeros(model.nu)
     load = _load_at_rest(model, data)
@@ -118,7 +119,7 @@ def holding_controls(
         if not name or name in commanded:
             continue
         servos = [i for i in joint_inputs(model, name) if i.mode == "position"]
-        laws = [_law(model, servo.actuator) for servo in servos]
+        laws = [_linear_law(model, servo.actuator) for servo in servos]
         stiffness, constant = (sum(each) for each in zip((0.0, 0.0), *laws, strict=True))
         position = float(data.qpos[model.jnt_qposadr[joint]])
         if stiffness > 0.0:
@@ -129,20 +130,21 @@ def holding_controls(
 
 
 def _load_at_rest(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
-    """(nv,) efforts that drives give where the model rests as ``data`` has it, N*m or N."""
+    """(nv,) efforts of the drives that keep the model at rest in the pose of ``data``, N*m or N."""
     still = mujoco.MjData(model)
     still.qpos[:] = data.qpos
     mujoco.mj_fwdPosition(model, still)
     mujoco.mj_fwdVelocity(model, still)
     load: NDArray[np.float64] = still.qfrc_bias - still.qfrc_passive
-    # What MuJoCo lets drives compensate is no part of what a servo gives.
+    # Gravity that MuJoCo compensates in the actuators does not load a servo.
     by_drives = model.jnt_actgravcomp[model.dof_jntid] != 0
     return load - np.where(by_drives, still.qfrc_gravcomp, 0.0)
 
 
-def _law(model: mujoco.MjModel, actuator: int) -> tuple[float, float]:
-    """Stiffness, N*m/rad or N/m, and constant effort of a servo at its joint; zero where they do
-    not follow from its gains.
+def _linear_law(model: mujoco.MjModel, actuator: int) -> tuple[float, float]:
+    """Stiffness (N*m/rad or N/m) and constant effort (N*m or N) of a servo at its joint.
+
+    Both are zero for an actuator whose effort is not linear in its gains.
     """
     if int(model.actuator_gaintype[actuator]) not in LINEAR_GAINS:
         return 0.0, 0.0

@@ -1,7 +1,7 @@
-"""Independent work on several cores, in forks of this process.
+"""Run independent tasks on several cores, in forks of this process.
 
-What acts between steps is Python, and one interpreter runs that on one core. A fork has all that
-its parent has in memory, nothing is sent to it, and what it found comes back through a pipe.
+The laws between simulation steps are Python code, which one interpreter runs on one core. A fork
+shares the memory of its parent, so that no input is sent; results return through a pipe.
 """
 
 from __future__ import annotations
@@ -16,87 +16,91 @@ from collections.abc import Callable, Sequence
 from typing import BinaryIO, Generic, TypeVar
 
 _Result = TypeVar("_Result")
-# Each fork takes its parent some 10 ms: more of them are not sooner done.
-_MOST_PROCESSES = 8
-# Numbers of tasks are taken off a pipe that holds them all at once: the least is one page.
-_NUMBER, _MOST_TASKS = 4, 1024
+# A fork costs its parent about 10 ms, so that more processes do not shorten the run.
+_MAX_PROCESSES = 8
+# Bytes of a task number, and largest number of tasks. A pipe holds all numbers at once; its
+# smallest capacity is one page (4096 bytes).
+_NUMBER_BYTES, _MAX_TASKS = 4, 1024
 
-_sharing = False
+_in_task = False
 _ended: set[int] = set()
 
 
 def in_forks(tasks: Sequence[Callable[[], _Result]], processes: int) -> list[_Result]:
-    """Results of tasks in their order. Whoever is done takes the next, forks and this process.
+    """Run tasks in forks and in this process; the results are in the order of the tasks.
 
-    Where the system cannot fork safely, and within a task, all are done here.
+    Each process that becomes free takes the next task. Within a task, and where the system cannot
+    fork safely, all tasks run in this process.
 
     Args:
-        tasks: independent of one another, the longest first. What one leaves behind beside its
-            result, which must be such as can be pickled, is lost where a fork does it.
-        processes: at most, this one among them.
+        tasks: independent tasks, the longest first. A result must be picklable; other changes that
+            a task makes are lost if it runs in a fork.
+        processes: largest number of processes, including this one.
 
     Raises:
-        Exception: what a task raises. One that fails in a fork, or dies with it, is done again
-            here; what that fork finished before stands.
+        Exception: an exception of a task. A task that fails in a fork, or whose fork dies, is run
+            again in this process; finished results of the fork are kept.
     """
-    global _sharing
+    global _in_task
     helpers = min(free_cores(processes), len(tasks)) - 1
-    if helpers < 1 or len(tasks) > _MOST_TASKS:
+    if helpers < 1 or len(tasks) > _MAX_TASKS:
         return [task() for task in tasks]
-    _bury()
-    numbers, filled = os.pipe()
-    os.write(filled, b"".join(i.to_bytes(_NUMBER, "little") for i in range(len(tasks))))
-    os.close(filled)
+    _reap_ended()
+    numbers, writer = os.pipe()
+    os.write(writer, b"".join(i.to_bytes(_NUMBER_BYTES, "little") for i in range(len(tasks))))
+    os.close(writer)
     forks: list[_Fork[_Result]] = []
-    _sharing = True
+    _in_task = True
     try:
-        # Fewer than asked for, where the system gives no more.
+        # The system may allow fewer processes than requested.
         with contextlib.suppress(OSError):
             for _ in range(helpers):
                 forks.append(_Fork(tasks, numbers))
-        found = _taken(tasks, numbers)
+        found = _run_untaken_tasks(tasks, numbers)
         for fork in forks:
             found |= fork.found()
     finally:
-        _sharing = False
+        _in_task = False
         os.close(numbers)
         for fork in forks:
             fork.end()
-        _bury()
+        _reap_ended()
     return [found[i] if i in found else task() for i, task in enumerate(tasks)]
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Number of CPU cores that this process may use."""
     allowed = getattr(os, "sched_getaffinity", None)
     return (os.cpu_count() or 1) if allowed is None else len(allowed(0))
 
 
 def free_cores(count: int) -> int:
-    """Of ``count`` cores, those that forks of this process may take part with: one within a task,
-    whose neighbours have the others, and where a process cannot fork safely.
+    """Number of processes that may run tasks, at most ``count``.
+
+    It is one within a task, because the other tasks use the other cores, and on systems without a
+    safe fork.
     """
-    # Apple's libraries do not survive a fork, and Windows has none.
-    alone = _sharing or sys.platform != "linux"
-    return 1 if alone else min(count, _MOST_PROCESSES)
+    # Libraries of macOS fail after a fork, and Windows has no fork.
+    alone = _in_task or sys.platform != "linux"
+    return 1 if alone else min(count, _MAX_PROCESSES)
 
 
 def threads_here(count: int) -> int:
-    """Of ``count`` threads, those that a batch is to have: one within a task."""
-    return 1 if _sharing else count
+    """Number of threads of a batch: ``count``, or one within a task."""
+    return 1 if _in_task else count
 
 
-def _taken(tasks: Sequence[Callable[[], _Result]], numbers: int) -> dict[int, _Result]:
-    """Do tasks that no other process has taken, until none remains."""
+def _run_untaken_tasks(tasks: Sequence[Callable[[], _Result]], numbers: int) -> dict[int, _Result]:
+    """Run tasks that no other process has taken, until none remains; task number -> result."""
     found = {}
-    while number := os.read(numbers, _NUMBER):
+    while number := os.read(numbers, _NUMBER_BYTES):
         i = int.from_bytes(number, "little")
         found[i] = tasks[i]()
     return found
 
 
 class _Fork(Generic[_Result]):
-    """A copy of this process that takes tasks, and ends."""
+    """A forked process that runs tasks and ends."""
 
     def __init__(self, tasks: Sequence[Callable[[], _Result]], numbers: int) -> None:
         read, write = os.pipe()
@@ -104,7 +108,7 @@ class _Fork(Generic[_Result]):
         try:
             self.process = os.fork()
             if self.process == 0:
-                _work(tasks, numbers, write)
+                _run_in_fork(tasks, numbers, write)
         except OSError:
             self.answers.close()
             raise
@@ -112,9 +116,9 @@ class _Fork(Generic[_Result]):
             os.close(write)
 
     def found(self) -> dict[int, _Result]:
-        """Number of a task -> its result; of a fork that failed, what it had finished."""
+        """Task number -> result; from a fork that failed, the results that it finished."""
         found: dict[int, _Result] = {}
-        # Written by a copy of this process alone.
+        # The data come from a fork of this process only, so that pickle is safe.
         with contextlib.suppress(EOFError, pickle.UnpicklingError, MemoryError):
             while True:
                 number, result = pickle.load(self.answers)  # noqa: S301
@@ -122,16 +126,16 @@ class _Fork(Generic[_Result]):
         return found
 
     def end(self) -> None:
-        """End the process, finished or not, without waiting for its memory to be released."""
+        """Kill the process without waiting until its memory is released."""
         self.answers.close()
-        # Somebody else in this process may have waited for all its children.
+        # Other code in this process may have reaped all child processes.
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.process, signal.SIGKILL)
         _ended.add(self.process)
 
 
-def _bury() -> None:
-    """Reap forked processes that have ended."""
+def _reap_ended() -> None:
+    """Reap the forked processes that have ended."""
     for process in tuple(_ended):
         with contextlib.suppress(ChildProcessError):
             if not os.waitpid(process, os.WNOHANG)[0]:
@@ -139,18 +143,18 @@ def _bury() -> None:
         _ended.discard(process)
 
 
-def _work(tasks: Sequence[Callable[[], object]], numbers: int, answers: int) -> None:
-    """All that a fork does.
+def _run_in_fork(tasks: Sequence[Callable[[], object]], numbers: int, answers: int) -> None:
+    """Run tasks in a fork and write the results to the pipe ``answers``; does not return.
 
-    A result is written when it is there, as far as the pipe has room, so that a fork that dies
-    takes its last task with it alone and no fork waits for its parent.
+    Each result is written at once, as far as the pipe has room. A fork that dies then loses only
+    its last task, and no fork waits for its parent.
     """
-    # What the parent's garbage holds (threads that this process does not have) is not its to end.
+    # The garbage collector must not finalize objects of the parent, such as its threads.
     gc.freeze()
     try:
         backlog = bytearray()
         os.set_blocking(answers, False)
-        while number := os.read(numbers, _NUMBER):
+        while number := os.read(numbers, _NUMBER_BYTES):
             i = int.from_bytes(number, "little")
             backlog += pickle.dumps((i, tasks[i]()), protocol=pickle.HIGHEST_PROTOCOL)
             with contextlib.suppress(BlockingIOError):

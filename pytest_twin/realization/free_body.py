@@ -1,4 +1,4 @@
-"""Many rollouts of one free body at once, each with contact parameters of its own."""
+"""Simulate many motions of one free body in parallel, each with its own contact parameters."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from pytest_twin.errors import ModelError
 from pytest_twin.realization.forks import usable_cores
 from pytest_twin.realization.named_model import NamedModel
 
-_GROUP = 256
-"""Rollouts of similar length in one call: fewer waste threads, more waste steps of short ones."""
+_ROLLOUTS_PER_CALL = 256
+"""Rollouts per call, sorted by length. With fewer, threads are idle; with more, the short rollouts
+are simulated longer than needed."""
 
 
 @dataclass(frozen=True)
 class FreeBody:
-    """A body on a free joint of a model.
+    """A body with a free joint.
 
     Attributes:
-        name: of the body.
+        name: its name.
         body: its index.
-        qpos, dof: where its pose and velocity begin.
-        geoms: its geoms that can collide.
-        others: geoms of the rest that can collide with them.
+        qpos, dof: index of its pose in ``qpos`` and of its velocity in ``qvel``.
+        geoms: indices of its geoms that can collide.
+        others: indices of all other geoms that can collide.
     """
 
     name: str
@@ -40,13 +41,14 @@ class FreeBody:
 
 
 def free_body(realization: NamedModel, name: str | None = None) -> FreeBody:
-    """The free body of a model that was tossed.
+    """Find the free body of a model.
 
     Args:
-        name: of the body, where the model has several.
+        realization: the model.
+        name: name of the body; needed where the model has several free bodies.
 
     Raises:
-        ModelError: no free body, or more than one and no name, or none that can touch anything.
+        ModelError: no free body, several and no name, or a body that cannot touch anything.
     """
     model = realization.model
     free = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
@@ -85,9 +87,10 @@ def free_body(realization: NamedModel, name: str | None = None) -> FreeBody:
     )
 
 
-Pushed = tuple[FloatArray, FloatArray]
-"""(k,) times, s from the first state on, and (k, 6) wrench on the body, N and N*m, in the axes of
-the world and about its centre of mass; linear in between, as at its ends beyond them."""
+AppliedWrench = tuple[FloatArray, FloatArray]
+"""(k,) times, s from the first state, and (k, 6) wrench on the body, N and N*m, in world axes about
+its centre of mass. It is interpolated linearly, and constant before the first and after the last
+time."""
 
 
 def poses_of(
@@ -95,43 +98,48 @@ def poses_of(
     body: FreeBody,
     states: FloatArray,
     times: FloatArray,
-    pushes: Sequence[Pushed | None] | None = None,
+    pushes: Sequence[AppliedWrench | None] | None = None,
 ) -> FloatArray:
-    """Poses of a free body over time, for every model and every first state.
+    """Simulate the poses of a free body, for each model and each initial state.
 
-    Poses between two steps are interpolated: linearly, and the quaternion along the chord.
+    Poses between two steps are interpolated: positions linearly, quaternions linearly with
+    normalization.
 
     Args:
-        models: of one layout; they differ in parameters.
+        models: models that differ in parameters only.
+        body: the free body.
         states: (t, 13) x y z (m), quaternion w x y z, velocity in the world (m/s), angular velocity
             in the body's axes (rad/s).
-        times: (t, n) when poses are asked for, s from the first state on; NaN after the last.
-        pushes: what pushes the body from each first state on; None for nothing.
+        times: (t, n) times of the poses, s from the first state; NaN after the last.
+        pushes: applied wrench for each initial state; None for none.
 
     Returns:
-        (m, t, n, 7) poses; NaN where none is asked for, and from where a rollout diverged.
+        (m, t, n, 7) positions (m) and quaternions (w x y z); NaN where the time is NaN, and after
+        a rollout diverged.
     """
     last = np.nanmax(times, axis=1)
     order = np.argsort(last)
     found = np.full((len(models), *times.shape, 7), np.nan)
-    width = max(1, _GROUP // len(models))
+    width = max(1, _ROLLOUTS_PER_CALL // len(models))
     step = float(models[0].opt.timestep)
     for begin in range(0, len(order), width):
         rows = order[begin : begin + width]
         count = int(np.ceil(float(last[rows].max()) / step - 1e-9)) + 1
         own = None if pushes is None else [pushes[row] for row in rows]
-        found[:, rows] = _at(_rolled(models, body, states[rows], count, own), step, times[rows])
+        found[:, rows] = _interpolated(
+            _simulated_poses(models, body, states[rows], count, own), step, times[rows]
+        )
     return found
 
 
-def _rolled(
+def _simulated_poses(
     models: Sequence[mujoco.MjModel],
     body: FreeBody,
     states: FloatArray,
     steps: int,
-    pushes: Sequence[Pushed | None] | None,
+    pushes: Sequence[AppliedWrench | None] | None,
 ) -> FloatArray:
-    """(m, t, steps + 1, 7) poses at every step."""
+    """(m, t, steps + 1, 7) poses at each step; NaN after a rollout diverged."""
     first = _full_states(models[0], body, states)
     rows = len(models) * len(states)
     each = [model for model in models for _ in range(len(states))]
@@ -140,7 +148,7 @@ def _rolled(
     if pushes is None or all(one is None for one in pushes):
         path, _ = rollout.rollout(each, workers, start, nstep=steps, persistent_pool=True)
     else:
-        applied = np.tile(_applied(models[0], body, steps, pushes), (len(models), 1, 1))
+        applied = np.tile(_applied_forces(models[0], body, steps, pushes), (len(models), 1, 1))
         path, _ = rollout.rollout(
             each, workers, start, applied, persistent_pool=True,
             control_spec=int(mujoco.mjtState.mjSTATE_XFRC_APPLIED),
@@ -149,7 +157,7 @@ def _rolled(
     poses = np.empty((rows, steps + 1, 7))
     poses[:, 0] = np.tile(states[:, :7], (len(models), 1))
     poses[:, 1:] = path[:, :, at : at + 7]
-    # The engine starts a diverged row anew at its reference: from there it is no prediction.
+    # MuJoCo resets a diverged simulation to its reference state; the time then decreases.
     back = np.flatnonzero((np.diff(path[:, :, 0], axis=1) <= 0.0).any(axis=1))
     for row in back:
         lost = int(np.argmax(np.diff(path[row, :, 0]) <= 0.0))
@@ -157,10 +165,10 @@ def _rolled(
     return poses.reshape(len(models), len(states), steps + 1, 7)
 
 
-def _applied(
-    model: mujoco.MjModel, body: FreeBody, steps: int, pushes: Sequence[Pushed | None]
+def _applied_forces(
+    model: mujoco.MjModel, body: FreeBody, steps: int, pushes: Sequence[AppliedWrench | None]
 ) -> FloatArray:
-    """(t, steps, 6 nbody) ``xfrc_applied`` of each step: the wrench in its middle."""
+    """(t, steps, 6 nbody) ``xfrc_applied`` of each step: the wrench at the middle of the step."""
     found = np.zeros((len(pushes), steps, 6 * model.nbody))
     middle = float(model.opt.timestep) * (np.arange(steps) + 0.5)
     for row, push in enumerate(pushes):
@@ -172,7 +180,7 @@ def _applied(
 
 
 def _full_states(model: mujoco.MjModel, body: FreeBody, states: FloatArray) -> FloatArray:
-    """(t, nstate) full physics states: the model's reference but for the free body."""
+    """(t, nstate) full physics states: reference state of the model with the free body's state."""
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     data = mujoco.MjData(model)
     found = np.empty((len(states), mujoco.mj_stateSize(model, kind)))
@@ -183,8 +191,8 @@ def _full_states(model: mujoco.MjModel, body: FreeBody, states: FloatArray) -> F
     return found
 
 
-def _at(path: FloatArray, step: float, times: FloatArray) -> FloatArray:
-    """(m, t, n, 7) of (m, t, s, 7) poses at (t, n) times; NaN where a time is."""
+def _interpolated(path: FloatArray, step: float, times: FloatArray) -> FloatArray:
+    """Interpolate (m, t, s, 7) poses at (t, n) times; (m, t, n, 7), NaN where a time is NaN."""
     asked = np.isfinite(times)
     place = np.where(asked, times, 0.0) / step
     low = np.clip(place.astype(int), 0, path.shape[2] - 2)
@@ -200,6 +208,6 @@ def _at(path: FloatArray, step: float, times: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-def varied(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy of a model, to be changed."""
+def copy_of_model(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Copy of a model whose parameters can be changed."""
     return copy.copy(model)

@@ -1,4 +1,4 @@
-"""Triangles from glTF files (``.glb``, ``.gltf``), bounded before anything is unpacked."""
+"""Read triangles from glTF files (``.glb``, ``.gltf``); sizes are checked before unpacking."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from pytest_twin.realization.limits import ModelLimits
 
 SUFFIXES = (".glb", ".gltf")
 UP_AXIS = "Y_UP"
-"""Of every glTF file, by the specification."""
+"""Up axis of all glTF files, by the specification."""
 _MAGIC, _JSON = b"glTF", b"JSON"
 _TRIANGLES = 4
-_MOST_NODES = 10_000
+_MAX_NODES = 10_000
 
 
 def triangles(
     data: bytes, path: Path, limits: ModelLimits
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices (n, 3) in m and faces (m, 3) of the whole scene, its nodes put in their places.
+    """Vertices (n, 3) in m and faces (m, 3) of the whole scene, with the poses of its nodes.
 
-    Vertices stand as the file has them, its y axis up.
+    Vertices are in the frame of the file, whose y axis points up.
 
     Raises:
-        FormatError: not glTF, or a file beside it that it names is not there.
-        LimitError: beyond the bounds.
+        FormatError: not glTF, or a referenced file does not exist.
+        LimitError: larger than ``limits``.
     """
     import trimesh
 
     document = _document(data, path)
-    _bound(document, path, limits)
+    _check_counts(document, path, limits)
     scene: Any = trimesh.load(
         io.BytesIO(data),
         file_type=path.suffix.lower()[1:],
@@ -51,10 +51,10 @@ def triangles(
 
 
 def referenced_files(path: Path, limits: ModelLimits) -> list[Path]:
-    """The buffers that a ``.gltf`` file names, none of them outside its folder.
+    """Buffer files that a ``.gltf`` file refers to; all are inside its folder.
 
     Raises:
-        FormatError: not glTF, or a buffer is not there.
+        FormatError: not glTF, or a buffer file does not exist.
     """
     if path.suffix.lower() != ".gltf":
         return []
@@ -63,7 +63,7 @@ def referenced_files(path: Path, limits: ModelLimits) -> list[Path]:
 
 
 def _buffers(document: Mapping[str, Any], path: Path, limits: ModelLimits) -> dict[str, bytes]:
-    """The bytes of each file beside the glTF file that it names."""
+    """Reference -> content of each buffer file."""
     found: dict[str, bytes] = {}
     left = limits.total_asset_bytes
     for uri in _uris(document):
@@ -104,8 +104,8 @@ def _uris(document: Mapping[str, Any]) -> Iterator[str]:
             yield uri
 
 
-def _bound(document: Mapping[str, Any], path: Path, limits: ModelLimits) -> None:
-    """Refuse counts beyond the bounds: a few numbers can ask for any amount of memory."""
+def _check_counts(document: Mapping[str, Any], path: Path, limits: ModelLimits) -> None:
+    """Refuse counts above the limits, because a short file can request any amount of memory."""
     try:
         counts = [int(accessor["count"]) for accessor in document.get("accessors", ())]
         sizes = [
@@ -124,8 +124,8 @@ def _bound(document: Mapping[str, Any], path: Path, limits: ModelLimits) -> None
             path=path,
             expected="a tree of nodes; export the mesh again",
         )
-    if len(nodes) > _MOST_NODES:
-        raise LimitError("too many nodes", path=path, expected=f"at most {_MOST_NODES}")
+    if len(nodes) > _MAX_NODES:
+        raise LimitError("too many nodes", path=path, expected=f"at most {_MAX_NODES}")
     if max([total, *(count // 3 for count in counts)], default=0) > limits.mesh_faces:
         raise LimitError(
             "too many triangles",

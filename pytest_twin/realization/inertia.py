@@ -1,4 +1,4 @@
-"""Whether a body can have an inertia, and the named repairs of one that it cannot have."""
+"""Physical consistency of inertia tensors, and the repair of inconsistent ones."""
 
 from __future__ import annotations
 
@@ -9,38 +9,39 @@ from numpy.typing import NDArray
 Matrix = NDArray[np.float64]
 
 MASS_FLOOR = 1e-12
-"""kg, kg*m^2: what a moving body without mass is given, far below anything that a robot feels."""
+"""kg and kg*m^2. Mass and moments of a moving body without mass; too small to change the motion."""
 ROUNDING = 1e-5
-"""Share of the largest moment below which a broken triangle inequality is a matter of digits."""
+"""Fraction of the largest moment. A smaller violation of the triangle inequality comes from
+rounded decimal numbers in the file."""
 
 LAST_DIGITS = 1e-12
-"""Share of the largest moment below which it is a matter of how floats add."""
+"""Fraction of the largest moment. A smaller violation comes from floating-point rounding."""
 
 
 def tensor(values: NDArray[np.float64] | tuple[float, ...]) -> Matrix:
-    """(3, 3) from ixx iyy izz [ixy ixz iyz]."""
+    """(3, 3) inertia tensor from ixx iyy izz [ixy ixz iyz]."""
     xx, yy, zz, xy, xz, yz = (*(float(v) for v in values), 0.0, 0.0, 0.0)[:6]
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def six(inertia: Matrix) -> tuple[float, ...]:
+def six_components(inertia: Matrix) -> tuple[float, ...]:
     """ixx iyy izz ixy ixz iyz of a (3, 3) tensor."""
     i = inertia
     return tuple(float(v) for v in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
 
 
-def of_point(mass: float, offset: NDArray[np.float64]) -> Matrix:
-    """Inertia of a point mass at ``offset`` [m]: m (r.r 1 - r r^T)."""
+def point_inertia(mass: float, offset: NDArray[np.float64]) -> Matrix:
+    """(3, 3) inertia of a point mass [kg] at ``offset`` (3,) [m]: m (r.r 1 - r r^T), kg*m^2."""
     return np.asarray(mass * (offset @ offset * np.eye(3) - np.outer(offset, offset)))
 
 
 def violation(inertia: Matrix) -> float:
-    """How far the triangle inequality is broken, as a share of the largest moment; 0 if it holds.
+    """Violation of the triangle inequality as a fraction of the largest moment; 0 where it holds.
 
-    It holds to the last digits: :func:`write` closes those.
+    Violations below ``LAST_DIGITS`` count as 0; :func:`write` corrects them.
 
-    The second moments tr(I)/2 - I_k of a mass that is nowhere negative are not negative
-    (Wensing, Kim, Slotine, "Linear matrix inequalities for physically consistent inertial
+    The second moments tr(I)/2 - I_k of a mass distribution that is nowhere negative are not
+    negative (Wensing, Kim, Slotine, "Linear matrix inequalities for physically consistent inertial
     parameter identification", 2018).
     """
     moments = np.linalg.eigvalsh(inertia)
@@ -51,21 +52,21 @@ def violation(inertia: Matrix) -> float:
 
 
 def consistent(inertia: Matrix, floor: float = 0.0) -> Matrix:
-    """The inertia with no negative second moment, and moments of at least ``floor``.
+    """Nearest consistent inertia (3, 3): no negative second moment, moments of at least ``floor``.
 
-    The largest moment of a broken triangle stays and the other two grow until it closes.
+    The largest moment stays, and the other two grow until the triangle inequality holds.
     """
     moments, axes = np.linalg.eigh(inertia)
     second = np.maximum(moments.sum() / 2 - moments, 0.0)
-    # A hair inside, which the nine digits that twin.yaml states of it do not lose.
+    # A margin of 1e-7, so that the nine digits written to twin.yaml remain consistent.
     second = np.maximum(second, 1e-7 * second.max() + floor / 2)
     return np.asarray(axes @ np.diag(second.sum() - second) @ axes.T)
 
 
-def _closed(moments: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Moments (3,) of which the largest is no more than the sum of the others, as floats add.
+def _with_triangle_inequality(moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Moments (3,) whose triangle inequality also holds in floating-point arithmetic.
 
-    MuJoCo compares to the last digit: 0.1 + 0.7 < 0.8 would refuse a flat plate.
+    MuJoCo compares without a tolerance: for a flat plate, 0.1 + 0.7 < 0.8 would be refused.
     """
     small, middle, large = np.argsort(moments)
     gap = moments[large] - (moments[small] + moments[middle])
@@ -78,7 +79,14 @@ def _closed(moments: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def write(body: mujoco.MjsBody, mass: float, com: NDArray[np.float64], inertia: Matrix) -> None:
-    """State mass, centre of mass and inertia (body axes, about that centre) on a body's spec."""
+    """Set mass, centre of mass and inertia of a body's spec.
+
+    Args:
+        body: the body.
+        mass: kg.
+        com: (3,) centre of mass in the body's frame, m.
+        inertia: (3, 3) about the centre of mass, body axes, kg*m^2.
+    """
     moments, axes = np.diag(inertia), np.eye(3)
     if np.any(inertia - np.diag(moments)):
         moments, axes = np.linalg.eigh(inertia)
@@ -90,5 +98,5 @@ def write(body: mujoco.MjsBody, mass: float, com: NDArray[np.float64], inertia: 
     body.ipos = com
     body.iquat = quaternion
     body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    body.inertia = _closed(np.maximum(moments, 0.0))
+    body.inertia = _with_triangle_inequality(np.maximum(moments, 0.0))
     body.fullinertia = [np.nan, 0, 0, 0, 0, 0]

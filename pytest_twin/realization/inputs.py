@@ -1,4 +1,4 @@
-"""Where a command to a joint enters a model: which control, and in which scale."""
+"""Map a joint command to the control input of an actuator, with its scale."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import mujoco
 from pytest_twin.errors import SpecError
 from pytest_twin.trial import CommandMode
 
-# As integers: an enum of MuJoCo that stands on the left of == knows no numpy integer.
+# Integers, because a MuJoCo enum on the left of == does not compare with a NumPy integer.
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
@@ -23,14 +23,14 @@ _SETPOINTS: tuple[tuple[CommandMode, int], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class CommandInput:
-    """One control of one actuator of a joint.
+    """One control input of an actuator that drives a joint.
 
     Attributes:
-        mode: what the control is a setpoint of.
+        mode: quantity of the setpoint: ``position``, ``velocity`` or ``effort``.
         control: index into ``ctrl``.
         scale: ``ctrl = scale * command``, the command in rad, rad/s or N*m of the joint (m, m/s
             or N where it slides).
-        actuator: its id.
+        actuator: index of the actuator.
     """
 
     mode: CommandMode
@@ -40,11 +40,11 @@ class CommandInput:
 
 
 def joint_inputs(model: mujoco.MjModel, joint: str) -> list[CommandInput]:
-    """Every control by which a hinge or slide joint takes position, velocity or effort.
+    """All control inputs of a hinge or slide joint for position, velocity or effort.
 
-    An actuator counts where it drives that joint directly. Its force is ``gain * u + b0 +
-    b1 * length + b2 * velocity``, so that ``u = -b1 / gain * length`` is where a position servo
-    rests and ``u = -b2 / gain * velocity`` where a velocity servo does.
+    Only actuators that drive the joint directly are included. The force of an actuator is
+    ``gain * u + b0 + b1 * length + b2 * velocity``. A position servo is therefore at rest for
+    ``u = -b1 / gain * length``, and a velocity servo for ``u = -b2 / gain * velocity``.
     """
     joint_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
     found: list[CommandInput] = []
@@ -59,12 +59,12 @@ def joint_inputs(model: mujoco.MjModel, joint: str) -> list[CommandInput]:
 
 
 def command_input(model: mujoco.MjModel, joint: str, mode: CommandMode) -> CommandInput | None:
-    """The one control by which ``joint`` takes ``mode``.
+    """The control input of ``joint`` for commands of ``mode``.
 
-    None for an effort on a joint without any actuator: it can be applied to the joint itself.
+    None for an effort command of a joint without actuator, which is applied to the joint itself.
 
     Raises:
-        SpecError: the joint has none for this mode, or more than one.
+        SpecError: the joint has no control input for this mode, or more than one.
     """
     inputs = joint_inputs(model, joint)
     fitting = [item for item in inputs if item.mode == mode]
@@ -91,11 +91,16 @@ def command_input(model: mujoco.MjModel, joint: str, mode: CommandMode) -> Comma
 def steady_activation(
     model: mujoco.MjModel, data: mujoco.MjData, actuator: int
 ) -> tuple[int, float] | None:
-    """(index into ``act``, value) that leaves an actuator at rest under ``data.ctrl``.
+    """Steady state of an actuator under ``data.ctrl``: (index into ``act``, value), or None.
 
-    Filters have settled on their control, integrators and rate limits hold where the joint is.
-    Integral terms, currents, temperatures and friction states stay at zero: nothing tells them.
-    ``data`` holds positions and transmission lengths.
+    Filters and rate limits have reached their control, integrators hold the position of the joint.
+    Integral terms, currents, temperatures and friction states stay at zero, because no recording
+    states them.
+
+    Args:
+        model: the model.
+        data: contains positions, transmission lengths and controls.
+        actuator: index of the actuator.
     """
     address = int(model.actuator_actadr[actuator])
     if address < 0:

@@ -1,4 +1,4 @@
-"""Inverse dynamics of a tree of rigid bodies, linear in its inertial parameters (Pinocchio)."""
+"""Inverse dynamics of a rigid-body tree as a regressor of inertial parameters (Pinocchio)."""
 
 from __future__ import annotations
 
@@ -20,26 +20,27 @@ from pytest_twin.realization.rigid import moments
 _PINOCCHIO_ORDER = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 INERTIAL = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
 """Inertial parameters of a link: second moments about the joint's origin [kg*m^2], first moments
-[kg*m], mass [kg], all in the joint's frame. Second moments go first, so that a base parameter is
-called by them where masses are regrouped into it."""
+[kg*m], mass [kg], all in the joint's frame. Second moments come first, so that a base parameter is
+named after them where masses are regrouped into it."""
 _ORDER = np.array([_PINOCCHIO_ORDER.index(name) for name in INERTIAL])
 
 
 class InverseDynamics:
-    """Effort of rigid bodies for a given motion, as a matrix times inertial parameters.
+    """Joint efforts of a rigid-body tree for a given motion: regressor times inertial parameters.
 
-    Joints that are not named stand at the model's reference. A link has the bodies that are fixed
-    to it in it.
+    Joints that are not named stay at the model's reference. Bodies that are fixed to a link belong
+    to the link.
 
     Attributes:
-        joints: (joints,) names, each of one degree of freedom; the order of all columns.
-        links: joints whose links the named joints carry, each of which has 10 parameters.
-        slides: whether each joint is a slide (m, N) and not a hinge (rad, N*m).
-        armature: (joints,) kg*m^2 or kg, as the model states it.
+        joints: (joints,) names, each with one degree of freedom; the order of all columns.
+        links: names of the joints whose links the named joints move; 10 parameters each.
+        slides: (joints,) whether a joint is a slide (m, N) instead of a hinge (rad, N*m).
+        armature: (joints,) armature of the model, kg*m^2 or kg.
 
     Raises:
         SpecError: a joint that the model lacks.
-        ModelError: a joint of more than one degree of freedom, or what Pinocchio cannot express.
+        ModelError: a joint with more than one degree of freedom, or an element that Pinocchio
+            cannot express.
     """
 
     def __init__(self, realization: NamedModel, joints: Sequence[str]) -> None:
@@ -48,7 +49,7 @@ class InverseDynamics:
         self._data = self._model.createData()
         self._neutral = reference.configuration({})
         self.joints = tuple(joints)
-        self._ids = [_one_joint(realization, reference, name) for name in self.joints]
+        self._ids = [_scalar_joint_id(realization, reference, name) for name in self.joints]
         self._offsets = np.array([reference.zero_of(name) for name in self.joints])
         slide = mujoco.mjtJoint.mjJNT_SLIDE
         self.slides = tuple(
@@ -63,33 +64,33 @@ class InverseDynamics:
 
     @property
     def link_ids(self) -> tuple[int, ...]:
-        """Pinocchio's joints of the links."""
+        """Indices of the links' joints in the Pinocchio model."""
         return tuple(self._links)
 
     def bodies_of(self, joint: int) -> list[LinkBody]:
-        """Bodies of the model on the link of one of Pinocchio's joints."""
+        """Bodies of the model that belong to the link of a joint, given by its Pinocchio index."""
         return self._bodies.get(joint, [])
 
     @property
     def parameters(self) -> FloatArray:
-        """(links, 10) inertial parameters that the model states, in the order of ``INERTIAL``."""
+        """(links, 10) inertial parameters of the model, in the order of ``INERTIAL``."""
         stated = [self._model.inertias[i].toDynamicParameters() for i in self._links]
         return np.array(stated)[:, _ORDER]
 
     def regressor(
         self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
-        """(n, joints, links, 10) derivative of each joint's effort by each inertial parameter.
+        """(n, joints, links, 10) derivatives of joint efforts with respect to inertial parameters.
 
         Args:
-            position: (n, joints) rad or m, as the model counts them.
+            position: (n, joints) coordinates of the model, rad or m.
             velocity, acceleration: (n, joints) rad/s, rad/s^2, or m/s, m/s^2.
         """
         model, data = self._model, self._data
         rows = np.array([model.joints[i].idx_v for i in self._ids], dtype=np.intp)
         starts = np.array([10 * (i - 1) for i in self._links], dtype=np.intp)
         columns = (starts[:, None] + _ORDER).ravel()
-        # One look-up for each instant: it costs more than the regressor itself otherwise.
+        # One flat index per instant: separate indexing would take longer than the regressor.
         places = (rows[:, None] * (10 * (model.njoints - 1)) + columns).ravel()
         q = self._configurations(position)
         v, a = np.zeros((2, len(position), model.nv))
@@ -101,7 +102,7 @@ class InverseDynamics:
         return found.reshape(len(position), len(rows), len(self._links), 10)
 
     def _configurations(self, position: FloatArray) -> FloatArray:
-        """(n, nq) Pinocchio's configurations; unbounded hinges are cosine and sine."""
+        """(n, nq) configurations of Pinocchio, which has cosine and sine for unbounded hinges."""
         found = np.tile(self._neutral, (len(position), 1))
         for value, joint in zip((position - self._offsets).T, self._ids, strict=True):
             one = self._model.joints[joint]
@@ -115,14 +116,15 @@ class InverseDynamics:
 def body_patches(
     dynamics: InverseDynamics, parameters: FloatArray
 ) -> dict[str, dict[str, float | tuple[float, ...]]]:
-    """Body -> ``mass`` [kg], ``com`` [m], ``inertia`` (6,) [kg*m^2], as a twin's fit states them.
+    """Body -> ``mass`` [kg], ``com`` (3,) [m], ``inertia`` (6,) [kg*m^2], in the form of a fit.
 
-    The bodies that are fixed to a link keep what the model states; the largest one takes up the
-    rest, or all of it where the rest alone could be no body.
+    The heaviest body of a link gets the change of the link's parameters; the other bodies keep
+    their values. If that body would not be physically consistent, it gets all parameters of the
+    link, and the other bodies get zero mass.
 
     Args:
-        dynamics: of the model.
-        parameters: (links, 10) of whole links, in the order of ``INERTIAL``; each one a body's.
+        dynamics: inverse dynamics of the model.
+        parameters: (links, 10) of links, in the order of ``INERTIAL``; physically consistent.
     """
     found: dict[str, dict[str, float | tuple[float, ...]]] = {}
     for at, stated, new in zip(dynamics.link_ids, dynamics.parameters, parameters, strict=True):
@@ -146,7 +148,9 @@ def _is_body(parameters: FloatArray) -> bool:
 
 
 def pseudo_inertia(parameters: FloatArray) -> FloatArray:
-    """(4, 4) of (10,) in Pinocchio's order; positive definite for every real body.
+    """(4, 4) pseudo-inertia matrix of (10,) parameters; positive definite for every real body.
+
+    The parameters are in the order of Pinocchio.
 
     Wensing, Kim, Slotine, IEEE RA-L 3 (2018), eq. 9.
     """
@@ -169,17 +173,18 @@ def _patch(parameters: FloatArray, placement: pin.SE3) -> dict[str, float | tupl
     return {
         "mass": float(own.mass),
         "com": tuple(float(v) for v in own.lever),
-        "inertia": inertia.six(np.asarray(own.inertia)),
+        "inertia": inertia.six_components(np.asarray(own.inertia)),
     }
 
 
 @dataclass(frozen=True)
 class LinkBody:
-    """A body of the model on the link that a joint moves.
+    """A body of the model that belongs to a link.
 
     Attributes:
-        placement: of the body in the joint's frame.
-        parameters: (10,) in the joint's frame, in Pinocchio's order.
+        name: its name.
+        placement: pose of the body in the joint's frame.
+        parameters: (10,) inertial parameters in the joint's frame, in Pinocchio's order.
     """
 
     name: str
@@ -201,7 +206,7 @@ def _bodies_of(realization: NamedModel, reference: Reference) -> dict[int, list[
     return found
 
 
-def _one_joint(realization: NamedModel, reference: Reference, name: str) -> int:
+def _scalar_joint_id(realization: NamedModel, reference: Reference, name: str) -> int:
     if name not in reference.joints:
         raise SpecError(
             f"the model has no joint {name!r}",

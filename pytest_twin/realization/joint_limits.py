@@ -1,4 +1,4 @@
-"""What a model states of a joint's range and of the effort that its drives may apply."""
+"""Range and effort limits of joints."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
 
 
 def model_range(model: mujoco.MjModel, index: int) -> list[float] | None:
-    """Stops of a joint, rad or m; None where it has none."""
+    """(lower, upper) limit of a joint, rad or m; None where it is unlimited."""
     return model.jnt_range[index].tolist() if model.jnt_limited[index] else None
 
 
 def drivers_of(realization: Realization, joint: str) -> list[str]:
-    """Actuators whose transmission is the joint alone."""
+    """Named actuators that drive this joint and no other."""
     driven = realization.structure.actuator_joints
     return [name for name in realization.actuators if driven.get(name) == (joint,)]
 
 
 def model_effort(realization: Realization, joint: str) -> list[float] | None:
-    """Least and greatest generalized force (N*m or N) that the model lets actuators apply.
+    """Smallest and largest generalized force that actuators can apply to a joint, N*m or N.
 
-    Force ranges of the actuators through their gears, within the joint's own; None where
-    neither is limited.
+    It is the sum of the actuators' force ranges times gear, within the force range of the joint.
+    None where neither is limited.
     """
     model = realization.model
     index = realization.joint_index(joint)
@@ -47,7 +47,7 @@ def model_effort(realization: Realization, joint: str) -> list[float] | None:
 
 
 def _driver_indices(realization: Realization, joint: str) -> list[int]:
-    """Actuators whose transmission is the joint alone, those without a name too."""
+    """Indices of actuators that drive this joint and no other, including unnamed ones."""
     from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
 
     model = realization.model

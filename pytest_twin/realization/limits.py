@@ -1,4 +1,4 @@
-"""Bounds on models: what is larger is no robot but a mistake or an attack."""
+"""Size limits of models; a larger model is an error or an attack."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ModelLimits:
-    """Bounds that hold before a simulator sees anything of a model.
+    """Size limits that are checked before a simulator loads a model.
 
     Attributes:
-        elements: elements after includes and repetitions are counted out.
-        link_depth: links of a URDF one below the other. An MJCF nests its bodies, and XML readers
-            stop at 256 levels; MuJoCo's compiler refuses 1024 and crashes on some thousands.
-        audited_link_depth: the same for an audit, which needs no compiled model.
-        include_files: files spliced into one model.
-        include_depth: files that include files that include.
-        nested_models: depth of models that attach models.
-        asset_bytes: size of one mesh, texture, height field or skin file.
-        total_asset_bytes: size of all of them.
-        mesh_faces: triangles of one mesh.
-        total_mesh_faces: triangles of all meshes.
-        image_pixels: pixels of one image, or cells of one height field.
+        elements: number of elements, with includes and repetitions expanded.
+        link_depth: depth of the kinematic tree of a URDF. XML readers stop at 256 levels, MuJoCo's
+            compiler refuses 1024 levels and crashes at some thousands.
+        audited_link_depth: the same for an audit, which does not compile the model.
+        include_files: number of files included by one model.
+        include_depth: depth of nested includes.
+        nested_models: depth of nested attached models.
+        asset_bytes: size of one mesh, texture, height field or skin file, bytes.
+        total_asset_bytes: total size of these files, bytes.
+        mesh_faces: number of triangles of one mesh.
+        total_mesh_faces: number of triangles of all meshes.
+        image_pixels: number of pixels of one image, or of cells of one height field.
         samples: length of one delay buffer, user array or numeric.
-        memory_bytes: arena that a model may ask for.
+        memory_bytes: size of the memory arena that a model requests, bytes.
     """
 
     elements: int = 100_000

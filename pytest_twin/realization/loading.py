@@ -1,4 +1,4 @@
-"""From a file to a realization: MJCF or URDF, checked before any loader sees it."""
+"""Load a model file (MJCF, URDF or an installed format) as a realization, after checking it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pytest_twin.realization.source import Source
 from pytest_twin.twin import USD_SUFFIXES, Fit, Simulator, Twin, effects_file_next_to
 
 
-# A public function whose arguments are given by keyword.
+# All arguments but the first are keywords of a public function.
 def load(  # noqa: PLR0913
     path: Path,
     *,
@@ -36,33 +36,34 @@ def load(  # noqa: PLR0913
     limits: ModelLimits = LIMITS,
     simulator: Simulator = "mujoco",
 ) -> Realization:
-    """Load an MJCF or URDF file, or one of a format that an installed package turns into MJCF.
+    """Load an MJCF or URDF file, or a file that an installed package converts to MJCF.
 
     Args:
-        path: the file; what it is, its root element says.
-        twin: the twin that it belongs to: its fit is applied, its roots hold. A model that a
-            diagnosis wrote has the fit and the base's pose in it.
-        name: the realization's name.
-        roots: folders that references may lead into; by default the twin's, else the root of the
-            model, which :func:`pytest_twin.realization.files.locate` chooses.
-        search: folders that the user names beside these.
-        located: where the files may lie, where that is known already.
-        accept_invalid_inertia: of a URDF, repair inertias that no body can have and note it,
-            rather than raise; ``source.inertia_repairs`` then holds what a twin's fit can state.
-        shapes: of a URDF, with the collision shapes. Without them its meshes need not be there;
-            what moves in contact with nothing moves the same.
-        limits: bounds on what may be loaded.
-        simulator: what steps it. ``newton`` takes a USD stage; fit, controllers and payloads then
-            change an MJCF of the stage, whose masses, joints and drives Newton gets.
+        path: the file; its root element determines the format.
+        twin: the twin that it belongs to. Its fit and base pose are applied, except to a model that
+            a diagnosis wrote, which contains them.
+        name: name of the realization.
+        roots: folders that referenced files may be in; by default those of the twin, or the root
+            of the model that :func:`pytest_twin.realization.files.locate` chooses.
+        search: further folders from the user.
+        located: result of :func:`pytest_twin.realization.files.locate`, if it is known.
+        accept_invalid_inertia: URDF: whether to repair inertias that are not physically consistent
+            and add a note, instead of raising an error; ``source.inertia_repairs`` then has them.
+        shapes: URDF: whether to load the collision shapes. Without them the mesh files are not
+            needed, and motion without contact is the same.
+        limits: size limits.
+        simulator: simulator that steps the model. ``newton`` needs a USD stage; fit, controllers
+            and payloads then change an MJCF of the stage, and Newton gets its masses, joints and
+            drives.
 
     Raises:
         NewtonMissingError, UsdMissingError: an extra that a USD stage needs is not installed.
-        FormatError: not well-formed XML, or beyond a bound.
-        PathError: a reference that leaves the roots or leads nowhere.
-        ModelError: no model that could be simulated.
-        SpecError: the fit names what the model lacks.
+        FormatError: not well-formed XML, or larger than a limit.
+        PathError: a referenced file does not exist or is outside the roots.
+        ModelError: the model cannot be simulated.
+        SpecError: the fit names an element that the model lacks.
     """
-    # Its folder without links, as the roots have it; a link in place of the file is refused.
+    # Links are resolved in the folder, as in the roots; a link in place of the file is refused.
     path = path.parent.resolve() / path.name
     effects = effects_file_next_to(path)
     fit = None if twin is None or effects is not None else twin.fit
@@ -78,7 +79,7 @@ def load(  # noqa: PLR0913
     if tag not in ("mujoco", "robot"):
         raise ModelError("not a robot model", path=path, value=tag, expected="<mujoco> or <robot>")
     if text is not None and twin is None:
-        # Its root cannot be chosen by the files that it names: only the package knows its syntax.
+        # The root cannot be chosen from the referenced files: only the package can read them.
         roots = roots or Roots(path.parent)
     located = located or locate(path, search=search, twin=twin, roots=roots, limits=limits)
     if tag == "mujoco":

@@ -1,4 +1,4 @@
-"""Many simulations, one step at a time, with something to say between the steps."""
+"""Step a batch of simulations, with a callback before each step."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from collections.abc import Callable
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-# Steps between two looks at which rows diverged.
-_LOOK = 8
+# Steps between two checks for diverged rows.
+_STEPS_PER_CHECK = 8
 
 
 def lockstep(batch: Batch, steps: int, before: Callable[[int], None]) -> None:
-    """Step a batch ``steps`` times, calling ``before(k)`` ahead of step ``k``.
+    """Step a batch ``steps`` times, and call ``before(k)`` before step ``k``.
 
-    A row that diverged (``batch.warning`` counts) is not stepped on: the engine would start it anew
-    at every step, at several times the cost of one. Its state is worth nothing from there; where no
-    other is left, the rest of the steps is not taken.
+    A row that diverged (``batch.warning`` counts it) is not stepped further, because MuJoCo would
+    reset it at every step, at several times the cost of a step. Its state is invalid from then on.
+    The function returns early when all rows have diverged.
     """
-    sound = None
+    valid_rows = None
     for k in range(steps):
         before(k)
-        # Rows that raise keep their state, and the others go on.
+        # A row that raises keeps its state, and the other rows are stepped.
         with contextlib.suppress(SimulationError):
-            batch.step(sound)
-        if k % _LOOK == 0:
-            lost = batch.warning[:, :, 1].any(axis=1)
-            if lost.any():
-                sound = np.flatnonzero(~lost)
-                if not len(sound):
+            batch.step(valid_rows)
+        if k % _STEPS_PER_CHECK == 0:
+            diverged = batch.warning[:, :, 1].any(axis=1)
+            if diverged.any():
+                valid_rows = np.flatnonzero(~diverged)
+                if not len(valid_rows):
                     break

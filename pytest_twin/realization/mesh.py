@@ -1,4 +1,4 @@
-"""Triangles from STL, OBJ, PLY, COLLADA and glTF files, in metres, bounded."""
+"""Read triangles from STL, OBJ, PLY, COLLADA and glTF files, in m, with size limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Vertices = NDArray[np.float64]
 Faces = NDArray[np.int32]
 SUFFIXES = (".stl", ".obj", ".ply", ".dae", *gltf.SUFFIXES)
 _STL_HEAD, _STL_TRIANGLE = 84, 50
-"""Bytes of a binary STL."""
+"""Bytes of the header and of one triangle in a binary STL file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Triangles:
     Attributes:
         vertices: (n, 3) in m.
         faces: (m, 3) indices, counter-clockwise seen from outside.
-        up_axis: what a COLLADA file names so, ``Y_UP`` of glTF, ``Z_UP`` otherwise.
+        up_axis: up axis that a COLLADA file states, ``Y_UP`` for glTF, ``Z_UP`` otherwise.
     """
 
     vertices: Vertices
@@ -39,13 +39,13 @@ class Triangles:
     up_axis: str = "Z_UP"
 
     def scaled(self, scale: NDArray[np.float64]) -> Triangles:
-        """Scaled per axis; a mirror turns the faces around so that they still look out."""
+        """Scale the mesh per axis, (3,); a mirrored mesh keeps outward-facing triangles."""
         faces = self.faces if np.prod(scale) > 0 else self.faces[:, ::-1]
         return Triangles(self.vertices * scale, faces, self.up_axis)
 
     @property
     def principal_axes(self) -> Vertices:
-        """(3, 3) right-handed columns, from the thinnest direction to the longest."""
+        """(3, 3) principal axes as right-handed columns, from the thinnest to the longest."""
         centred = self.vertices - self.vertices.mean(axis=0)
         _, axes = np.linalg.eigh(centred.T @ centred)
         axes[:, 2] *= np.sign(np.linalg.det(axes))
@@ -53,15 +53,15 @@ class Triangles:
 
     @property
     def thickness(self) -> float:
-        """Extent along the thinnest principal direction, in m."""
+        """Extent along the thinnest principal axis, m."""
         return float(np.ptp(self.vertices @ self.principal_axes[:, 0]))
 
 
 def files_of(path: Path, limits: ModelLimits) -> list[Path]:
-    """The mesh file, and the files beside it that hold its numbers.
+    """The mesh file, and the buffer files that it refers to.
 
     Raises:
-        TwinError: one that is not there, or outside the folder.
+        TwinError: a buffer file does not exist or is outside the folder.
     """
     return [
         path,
@@ -72,11 +72,11 @@ def files_of(path: Path, limits: ModelLimits) -> list[Path]:
 def read(path: Path, limits: ModelLimits) -> Triangles:
     """Read a mesh file.
 
-    COLLADA's unit is applied, and no up axis is: ROS tools show such meshes with the axes
-    that their vertices have.
+    The unit of a COLLADA file is applied, its up axis is not: ROS tools also show the vertices
+    without a rotation.
 
     Raises:
-        FormatError: not what its suffix says, without triangles, or with vertices that are not
+        FormatError: not the format of its suffix, without triangles, or with vertices that are not
             finite.
         LimitError: too many bytes or triangles.
     """
@@ -89,14 +89,14 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
             triangles = _collada(data, path)
         elif suffix in gltf.SUFFIXES:
             vertices, faces = gltf.triangles(data, path, limits)
-            vertices, inverse = _merged(vertices)
+            vertices, inverse = _distinct_vertices(vertices)
             triangles = Triangles(vertices, inverse[faces].astype(np.int32), gltf.UP_AXIS)
         else:
             triangles = _trimesh(data, path)
     except (TwinError, MemoryError):
         raise
     except Exception as error:
-        # The parsers of meshes raise whatever a broken file leads them to.
+        # The mesh parsers raise various exceptions for an invalid file.
         words = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise FormatError(f"broken {suffix[1:].upper()} mesh: {words}", path=path) from None
     if not len(triangles.faces):
@@ -140,24 +140,24 @@ def _trimesh(data: bytes, path: Path) -> Triangles:
 
     kind = path.suffix.lower()[1:]
     loaded: Any = trimesh.load(
-        io.BytesIO(_readable(data, path)),
+        io.BytesIO(_parser_input(data, path)),
         file_type=kind,
         force="mesh",
         process=False,
         skip_materials=True,
     )
     every: Vertices = np.asarray(loaded.vertices, dtype=np.float64)
-    vertices, inverse = _merged(every)
+    vertices, inverse = _distinct_vertices(every)
     return Triangles(vertices, inverse[np.asarray(loaded.faces)].astype(np.int32))
 
 
-def _readable(data: bytes, path: Path) -> bytes:
-    """Binary STL and PLY as they are, text in UTF-8.
+def _parser_input(data: bytes, path: Path) -> bytes:
+    """Content of a mesh file for the parser: binary data unchanged, text as UTF-8.
 
-    Names in it may be in any encoding, and none is used.
+    Names in a text file may be in any encoding; they are not used.
 
     Raises:
-        FormatError: an STL that is neither.
+        FormatError: an STL file that is neither text nor complete binary data.
     """
     if path.suffix.lower() == ".ply":
         return data
@@ -175,12 +175,12 @@ def _readable(data: bytes, path: Path) -> bytes:
     return data.decode("utf-8", "replace").encode("utf-8")
 
 
-def _merged(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:
-    """Each place once, and where each vertex went: STL states a corner in every triangle."""
+def _distinct_vertices(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:
+    """Distinct vertices, and the new index of each vertex; STL repeats the corners of triangles."""
     if vertices.ndim != 2:
         return vertices, np.arange(len(vertices))
     bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
-    # Sorting one number a row is ten times faster than sorting rows.
+    # Sorting one hash per row is ten times faster than sorting rows.
     keys = (
         bits
         * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)[
@@ -197,10 +197,10 @@ def _merged(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:
 def _collada(data: bytes, path: Path) -> Triangles:
     import collada
 
-    # Bounds, and no DTD, before a parser that would follow one.
+    # The size limits and the ban of DTDs are checked first, because pycollada would load a DTD.
     xml.parse_bytes(data, path)
     with warnings.catch_warnings():
-        # pycollada still builds numpy matrices.
+        # pycollada uses the deprecated numpy.matrix.
         warnings.simplefilter("ignore", PendingDeprecationWarning)
         return _collada_triangles(collada.Collada(io.BytesIO(data), ignore=[collada.DaeError]))
 

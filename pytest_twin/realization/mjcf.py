@@ -1,7 +1,7 @@
-"""MJCF, read and checked as text before MuJoCo sees any of it.
+"""Read and check an MJCF file before MuJoCo parses it.
 
-Includes are spliced in here and every referenced file is read here, through the declared roots;
-MuJoCo gets one document and the files' bytes, and so never opens a path.
+This module inserts the includes and reads all referenced files, inside the declared root folders.
+MuJoCo gets one document and the content of the files, so that it never opens a path.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from pytest_twin.realization.node import Node
 
 @dataclass(slots=True)
 class Document:
-    """A whole model: one tree, and the bytes of every file that it refers to.
+    """A complete model: the tree of elements, and the content of all referenced files.
 
     Attributes:
-        root: the ``mujoco`` element with every include spliced in.
-        assets: name that MuJoCo asks for -> bytes of a mesh, texture or other asset.
-        models: name that MuJoCo's parser asks for -> an attached model, the file of a flexcomp.
-        asset_paths: the same name -> a file that the bytes were read from.
-        files: every file that was read, those of equal bytes too.
+        root: the ``mujoco`` element with all includes inserted.
+        assets: name in the document -> content of a mesh, texture or other asset.
+        models: name in the document -> content of an attached model or of a flexcomp's file.
+        asset_paths: name in the document -> a file with this content.
+        files: all files that were read.
     """
 
     root: Node
@@ -45,10 +45,10 @@ class Document:
     asset_paths: dict[str, Path] = field(default_factory=dict)
     files: set[Path] = field(default_factory=set)
     places: list[tuple[Path, int]] = field(default_factory=list)
-    """Place that each line of :meth:`text` was read from."""
+    """File and line from which each line of :meth:`text` was read."""
 
     def text(self) -> str:
-        """The model as one document, one element a line."""
+        """The model as one document, with one element per line."""
         lines: list[str] = []
         self.places.clear()
         _write(self.root, lines, self.places)
@@ -69,53 +69,53 @@ def _write(node: Node, lines: list[str], places: list[tuple[Path, int]]) -> None
 def read(
     path: Path, roots: Roots, *, text: bytes | None = None, limits: ModelLimits = LIMITS
 ) -> Document:
-    """Read an MJCF file and everything that it refers to.
+    """Read an MJCF file and all files that it refers to.
 
     Args:
         path: the file.
-        roots: folders that references may lead into.
-        text: the MJCF that replaces the file, where that is of another format.
-        limits: bounds on what may be read.
+        roots: folders that referenced files may be in.
+        text: MJCF that replaces the content of a file of another format.
+        limits: size limits.
 
     Raises:
-        FormatError: not well-formed, or beyond a bound.
-        PathError: a reference that leaves the roots or leads nowhere.
-        ModelError: a value that no model may have, or two assets of one name.
+        FormatError: not well-formed, or larger than a limit.
+        PathError: a referenced file does not exist or is outside the roots.
+        ModelError: an invalid value, or two assets with one name.
     """
     return _Reader(roots, limits).document(path, depth=0, text=text)
 
 
 def read_tree(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Node:
-    """The ``mujoco`` element with every include spliced in; no other file is opened.
+    """Read the ``mujoco`` element with all includes inserted; no other file is opened.
 
     Raises:
-        FormatError: not well-formed, or beyond a bound.
-        PathError: an include that leaves the roots or leads nowhere.
+        FormatError: not well-formed, or larger than a limit.
+        PathError: an included file does not exist or is outside the roots.
     """
     return _Reader(roots, limits).tree(path)
 
 
 def check_values(node: Node, *, limits: ModelLimits = LIMITS) -> None:
-    """Refuse values in an element and below it that no model may have.
+    """Refuse invalid values in an element and its descendants.
 
     Raises:
-        ModelError: not finite, negative, or without measure.
-        LimitError: beyond a bound.
+        ModelError: a value that is not finite or negative, or a plugin.
+        LimitError: larger than a limit.
     """
     _Reader(Roots(node.path.parent), limits).check(node, 1.0)
 
 
 def asset_name(node: Node) -> str:
-    """The name of a mesh, texture or other asset: its own, or else that of its file."""
+    """Name of a mesh, texture or other asset; the name of its file where none is stated."""
     file = node.attributes.get("file", "").replace("\\", "/")
     return node.attributes.get("name") or Path(file).stem
 
 
 def named_files(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> set[Path]:
-    """Absolute path of every file that a model names, as written: no link is followed.
+    """Absolute paths of all files that a model refers to, without following links.
 
-    Only XML is read: the model, and what it includes or attaches inside ``roots``. What is wrong
-    with it is left for :func:`read` to say.
+    Only XML files are read: the model, and files inside ``roots`` that it includes or attaches.
+    Errors are ignored, because :func:`read` reports them.
     """
     named: set[Path] = set()
     waiting = [path]
@@ -135,7 +135,7 @@ def named_files(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> se
 
 
 def build(document: Document) -> mujoco.MjSpec:
-    """Hand a checked document to MuJoCo.
+    """Parse a checked document with MuJoCo.
 
     Raises:
         ModelError: MuJoCo's parser refuses it.
@@ -148,7 +148,7 @@ def build(document: Document) -> mujoco.MjSpec:
 
 
 def compiled(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """The compiled model, and the compiler's warnings in its own words."""
+    """Compile a spec; the model, and the compiler's warnings, one line each."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         model = spec.compile()
@@ -156,11 +156,13 @@ def compiled(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, tuple[str, ...]]:
 
 
 def translate(error: Exception, path: Path, places: Sequence[tuple[Path, int]] | None) -> TwinError:
-    """MuJoCo's words, with the place that the line number in them means.
+    """Convert an error of MuJoCo to one with the file and line of the model.
 
     Args:
-        places: file and line of each line that MuJoCo was given; None where its line numbers are
-            those of ``path``.
+        error: error of MuJoCo.
+        path: the model file.
+        places: file and line of each line of the document that MuJoCo got; None where its line
+            numbers are those of ``path``.
     """
     words = " ".join(str(error).split())
     line = None
@@ -175,7 +177,7 @@ def translate(error: Exception, path: Path, places: Sequence[tuple[Path, int]] |
     return kind(f"MuJoCo refuses the model: {words}", path=path, line=line)
 
 
-# Where a file attribute is looked up: the compiler's directory that goes in front.
+# Elements whose files are in the compiler's mesh folder, and attributes in the texture folder.
 _MESH_FILES = frozenset({"mesh", "hfield", "skin", "flexcomp"})
 _TEXTURE_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 _SUFFIXES = {
@@ -185,7 +187,7 @@ _SUFFIXES = {
     "flexcomp": (".stl", ".obj", ".msh", ".gmsh"),
     "texture": (".png", ".ktx", ".bin", ""),
 }
-# Attributes that hold names or words, where 'nan' is no number.
+# Attributes with names or words, in which 'nan' is not a number.
 _NAMES = frozenset(
     [
         "name",
@@ -238,9 +240,9 @@ _BOUNDED = ("nsample", "size", "nconmax", "njmax", "nkey", "nuserdata", "nstack"
 
 
 def _references(root: Node) -> Iterator[tuple[Node, str, Path]]:
-    """Each element that names a file, its attribute, and the file's absolute path as written.
+    """Yield each element that refers to a file, the attribute, and the file's absolute path.
 
-    The folders that ``<compiler>`` puts in front are taken out of it: they are in the path.
+    The folders in ``<compiler>`` are removed from the element, because the paths contain them.
     """
     mesh_folder, texture_folder, strip = "", "", False
     for compiler in root.all("compiler"):
@@ -269,7 +271,7 @@ def _references(root: Node) -> Iterator[tuple[Node, str, Path]]:
                 yield node, key, base / mesh_folder / reference
             else:
                 raise node.error(
-                    "no file may stand here",
+                    "no file is allowed here",
                     key,
                     value=reference,
                     expected="no such attribute; remove it",
@@ -283,13 +285,13 @@ class _Reader:
         self.files = 0
         self.read: set[Path] = set()
         self.included: set[Path] = set()
-        """Includes as they are written: no link followed."""
+        """Paths of included files as written, without following links."""
         self.elements = 0.0
         self.bytes = 0
         self.faces = 0
 
     def tree(self, path: Path, text: bytes | None = None) -> Node:
-        """The elements of a file, includes spliced in."""
+        """The elements of a file, with includes inserted."""
         root = self._tree(path, path.parent, (path,), text)
         if root.tag != "mujoco":
             raise root.error("not an MJCF model", value=root.tag, expected="the root <mujoco>")
@@ -300,7 +302,7 @@ class _Reader:
         document = Document(root)
         self.check(root, 1.0)
         self._check_asset_names(root)
-        self._take_files(document, depth)
+        self._read_files(document, depth)
         document.files = self.read
         return document
 
@@ -318,15 +320,15 @@ class _Reader:
             )
         self.read.add(path)
         element = xml.parse(path) if text is None else xml.parse_bytes(text, path)
-        return self._splice(element, path, main, chain)
+        return self._with_includes(element, path, main, chain)
 
-    def _splice(self, element: Any, path: Path, main: Path, chain: tuple[Path, ...]) -> Node:
+    def _with_includes(self, element: Any, path: Path, main: Path, chain: tuple[Path, ...]) -> Node:
         node = Node(element.tag, dict(element.attrib), path, element.sourceline or 1)
         for child in element:
             if not isinstance(child.tag, str):
                 continue
             if child.tag != "include":
-                node.children.append(self._splice(child, path, main, chain))
+                node.children.append(self._with_includes(child, path, main, chain))
                 continue
             line = child.sourceline or 1
             reference = child.get("file")
@@ -352,10 +354,10 @@ class _Reader:
         return node
 
     def _resolve(self, reference: str, folders: tuple[Path, ...], path: Path, line: int) -> Path:
-        """The first of the folders that has the file; each candidate is checked on its own."""
+        """Path of the file in the first folder that contains it."""
         candidate = folders[-1] / reference
         for folder in folders[:-1]:
-            # lstat alone: whether something stands there decides nothing that is read.
+            # Only the existence is tested here; the chosen path is checked below.
             if (folder / reference).is_symlink() or (folder / reference).exists():
                 candidate = folder / reference
                 break
@@ -364,14 +366,14 @@ class _Reader:
 
     # -- referenced files
 
-    def _take_files(self, document: Document, depth: int) -> None:
+    def _read_files(self, document: Document, depth: int) -> None:
         for node, key, path in _references(document.root):
             if node.tag == "model":
-                self._take_model(document, node, path, depth)
+                self._read_attached_model(document, node, path, depth)
             else:
-                self._take_asset(document, node, key, path)
+                self._read_asset(document, node, key, path)
 
-    def _take_model(self, document: Document, node: Node, file: Path, depth: int) -> None:
+    def _read_attached_model(self, document: Document, node: Node, file: Path, depth: int) -> None:
         if depth >= self.limits.nested_models:
             raise LimitError(
                 "models nested too deep",
@@ -392,7 +394,7 @@ class _Reader:
         node.attributes["file"] = name
         node.attributes.pop("content_type", None)
 
-    def _take_asset(self, document: Document, node: Node, key: str, file: Path) -> None:
+    def _read_asset(self, document: Document, node: Node, key: str, file: Path) -> None:
         path = self.roots.resolve(str(file), at=node.path, line=node.line)
         suffix = path.suffix
         if suffix.lower() not in _SUFFIXES[node.tag]:
@@ -417,11 +419,11 @@ class _Reader:
             )
         content = path.read_bytes()
         self._check_content(node, key, suffix.lower(), content)
-        # Named by content: equal files are one, and MuJoCo's cache cannot mix two of one name.
+        # The name is a digest of the content, so that MuJoCo's cache cannot confuse two files.
         name = hashlib.sha256(content).hexdigest()[:24] + suffix
         document.assets[name] = content
         if node.tag == "flexcomp":
-            # MuJoCo's parser expands it, and reads nothing but the files that are included.
+            # MuJoCo's parser expands a flexcomp and finds its file only among the included ones.
             document.models[name] = content
         document.asset_paths[name] = path
         self.read.add(path)
@@ -467,7 +469,7 @@ class _Reader:
 
     @staticmethod
     def _check_asset_names(root: Node) -> None:
-        """Refuse a second asset of one name, before a file of either is looked for."""
+        """Refuse two assets with one name, before their files are read."""
         first: dict[tuple[str, str], Node] = {}
         for section in root.all("asset"):
             for node in section.children:
@@ -480,7 +482,7 @@ class _Reader:
                     )
 
     def check(self, node: Node, repeated: float) -> None:
-        """Refuse what is not finite, negative, or without measure. ``repeated``: copies of node."""
+        """Refuse invalid values and too many elements; ``repeated`` is the number of copies."""
         if node.tag == "plugin" or node.tag == "extension":
             raise node.error(
                 "plugins are native code and are not loaded",
@@ -498,7 +500,7 @@ class _Reader:
                     expected="finite numbers",
                 )
         for key in _NOT_NEGATIVE:
-            # Damping may be a polynomial: its first, linear, term decides at rest.
+            # Damping may be a polynomial; only its first, linear, term must not be negative.
             values = numbers.get(key, ())[: 1 if key == "damping" else None]
             if any(value < 0 for value in values):
                 raise node.error("negative", key, value=node.attributes[key], expected="0 or more")
@@ -532,7 +534,7 @@ class _Reader:
                 continue
             if any(abs(value) > self.limits.samples for value in numbers[key]):
                 raise LimitError(
-                    "out of all proportion",
+                    "too large",
                     path=node.path,
                     line=node.line,
                     where=f"{node.label}.{key}",
@@ -543,7 +545,7 @@ class _Reader:
             cells = math.prod(v for key in keys for v in numbers.get(key, (1.0,)))
             if abs(cells) > self.limits.image_pixels:
                 raise LimitError(
-                    "out of all proportion",
+                    "too large",
                     path=node.path,
                     line=node.line,
                     where=f"{node.label}.{keys[0]}",
@@ -568,7 +570,7 @@ class _Reader:
 
 
 def _numbers(text: str) -> tuple[float, ...]:
-    """The numbers of an attribute, or none if it is not a list of numbers."""
+    """The numbers of an attribute; empty if it is not a list of numbers."""
     try:
         return tuple(float(token) for token in text.split())
     except ValueError:

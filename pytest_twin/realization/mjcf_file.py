@@ -1,4 +1,4 @@
-"""A spec as a file that MuJoCo loads on its own: every digit of it, meshes beside it."""
+"""Write a MuJoCo spec as an MJCF file with full precision and with references to mesh files."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ _Element = Any
 
 
 def write(spec: mujoco.MjSpec, path: Path, meshes: Mapping[str, Path]) -> mujoco.MjModel:
-    """Write ``spec`` as MJCF and return the model as MuJoCo loads it from that file.
+    """Write ``spec`` as MJCF, and return the model that MuJoCo loads from the file.
 
-    MuJoCo's own writer keeps six digits; the numbers here are those of the spec.
+    MuJoCo's own writer rounds to six digits; this function writes the full numbers of the spec.
 
     Args:
-        meshes: mesh of the spec -> its file, beside or below ``path``. Its vertices are those of
-            the spec, in metres, as in a normalized asset: the file's own scale is not written.
+        spec: the spec.
+        path: the file to write.
+        meshes: mesh of the spec -> its file, next to ``path`` or below its folder. The vertices in
+            the file are those of the spec, in m, so that no scale is written.
 
     Raises:
         ModelError: MuJoCo refuses the spec.
@@ -44,41 +46,42 @@ def write(spec: mujoco.MjSpec, path: Path, meshes: Mapping[str, Path]) -> mujoco
         return mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, mujoco.FatalError) as error:
         raise ModelError(
-            f"MuJoCo does not load what was written: {' '.join(str(error).split())}", path=path
+            f"MuJoCo does not load the written file: {' '.join(str(error).split())}", path=path
         ) from None
 
 
 def text(spec: mujoco.MjSpec) -> str:
-    """The MJCF of a compiled ``spec``, every number in full."""
+    """The MJCF of a compiled ``spec``, with full precision."""
     root = etree.fromstring(spec.to_xml().encode())
     for element in root.iter("mesh"):
         element.attrib.pop("content_type", "")
     for element in root.iter("body"):
         body = spec.body(element.get("name"))
-        _put(element, pos=body.pos, quat=body.quat)
+        _set_numbers(element, pos=body.pos, quat=body.quat)
         inertial = element.find("inertial")
         if inertial is not None:
-            _put(inertial, quat=body.iquat, diaginertia=body.inertia)
+            _set_numbers(inertial, quat=body.iquat, diaginertia=body.inertia)
             inertial.set("pos", _digits(body.ipos))
             inertial.set("mass", _digits([body.mass]))
-    _each(root, "joint", "worldbody", spec.joint, _joint)
-    _each(root, "geom", "worldbody", spec.geom, _geom)
-    _each(root, "site", "worldbody", spec.site, _place)
-    _each(root, "joint", "equality", spec.equality, _equality)
+    _for_each(root, "joint", "worldbody", spec.joint, _joint)
+    _for_each(root, "geom", "worldbody", spec.geom, _geom)
+    _for_each(root, "site", "worldbody", spec.site, _pose)
+    _for_each(root, "joint", "equality", spec.equality, _equality)
     for kind in ("general", "motor"):
-        _each(root, kind, "actuator", spec.actuator, _actuator)
+        _for_each(root, kind, "actuator", spec.actuator, _actuator)
     etree.indent(root)
     return etree.tostring(root, encoding="unicode") + "\n"
 
 
 def with_exact_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
-    """MuJoCo's text of a ``spec``, with the inertia of every named body in full.
+    """The MJCF of a ``spec`` from MuJoCo's writer, with the full inertia of each named body.
 
-    Six digits may break the triangle inequality of a thin body, and MuJoCo then refuses the file.
+    Rounding to six digits may violate the triangle inequality of a thin body, and MuJoCo then
+    refuses the file.
 
     Args:
-        spec: compiled.
-        model: what it was compiled to.
+        spec: a compiled spec.
+        model: the compiled model.
     """
     root = etree.fromstring(spec.to_xml().encode())
     for element in root.iter("body"):
@@ -86,23 +89,23 @@ def with_exact_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
         if inertial is None or "diaginertia" not in inertial.attrib or not element.get("name"):
             continue
         body = model.body(element.get("name"))
-        _put(inertial, quat=body.iquat, diaginertia=body.inertia)
+        _set_numbers(inertial, quat=body.iquat, diaginertia=body.inertia)
     etree.indent(root)
     return etree.tostring(root, encoding="unicode") + "\n"
 
 
-def _each(root: _Element, tag: str, section: str, find: Any, write_out: Any) -> None:
+def _for_each(root: _Element, tag: str, section: str, find: Any, write_out: Any) -> None:
     for place in root.findall(section):
         for element in place.iter(tag):
             write_out(element, find(element.get("name")))
 
 
-def _place(element: _Element, made: Any) -> None:
-    _put(element, pos=made.pos, quat=made.quat)
+def _pose(element: _Element, made: Any) -> None:
+    _set_numbers(element, pos=made.pos, quat=made.quat)
 
 
 def _geom(element: _Element, made: mujoco.MjsGeom) -> None:
-    _place(element, made)
+    _pose(element, made)
     used = {
         mujoco.mjtGeom.mjGEOM_SPHERE: 1,
         mujoco.mjtGeom.mjGEOM_CAPSULE: 2,
@@ -110,13 +113,13 @@ def _geom(element: _Element, made: mujoco.MjsGeom) -> None:
         mujoco.mjtGeom.mjGEOM_BOX: 3,
     }.get(made.type, 0)
     if used:
-        _put(element, size=made.size[:used])
+        _set_numbers(element, size=made.size[:used])
 
 
 def _joint(element: _Element, made: mujoco.MjsJoint) -> None:
     if made.type == mujoco.mjtJoint.mjJNT_FREE:
         return
-    _put(element, axis=made.axis, range=made.range, actuatorfrcrange=made.actfrcrange)
+    _set_numbers(element, axis=made.axis, range=made.range, actuatorfrcrange=made.actfrcrange)
     if "damping" in element.attrib:
         element.set("damping", _digits([made.damping[0]]))
     if "frictionloss" in element.attrib:
@@ -128,13 +131,16 @@ def _equality(element: _Element, made: mujoco.MjsEquality) -> None:
 
 
 def _actuator(element: _Element, made: mujoco.MjsActuator) -> None:
-    _put(element, ctrlrange=made.ctrlrange, forcerange=made.forcerange)
+    _set_numbers(element, ctrlrange=made.ctrlrange, forcerange=made.forcerange)
     if "gear" in element.attrib:
         element.set("gear", _digits(made.gear))
 
 
-def _put(element: _Element, **values: Iterable[float]) -> None:
-    """State numbers in full; where MuJoCo left an attribute out, it is put where it says more."""
+def _set_numbers(element: _Element, **values: Iterable[float]) -> None:
+    """Set attributes with full precision.
+
+    Absent attributes are added only for a pose or axis that differs from the default.
+    """
     defaults = {"pos": (0, 0, 0), "quat": (1, 0, 0, 0), "axis": (0, 0, 1)}
     for name, value in values.items():
         numbers = [float(number) for number in value]
@@ -150,5 +156,5 @@ def _put(element: _Element, **values: Iterable[float]) -> None:
 
 
 def _digits(values: Iterable[float]) -> str:
-    """The shortest decimals that read back as the same numbers."""
+    """The shortest decimal text that gives the same numbers."""
     return " ".join(repr(float(value)).removesuffix(".0") for value in np.asarray(values))

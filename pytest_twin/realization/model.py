@@ -1,4 +1,4 @@
-"""One simulator's version of a robot."""
+"""A realization: the model of a robot in one simulator."""
 
 from __future__ import annotations
 
@@ -20,15 +20,19 @@ if TYPE_CHECKING:
 
 
 class Realization(NamedModel):
-    """A robot as one simulator has it, its variants, and what others say of the same source."""
+    """The model of a robot in one simulator, with its variants and its Pinocchio reference."""
 
     # -- variants
 
     def variant(self, controller: str | None = None, payload: str | None = None) -> Realization:
-        """The same robot under a controller and with a payload of the twin.
+        """The same robot with a controller and a payload of the twin.
+
+        Args:
+            controller: id of the controller, None for the nominal one.
+            payload: id of the payload, None for none.
 
         Raises:
-            SpecError: the twin has no such id, or it names what the model lacks.
+            SpecError: the twin has no such id, or the model lacks an element that it names.
             ModelError: the result does not compile.
         """
         if controller is None and payload is None:
@@ -79,21 +83,21 @@ class Realization(NamedModel):
 
     @cached_property
     def structure(self) -> Structure:
-        """How it hangs together, for the dependency map."""
+        """Kinematic tree, actuators and couplings, for the dependency map."""
         from pytest_twin.realization.features import reading
 
         return reading.model_structure(self.model, self.name, self.parts)
 
     @cached_property
     def parts(self) -> dict[str, Part]:
-        """Everything that a check can feel, by part id."""
+        """All parts that a check can depend on, by part id."""
         from pytest_twin.realization.features import reading
 
         return reading.parts(self)
 
     @cached_property
     def reference(self) -> Reference:
-        """The same source as Pinocchio computes it."""
+        """The same robot in Pinocchio."""
         from pytest_twin.realization.reference import Reference
 
         return Reference(self)

@@ -1,4 +1,4 @@
-"""Model files of other formats, which installed packages turn into MJCF.
+"""Model files of other formats, which installed packages convert to MJCF.
 
 A format is a class under the entry points ``pytest_twin.model_formats``. The entry point's name is
 the suffix of its files without the dot, in lower case.
@@ -10,21 +10,21 @@ from pathlib import Path
 from typing import Protocol
 
 from pytest_twin.errors import ModelError, TwinError
-from pytest_twin.installed import brought, only_one, package_of, points_by_name
+from pytest_twin.installed import entry_points_by_name, load_plugin, package_of, single_entry_point
 from pytest_twin.twin import MODEL_FORMATS
 
 
 class ModelFormat(Protocol):
-    """Turns a model file of another format into MJCF."""
+    """Converts a model file of another format to MJCF."""
 
     def mjcf(self, path: Path) -> str:
-        """The MJCF of a file; paths in it are relative to the file's folder.
+        """Return the MJCF of a file, with paths relative to the file's folder.
 
-        MuJoCo loads and steps the model, with every check that an MJCF file gets. Lines in errors
-        about the text are lines of the text, not of the file.
+        The MJCF is checked like an MJCF file, and MuJoCo steps the model. Line numbers in errors
+        are those of the returned text, not of the file.
 
         Raises:
-            TwinError: the file holds no such model.
+            TwinError: the file contains no such model.
         """
         ...
 
@@ -36,16 +36,16 @@ def as_mjcf(path: Path) -> bytes | None:
         SpecError: two packages read this format, or the package cannot be loaded.
         ModelError: the package fails.
     """
-    points = points_by_name(MODEL_FORMATS).get(path.suffix.lower().removeprefix("."))
+    points = entry_points_by_name(MODEL_FORMATS).get(path.suffix.lower().removeprefix("."))
     if points is None:
         return None
-    point = only_one(points, "model format")
-    reader: ModelFormat = brought(point, "model format")
+    point = single_entry_point(points, "model format")
+    reader: ModelFormat = load_plugin(point, "model format")
     try:
         return reader.mjcf(path).encode()
     except TwinError:
         raise
-    except Exception as error:  # an installed package's own code
+    except Exception as error:  # the code of another package
         raise ModelError(
             f"{package_of(point)} cannot read it: {type(error).__name__}: {error}",
             path=path,

@@ -1,4 +1,4 @@
-"""A compiled robot, and what people call its parts."""
+"""A compiled robot model whose elements are found by name."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ _WIDTH_QPOS = {
 
 
 class NamedModel:
-    """A compiled robot, with the names that people use for its parts.
+    """A compiled robot model whose elements are found by name.
 
     Attributes:
-        name: as ``twin.yaml`` names it.
-        twin: the twin that it belongs to, if any.
+        name: name in ``twin.yaml``.
+        twin: the twin that it belongs to, or None.
         path: the MJCF or URDF file.
-        source: the checked text and files that it was built from.
-        spec, model: MuJoCo's, with the twin's fit applied.
-        controller, payload: ids of the variant, None for the model as it stands.
-        simulator: what steps it.
+        source: the checked elements and files from which it was built.
+        spec, model: MuJoCo's spec and model, with the twin's fit applied.
+        controller, payload: ids of the variant, None for the nominal model.
+        simulator: simulator that steps the model.
     """
 
-    # A plain record, by keyword.
+    # All arguments are keywords, and each is one attribute.
     def __init__(  # noqa: PLR0913
         self,
         *,
@@ -69,12 +69,12 @@ class NamedModel:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the conversion changed or left out, one line each, with file and line."""
+        """Changes and omissions of the conversion, one line each, with file and line."""
         return self.source.notes
 
     @property
     def velocity_limit(self) -> Mapping[str, float]:
-        """Joint -> greatest speed, rad/s or m/s, where the source states it; MuJoCo has none."""
+        """Joint -> largest speed, rad/s or m/s, where a URDF states it; MJCF has no such limit."""
         return self.source.velocity_limit
 
     # -- names
@@ -90,9 +90,10 @@ class NamedModel:
         return index
 
     def names(self, kind: str) -> tuple[str, ...]:
-        """Names of all ``joint``, ``actuator``, ``body``, ``site`` or ``geom``, in model order.
+        """Names of all elements of a kind, in model order; unnamed elements are left out.
 
-        Elements without a name are left out.
+        Args:
+            kind: ``joint``, ``actuator``, ``body``, ``site`` or ``geom``.
         """
         count = {
             "joint": self.model.njnt,
@@ -135,7 +136,7 @@ class NamedModel:
         return int(self.model.actuator_ctrladr[self._index("actuator", actuator)])
 
     def frame_index(self, frame: str) -> tuple[mujoco.mjtObj, int]:
-        """What a frame is, site or body, and its index; a site goes before a body."""
+        """Kind of a frame (site or body) and its index; a site takes precedence over a body."""
         for kind in ("site", "body"):
             index = int(mujoco.mj_name2id(self.model, _OBJECTS[kind], frame))
             if index >= 0:
@@ -150,12 +151,14 @@ class NamedModel:
     # -- configurations
 
     def qpos(self, joints: Mapping[str, float | Vector]) -> Vector:
-        """The (nq,) configuration with ``joints`` in rad or m; the rest at the reference.
+        """(nq,) configuration with the given joint values; other joints are at the reference.
 
-        A ball joint takes 4 numbers (w x y z), a free joint 7 (x y z, w x y z).
+        Args:
+            joints: joint -> rad or m; (4,) w x y z for a ball joint, (7,) x y z (m), w x y z for
+                a free joint.
 
         Raises:
-            SpecError: no such joint, a wrong count, or a number that is not finite.
+            SpecError: no such joint, a wrong number of values, or a value that is not finite.
         """
         full: Vector = np.array(self.model.qpos0, dtype=np.float64)
         for joint, value in joints.items():
@@ -174,9 +177,9 @@ class NamedModel:
         return full
 
     def frame_pose(self, data: mujoco.MjData, frame: str) -> Vector:
-        """``transform_world_to_frame`` (4, 4) at the state of ``data`` (after ``mj_kinematics``).
+        """Pose (4, 4) of a frame in the world, m, for ``data`` after ``mj_kinematics``.
 
-        Its columns are the frame's axes and origin, in m, seen from the world.
+        Its columns are the axes and the origin of the frame in world coordinates.
         """
         kind, index = self.frame_index(frame)
         site = kind == mujoco.mjtObj.mjOBJ_SITE

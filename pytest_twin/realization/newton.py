@@ -140,7 +140,7 @@ def simulate(
 
     Args:
         realization: its path is the stage.
-        model: :func:`pytest_twin.realization.simulate.bench` of it. Without contacts.
+        model: :func:`pytest_twin.realization.simulate.prepared_model` of it. Without contacts.
         data: takes the last state.
         steps: of the model's timestep. Each is split where the drives need shorter ones.
         progress: called with the fraction done.

@@ -1,4 +1,4 @@
-"""Elements of a model's text, each with the place that it was read from."""
+"""XML elements of a model, each with its file and line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,15 @@ from pytest_twin.errors import LimitError, ModelError
 
 @dataclass(slots=True)
 class Node:
-    """One element of a model; ``text`` is what stands before its first child, of a URDF."""
+    """One XML element of a model.
+
+    Attributes:
+        tag: its tag.
+        attributes: attribute -> text.
+        path, line: file and 1-based line.
+        children: child elements.
+        text: text before the first child; only for a URDF.
+    """
 
     tag: str
     attributes: dict[str, str]
@@ -26,7 +34,7 @@ class Node:
     text: str = ""
 
     def walk(self) -> Iterator[Node]:
-        """This element and all below it, in document order."""
+        """This element and all its descendants, in document order."""
         stack = [self]
         while stack:
             node = stack.pop()
@@ -34,32 +42,32 @@ class Node:
             stack.extend(reversed(node.children))
 
     def find(self, tag: str) -> Node | None:
-        """The first child of this tag."""
+        """The first child with this tag, or None."""
         return next((child for child in self.children if child.tag == tag), None)
 
     def all(self, tag: str) -> list[Node]:
-        """Every child of this tag."""
+        """All children with this tag."""
         return [child for child in self.children if child.tag == tag]
 
     @property
     def label(self) -> str:
-        """How people find it: ``joint 'elbow'``, or the tag alone."""
+        """Tag and name for messages, ``joint 'elbow'``; the tag alone without a name."""
         name = self.attributes.get("name")
         return self.tag if name is None else f"{self.tag} '{name}'"
 
     @property
     def place(self) -> str:
-        """File and line."""
+        """File and line as ``path:line``."""
         return f"{self.path}:{self.line}"
 
     def error(self, problem: str, attribute: str | None = None, **details: Any) -> ModelError:
-        """A :class:`ModelError` that points here."""
+        """Return a :class:`ModelError` with the place of this element."""
         return ModelError(
             problem, path=self.path, line=self.line, where=self._where(attribute), **details
         )
 
     def limit(self, problem: str, attribute: str | None = None, **details: Any) -> LimitError:
-        """A :class:`LimitError` that points here."""
+        """Return a :class:`LimitError` with the place of this element."""
         return LimitError(
             problem, path=self.path, line=self.line, where=self._where(attribute), **details
         )
@@ -76,14 +84,18 @@ class Node:
         unit: str | None = None,
         most: float = 1e10,
     ) -> NDArray[np.float64]:
-        """The finite numbers of an attribute, ``default`` where it is absent.
+        """Parse the numbers of an attribute; ``default`` where it is absent.
 
         Args:
-            most: bound on their magnitude; by default the largest that MuJoCo steps with.
+            attribute: its name.
+            default: values where it is absent, None where it is required.
+            size: required number of values; by default that of ``default``.
+            unit: unit, for error messages.
+            most: largest magnitude; by default that of a state with which MuJoCo steps.
 
         Raises:
-            ModelError: absent without a default, not numbers, not finite, another count, or
-                beyond ``most``.
+            ModelError: absent without a default, not numbers, not finite, a wrong number of
+                values, or larger than ``most``.
         """
         text = self.attributes.get(attribute)
         size = len(default) if size is None and default is not None else size
@@ -103,7 +115,7 @@ class Node:
             raise self.error("another count of numbers", attribute, value=text, expected=expected)
         if any(abs(value) > most for value in values):
             raise self.error(
-                "out of all proportion",
+                "too large",
                 attribute,
                 value=text,
                 unit=unit,
@@ -119,6 +131,6 @@ class Node:
         unit: str | None = None,
         most: float = 1e10,
     ) -> float:
-        """One finite number, as :meth:`numbers`."""
+        """Parse one finite number of an attribute, as :meth:`numbers`."""
         fallback = None if default is None else (default,)
         return float(self.numbers(attribute, fallback, size=1, unit=unit, most=most)[0])

@@ -1,4 +1,4 @@
-"""Fits, controllers and payloads, written over a :class:`mujoco.MjSpec`."""
+"""Apply fits, controllers and payloads to a :class:`mujoco.MjSpec`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pytest_twin.realization import inertia, mjcf
 from pytest_twin.twin import Patch, Payload, Pose
 
 Refuse = Callable[..., TwinError]
-"""Makes the error: called with a dotted field, the problem, and ``value``/``unit``/``expected``."""
+"""Creates an error from a dotted field, the problem, and ``value``, ``unit``, ``expected``."""
 Vector = NDArray[np.float64]
 
 
@@ -27,10 +27,17 @@ def apply_fit(
     refuse: Refuse,
     where: str = "fit",
 ) -> None:
-    """Write identified parameters over ``spec``.
+    """Set identified parameters in ``spec``.
+
+    Args:
+        spec: changed in place.
+        patches: ``joint``, ``actuator``, ``body`` or ``geom`` -> element -> attribute -> value.
+        option: attribute of the simulation options -> value.
+        refuse: creates the error.
+        where: dotted field of the fit, for errors.
 
     Raises:
-        TwinError: as ``refuse`` makes it, for an element or attribute that is not there.
+        TwinError: the error of ``refuse``, for an element or attribute that does not exist.
     """
     body_inertia = _BodyInertia(spec)
     for family, elements in patches.items():
@@ -57,23 +64,23 @@ def apply_fit(
 
 
 def place_base(spec: mujoco.MjSpec, base: Pose, *, refuse: Refuse, where: str) -> None:
-    """Stand the robot where the calibration found it.
+    """Set the pose of the robot's base to the calibrated one.
 
     Raises:
-        TwinError: no body, or more than one, could be the base: it stands in the world and
-            carries joints.
+        TwinError: the model does not have exactly one base, which is a child of the world with
+            joints on it or below it.
     """
     carriers = [body for body in spec.worldbody.bodies if body.joints or _carries_joints(body)]
     free = mujoco.mjtJoint.mjJNT_FREE
     fixed = [body for body in carriers if all(joint.type != free for joint in body.joints)]
-    # A free body beside an arm is an object, not a second robot.
+    # A free body next to an arm is an object, not a second robot.
     found = fixed or carriers
     if len(found) != 1 or found[0].frame is not None:
         raise refuse(
             where,
             "the model has no single base to place",
             value=", ".join(body.name for body in found) or None,
-            expected="one body that stands in the world and carries joints",
+            expected="one child of the world with joints on it or below it",
         )
     found[0].pos = base.position
     found[0].quat = base.quaternion
@@ -93,7 +100,7 @@ def _carries_joints(body: mujoco.MjsBody) -> bool:
 def apply_controller(
     spec: mujoco.MjSpec, actuators: Mapping[str, Patch], *, where: str, refuse: Refuse
 ) -> None:
-    """Write a controller's gains and ranges over the actuators of ``spec``."""
+    """Set gains and ranges of a controller on the actuators of ``spec``."""
     for name, patch in actuators.items():
         patch_actuator(spec, name, patch, where=f"{where}.{name}", refuse=refuse)
 
@@ -101,7 +108,7 @@ def apply_controller(
 def apply_payload(
     spec: mujoco.MjSpec, bodies: Mapping[str, Payload], *, where: str, refuse: Refuse
 ) -> None:
-    """Fix rigid masses to bodies: mass, centre of mass and inertia combine (parallel axes)."""
+    """Attach rigid loads to bodies: combine mass, centre of mass and inertia (parallel axes)."""
     body_inertia = _BodyInertia(spec)
     for name, payload in bodies.items():
         body = _find(spec.bodies, name, "body", f"{where}.{name}", refuse)
@@ -111,15 +118,17 @@ def apply_payload(
             continue
         added_com = np.array(payload.com)
         both = (mass * com + payload.mass * added_com) / total
-        moments = moments + inertia.of_point(mass, com - both)
-        added = inertia.tensor(payload.inertia) + inertia.of_point(payload.mass, added_com - both)
+        moments = moments + inertia.point_inertia(mass, com - both)
+        added = inertia.tensor(payload.inertia) + inertia.point_inertia(
+            payload.mass, added_com - both
+        )
         inertia.write(body, total, both, moments + added)
 
 
 class _BodyInertia:
-    """Mass, centre of mass and inertia of bodies, however the model states them.
+    """Mass, centre of mass and inertia of bodies, stated by the model or computed from geoms.
 
-    A body may get them from its geoms; then they are known only once compiled.
+    Values from geoms are known only after compilation.
     """
 
     def __init__(self, spec: mujoco.MjSpec) -> None:
@@ -127,14 +136,17 @@ class _BodyInertia:
         self._model: mujoco.MjModel | None = None
 
     def of(self, body: mujoco.MjsBody) -> tuple[float, Vector, Vector]:
-        """(mass [kg], (3,) com in the body's frame [m], (3, 3) inertia about it, body axes)."""
+        """Mass [kg], (3,) com in the body's frame [m], (3, 3) inertia about com [kg*m^2].
+
+        The axes are those of the body.
+        """
         if self._model is None:
             self._model, _ = mjcf.compiled(self._spec)
             self._make_explicit(self._model)
         return _compiled_inertia(self._model, body.name)
 
     def _make_explicit(self, model: mujoco.MjModel) -> None:
-        """Take the compiler's hands off: else it would derive or scale what is patched here."""
+        """Write explicit inertias, so that the compiler does not recompute or scale them."""
         compiler = self._spec.compiler
         derived = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
         if not derived and compiler.settotalmass <= 0:
@@ -200,7 +212,7 @@ def _patch_joint(joint: mujoco.MjsJoint, patch: Patch, where: str, refuse: Refus
     _check_names(patch, _JOINT, where, refuse)
     degrees = joint.compiler.degree and joint.type != mujoco.mjtJoint.mjJNT_SLIDE
     for attribute, value in patch.items():
-        # MuJoCo turns these from the file's unit when it compiles; a fit is in rad always.
+        # MuJoCo converts these from the unit of the file; a fit is always in rad.
         if degrees and attribute in _JOINT_ANGLES:
             value = np.rad2deg(value).tolist()
         _set(joint, attribute, value, f"{where}.{attribute}", refuse)
@@ -231,13 +243,12 @@ _ACTUATOR = [
 def patch_actuator(
     spec: mujoco.MjSpec, name: str, patch: Patch, *, where: str, refuse: Refuse
 ) -> None:
-    """Write gains and ranges over one actuator.
+    """Set gains and ranges of one actuator.
 
-    ``kp``, ``kv``, ``dampratio`` and ``timeconst`` mean what MJCF's ``position`` and
-    ``intvelocity`` mean by them, ``kv`` what ``velocity`` and ``damper`` mean; ``kp``, ``ki``,
-    ``kv`` what ``pid`` means. ``kp`` on a motor makes a position servo of it: its control becomes
-    a joint position within the joint's range, its force stays bounded. Anything else has no such
-    gains.
+    ``kp``, ``kv``, ``dampratio`` and ``timeconst`` are the attributes of MJCF's ``position`` and
+    ``intvelocity``; ``kv`` also that of ``velocity`` and ``damper``; ``kp``, ``ki`` and ``kv`` also
+    those of ``pid``. ``kp`` turns a motor into a position servo: its control becomes a joint
+    position within the joint's range, and its force limit stays. Other actuators have no gains.
     """
     actuator = _find(spec.actuators, name, "actuator", where, refuse)
     _check_names(patch, _ACTUATOR, where, refuse)
@@ -268,7 +279,7 @@ def _set_gain(
         actuator.gainprm[0] = value
         actuator.biasprm[1] = -value
     elif gain in ("kv", "dampratio") and _is_servo(actuator):
-        # MuJoCo's own coding: a positive third bias parameter is a damping ratio.
+        # In MuJoCo, a positive third bias parameter is a damping ratio.
         actuator.biasprm[2] = value if gain == "dampratio" else -value
     elif gain == "kv" and actuator.type == kinds.mjACTUATOR_VELOCITY:
         actuator.gainprm[0] = value
@@ -285,7 +296,7 @@ def _set_gain(
 
 
 def _is_motor(actuator: mujoco.MjsActuator) -> bool:
-    """Whether its force is its control, on one joint: what a URDF's joint gets."""
+    """Whether the force of the actuator equals its control and acts on one joint."""
     return bool(
         actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
         and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
@@ -298,7 +309,7 @@ def _make_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator, kp: float) ->
     least, most = sorted(float(bound) * actuator.gainprm[0] for bound in actuator.ctrlrange)
     bounded = actuator.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE and least < most
     if bounded and not actuator.forcerange[0] < actuator.forcerange[1]:
-        # A motor's bound on its control is one on its force.
+        # The control range of a motor is a limit of its force.
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [least, most]
     actuator.set_to_position(kp=kp)
@@ -312,7 +323,7 @@ def _make_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator, kp: float) ->
 
 
 def _is_servo(actuator: mujoco.MjsActuator) -> bool:
-    """Whether its force is kp (u - q) - kv v: MJCF's position and intvelocity, however written."""
+    """Whether the force is kp (u - q) - kv v, as for MJCF's ``position`` and ``intvelocity``."""
     return bool(
         actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
         and actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
@@ -363,7 +374,7 @@ def _find(elements: Iterable[Any], name: str, kind: str, where: str, refuse: Ref
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
-    """What was probably meant, or all that is there."""
+    """Names that are similar to ``name``, or else all known names, as text for a message."""
     names = sorted(str(candidate) for candidate in known if candidate)
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
     if close:

@@ -1,4 +1,4 @@
-"""MuJoCo's warnings, kept out of the terminal and out of files where the user stands."""
+"""Suppress MuJoCo's warnings on the terminal and its log file in the working directory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import mujoco
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Neither print MuJoCo's warnings nor write its log file: counters and errors say the same."""
+    """Suppress MuJoCo's warnings within a block; warning counters and errors report the same."""
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:

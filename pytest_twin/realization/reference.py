@@ -1,8 +1,8 @@
-"""The same robot as Pinocchio computes it, independently of MuJoCo's compiler and engine.
+"""Reference model of a robot in Pinocchio, independent of MuJoCo's compiler and engine.
 
-A URDF goes through Pinocchio's own parser. An MJCF is built joint by joint from what the file
-states (after defaults), before MuJoCo's compiler has turned any of it: orientations, angles,
-frames, and inertias from shapes are worked out here.
+Pinocchio parses a URDF itself. For an MJCF, the model is built joint by joint from the values in
+the file, with defaults applied. Orientations, angles, frames and inertias from shapes are computed
+here, not by MuJoCo's compiler.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ Value = float | Vector
 class Reference:
     """A robot in Pinocchio.
 
-    Joint values are mappings from joint to rad or m; joints left out stand at the model's
-    reference. A ball joint takes (4,) w x y z, a free joint (7,) x y z w x y z.
+    Joint values are mappings from joint to rad or m; other joints are at the model's reference.
+    A ball joint takes (4,) w x y z, a free joint (7,) x y z (m), w x y z.
 
     Attributes:
-        model: Pinocchio's, with the twin's fit and the variant's payload.
-        joints: joint names in the order of the realization; joints without a name as ``joint#3``.
-        notes: what could not be worked out independently, and was taken from MuJoCo.
+        model: model of Pinocchio, with the twin's fit and the variant's payload.
+        joints: joint names in the order of the realization; unnamed joints are ``joint#3``.
+        notes: values that were taken from MuJoCo, because they are not computed independently.
 
     Raises:
-        ModelError: the model has what rigid bodies in a tree cannot express.
+        ModelError: the model has an element that a tree of rigid bodies cannot express.
     """
 
     def __init__(self, realization: NamedModel) -> None:
@@ -52,24 +52,24 @@ class Reference:
         self._data = self.model.createData()
 
     def configuration(self, q: Mapping[str, Value]) -> Vector:
-        """(nq,) Pinocchio's configuration; joints left out stand at the model's reference."""
+        """(nq,) configuration of Pinocchio; joints that are not given are at the reference."""
         return self._configuration(q)
 
     @property
     def frames(self) -> Mapping[str, tuple[int, pin.SE3]]:
-        """Site or body -> Pinocchio's joint that carries it, and its placement there."""
+        """Site or body -> index of the Pinocchio joint that moves it, and its pose in the joint."""
         return self._rigid.frames
 
     def zero_of(self, joint: str) -> float:
-        """Value at which the joint stands as it is drawn, in rad or m."""
+        """Joint value of the pose that the file describes, rad or m."""
         return self._rigid.reference.get(joint, 0.0)
 
     def armature_of(self, joint: str) -> float:
-        """Armature that the model states, in kg*m^2 or kg."""
+        """Armature of a joint in the model, kg*m^2 or kg."""
         return self._rigid.armature.get(joint, 0.0)
 
     def frame_pose(self, q: Mapping[str, Value], frame: str) -> Vector:
-        """``transform_world_to_frame`` (4, 4) of a site or body, a site going first; m."""
+        """Pose (4, 4) of a site or body in the world, m; a site takes precedence over a body."""
         if frame not in self._rigid.frames:
             raise SpecError(
                 f"the model has no frame {frame!r}",
@@ -82,11 +82,11 @@ class Reference:
         return pose
 
     def mass(self) -> float:
-        """Mass of the whole robot, what stands still included, in kg."""
+        """Mass of the whole robot with its fixed bodies, kg."""
         return float(sum(inertia.mass for inertia in self.model.inertias))
 
     def center_of_mass(self, q: Mapping[str, Value]) -> Vector:
-        """(3,) centre of the mass of the whole robot in the world, in m."""
+        """(3,) centre of mass of the whole robot in the world, m."""
         pin.forwardKinematics(self.model, self._data, self._configuration(q))
         moment = np.zeros(3)
         for placement, inertia in zip(self._data.oMi, self.model.inertias, strict=True):
@@ -95,17 +95,17 @@ class Reference:
         return np.asarray(self._rigid.world.act(moment / mass if mass > 0 else moment))
 
     def gravity_torque(self, q: Mapping[str, Value]) -> dict[str, Value]:
-        """Generalized force that holds each joint still against gravity.
+        """Generalized force of each joint that balances gravity at rest.
 
-        N*m for a hinge, N for a slide; (3,) N*m in the joint's frame for a ball; (6,) force in
-        the world [N] and torque in the body [N*m] for a free joint.
+        N*m for a hinge, N for a slide; (3,) N*m in the joint's frame for a ball joint; (6,) force
+        in world axes [N] and torque in body axes [N*m] for a free joint.
         """
         configuration = self._configuration(q)
         torque = pin.computeGeneralizedGravity(self.model, self._data, configuration)
-        return {name: self._own(name, torque, configuration) for name in self.joints}
+        return {name: self._force_in_world(name, torque, configuration) for name in self.joints}
 
     def mass_matrix(self, q: Mapping[str, Value]) -> Vector:
-        """(nv, nv) joint-space inertia with the joints' armature, in the order of ``joints``."""
+        """(nv, nv) joint-space inertia matrix with armature, in the order of ``joints``; SI."""
         configuration = self._configuration(q)
         matrix = np.array(pin.crba(self.model, self._data, configuration))
         matrix = np.triu(matrix) + np.triu(matrix, 1).T
@@ -114,26 +114,28 @@ class Reference:
         for name in self.joints:
             joint = self.model.joints[self._rigid.joints[name]]
             span = slice(joint.idx_v, joint.idx_v + joint.nv)
-            change[span, span] = self._to_world(name, configuration)
+            change[span, span] = self._body_to_world(name, configuration)
             order.extend(range(span.start, span.stop))
         matrix = (change @ matrix @ change.T)[np.ix_(order, order)]
         armature = [self._rigid.armature.get(name, 0.0) for name in self.joints]
         widths = [self.model.joints[self._rigid.joints[name]].nv for name in self.joints]
         return np.asarray(matrix + np.diag(np.repeat(armature, widths)))
 
-    def _own(self, name: str, values: Vector, configuration: Vector) -> Value:
+    def _force_in_world(self, name: str, values: Vector, configuration: Vector) -> Value:
         joint = self.model.joints[self._rigid.joints[name]]
-        own = self._to_world(name, configuration) @ values[joint.idx_v : joint.idx_v + joint.nv]
+        own = (
+            self._body_to_world(name, configuration) @ values[joint.idx_v : joint.idx_v + joint.nv]
+        )
         return float(own[0]) if joint.nv == 1 else np.asarray(own)
 
-    def _to_world(self, name: str, configuration: Vector) -> Vector:
-        """A free joint's linear part is told in the world; Pinocchio has it in the body."""
+    def _body_to_world(self, name: str, configuration: Vector) -> Vector:
+        """Square matrix that rotates the linear part of a free joint from body to world axes."""
         joint = self.model.joints[self._rigid.joints[name]]
         change = np.eye(joint.nv)
         if joint.nv == 6:
             x, y, z, w = configuration[joint.idx_q + 3 : joint.idx_q + 7]
             turn = pin.Quaternion(w, x, y, z).matrix()
-            change[:3, :3] = self._before(joint).rotation @ turn
+            change[:3, :3] = self._free_joint_origin(joint).rotation @ turn
         return change
 
     def _configuration(self, q: Mapping[str, Value]) -> Vector:
@@ -168,9 +170,9 @@ class Reference:
             turned: Vector = np.roll(values / np.linalg.norm(values), -1)
             return turned
         turn = values[3:] / np.linalg.norm(values[3:])
-        pose = self._before(joint).actInv(pin.SE3(pin.Quaternion(*turn), values[:3]))
+        pose = self._free_joint_origin(joint).actInv(pin.SE3(pin.Quaternion(*turn), values[:3]))
         return np.asarray(pin.SE3ToXYZQUAT(pose), dtype=np.float64)
 
-    def _before(self, joint: pin.JointModel) -> pin.SE3:
-        """Where a free joint starts in the world; its value is told from the world itself."""
+    def _free_joint_origin(self, joint: pin.JointModel) -> pin.SE3:
+        """Pose in the world of the frame to which Pinocchio's value of a free joint refers."""
         return self._rigid.world * self.model.jointPlacements[joint.id]

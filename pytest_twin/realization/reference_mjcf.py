@@ -1,4 +1,4 @@
-"""A rigid model from what an MJCF states, worked out without MuJoCo's compiler."""
+"""Build a Pinocchio model from the values of an MJCF, without MuJoCo's compiler."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _FromGeom = mujoco.mjtInertiaFromGeom
 
 
 def build(realization: NamedModel) -> RigidModel:
-    """The rigid model of the realization's spec.
+    """Build the Pinocchio model of a realization's spec.
 
     Raises:
-        ModelError: scaled frames or aligned free joints, which are not worked out here.
+        ModelError: scaled frames or aligned free joints, which are not supported.
     """
     return _Builder(realization).run()
 
@@ -71,7 +71,7 @@ class _Builder:
             self._body(child, joint, frame)
 
     def _joint(self, spec: mujoco.MjsJoint, parent: int, frame: pin.SE3) -> tuple[int, pin.SE3]:
-        """Adds the joint; returns it and the body's frame in it."""
+        """Add a joint; its index, and the pose of the body in the joint's frame."""
         kinds = mujoco.mjtJoint
         model = self.out.model
         name = spec.name or f"joint#{spec.id}"
@@ -116,7 +116,7 @@ class _Builder:
     # -- placements
 
     def _placement(self, element: Any) -> pin.SE3:
-        """Of a body, site or geom in its parent body, the frames around it included."""
+        """Pose of a body, site or geom in its parent body, through enclosing ``frame`` elements."""
         placement = self._own_placement(element)
         frame = element.frame
         while frame is not None:
@@ -136,13 +136,13 @@ class _Builder:
         ends = getattr(element, "fromto", None)
         if ends is not None and not math.isnan(ends[0]):
             start, end = np.array(ends[:3]), np.array(ends[3:])
-            return pin.SE3(_turn_z_to(start - end), (start + end) / 2)
+            return pin.SE3(_rotation_of_z_to(start - end), (start + end) / 2)
         return pin.SE3(_rotation(element, element.quat, element.alt), np.array(element.pos))
 
     # -- inertia
 
     def _inertia(self, body: mujoco.MjsBody) -> Inertia:
-        """In the body's frame."""
+        """Mass, centre of mass and inertia of a body in its frame."""
         compiler = body.compiler
         shape = compiler.inertiafromgeom == _FromGeom.mjINERTIAFROMGEOM_TRUE or (
             compiler.inertiafromgeom == _FromGeom.mjINERTIAFROMGEOM_AUTO
@@ -168,7 +168,7 @@ class _Builder:
         for geom in chosen:
             found = self._geom(geom)
             if found is None:
-                return self._from_compiled(body, f"geom '{geom.name}' has a shape of its own")
+                return self._from_compiled(body, f"geom '{geom.name}' has an unsupported shape")
             mass, com, tensor = found
             placement = self._placement(geom)
             axes = placement.rotation
@@ -178,13 +178,13 @@ class _Builder:
             return _NOTHING
         com = sum((mass * com for mass, com, _ in parts), np.zeros(3)) / total
         tensor = sum(
-            (tensor + inertia.of_point(mass, at - com) for mass, at, tensor in parts),
+            (tensor + inertia.point_inertia(mass, at - com) for mass, at, tensor in parts),
             np.zeros((3, 3)),
         )
         return total, com, tensor
 
     def _geom(self, geom: mujoco.MjsGeom) -> Inertia | None:
-        """In the geom's frame; None where the shape is not worked out here."""
+        """Mass, com and inertia of a geom in its frame; None for an unsupported shape."""
         kinds = mujoco.mjtGeom
         if geom.mass == 0 or (math.isnan(geom.mass) and geom.density == 0):
             return _NOTHING
@@ -227,7 +227,7 @@ class _Builder:
             try:
                 triangles = mesh.read(path, LIMITS)
             except FormatError:
-                # MuJoCo has read it: another dialect than ours.
+                # MuJoCo can read this variant of the format, and our reader cannot.
                 return None
             vertices, faces = triangles.vertices, triangles.faces
         vertices = vertices * np.array(found.scale)
@@ -270,7 +270,7 @@ def _stated(body: mujoco.MjsBody) -> Inertia:
 
 
 def _rotation(element: Any, quaternion: Vector, alt: mujoco.MjsOrientation) -> Vector:
-    """(3, 3) of an orientation, in whichever of MJCF's five ways it is stated."""
+    """(3, 3) rotation matrix of an orientation in any of MJCF's five representations."""
     unit = math.pi / 180 if element.compiler.degree else 1.0
     if alt.type == _Alt.mjORIENTATION_AXISANGLE:
         x, y, z, angle = (float(v) for v in alt.axisangle)
@@ -283,20 +283,20 @@ def _rotation(element: Any, quaternion: Vector, alt: mujoco.MjsOrientation) -> V
         y_axis = y_axis / np.linalg.norm(y_axis)
         return np.column_stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
     if alt.type == _Alt.mjORIENTATION_ZAXIS:
-        return _turn_z_to(np.array(alt.zaxis))
+        return _rotation_of_z_to(np.array(alt.zaxis))
     if alt.type == _Alt.mjORIENTATION_EULER:
         total = np.eye(3)
         order = "".join(str(letter) for letter in element.compiler.eulerseq)
         for letter, angle in zip(order, alt.euler, strict=True):
             turn = np.asarray(pin.exp3(np.eye(3)["xyz".index(letter.lower())] * angle * unit))
-            # Lower case turns about the axes that the turns before have moved.
+            # Lower case: rotation about axes that moved with the previous rotations (intrinsic).
             total = total @ turn if letter.islower() else turn @ total
         return total
     return np.asarray(pin.Quaternion(*np.array(quaternion)).normalized().matrix())
 
 
-def _turn_z_to(direction: Vector) -> Vector:
-    """The least rotation that takes the z axis to ``direction``."""
+def _rotation_of_z_to(direction: Vector) -> Vector:
+    """(3, 3) smallest rotation that turns the z axis to ``direction`` (3,)."""
     z_axis = direction / np.linalg.norm(direction)
     axis = np.cross([0.0, 0.0, 1.0], z_axis)
     sine = float(np.linalg.norm(axis))

@@ -1,4 +1,4 @@
-"""A URDF through Pinocchio's own parser."""
+"""Build a Pinocchio model of a URDF with Pinocchio's own parser."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pytest_twin.realization.urdf import Robot
 Vector = NDArray[np.float64]
 
 _KINEMATIC = frozenset({"pos", "quat", "axis", "ref"})
-_KEPT = frozenset(
+_KEPT_TAGS = frozenset(
     {
         *("robot", "link", "joint", "inertial", "mass", "inertia"),
         *("origin", "parent", "child", "axis", "limit", "dynamics"),
@@ -31,7 +31,7 @@ _REQUIRED = {
 
 
 def is_described(realization: NamedModel, robot: Robot) -> bool:
-    """Whether the text alone gives the kinematics: no fit that moves a frame or an axis."""
+    """Whether the URDF alone determines the kinematics: no fit changes a frame or an axis."""
     twin = realization.twin
     if twin is None:
         return True
@@ -45,11 +45,11 @@ def is_described(realization: NamedModel, robot: Robot) -> bool:
 
 
 def build(realization: NamedModel, robot: Robot) -> RigidModel:
-    """The rigid model of a URDF.
+    """Build the Pinocchio model of a URDF.
 
     Raises:
-        ModelError: Pinocchio refuses it, or a joint of more than one degree of freedom is on a
-            moving link (MuJoCo has several joints in its place).
+        ModelError: Pinocchio refuses it, or a joint has more than one degree of freedom on a
+            moving link (MuJoCo replaces it by several joints).
     """
     for joint in robot.joints.values():
         if joint.type == "planar" or (
@@ -78,14 +78,14 @@ def build(realization: NamedModel, robot: Robot) -> RigidModel:
     for link in robot.links:
         frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
         found.frames[link] = (frame.parentJoint, frame.placement)
-    _state_inertias(found, realization, robot)
+    _replace_changed_inertias(found, realization, robot)
     for joint_spec in realization.spec.joints:
         found.armature[joint_spec.name] = float(joint_spec.armature)
     return found
 
 
-def _state_inertias(found: RigidModel, realization: NamedModel, robot: Robot) -> None:
-    """Put what a patch, a payload or a noted repair states instead of what the text says."""
+def _replace_changed_inertias(found: RigidModel, realization: NamedModel, robot: Robot) -> None:
+    """Replace the inertias of links that a fit, a payload or a repair has changed."""
     for link in robot.links.values():
         body = realization.spec.body(link.name)
         if body is None or link.name == "world":
@@ -114,19 +114,19 @@ def _world_to_base(realization: NamedModel) -> pin.SE3:
 
 
 def dynamics_text(node: Node) -> str:
-    """The dynamics of the robot alone: no shape, so no file, and no mimic, which only couples.
+    """URDF text with kinematics and inertias only, without shapes, files and mimic elements.
 
-    What the text leaves out is stated as 0: urdfdom, which parses for Pinocchio, drops a whole
-    inertial that lacks one product of inertia, and a whole robot for a limit without effort.
+    Missing values are written as 0: urdfdom, the parser of Pinocchio, ignores an inertial without
+    one product of inertia, and refuses a robot with a limit without effort.
     """
     stated = {**dict.fromkeys(_REQUIRED.get(node.tag, ()), "0"), **node.attributes}
     attributes = "".join(
-        # A prefix says that another tool reads it.
+        # An attribute with a namespace prefix belongs to another tool.
         f" {key}={quoteattr(value)}"
         for key, value in stated.items()
         if ":" not in key
     )
-    inner = "".join(dynamics_text(child) for child in node.children if child.tag in _KEPT)
+    inner = "".join(dynamics_text(child) for child in node.children if child.tag in _KEPT_TAGS)
     if node.tag == "inertial":
         for tag in ("mass", "inertia"):
             if node.find(tag) is None:

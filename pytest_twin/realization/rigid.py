@@ -1,4 +1,4 @@
-"""A tree of rigid bodies in Pinocchio, with the names that people use."""
+"""A rigid-body tree in Pinocchio, with the names of joints and frames."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ Vector = NDArray[np.float64]
 
 @dataclass(slots=True)
 class RigidModel:
-    """A Pinocchio model with the assignment of joints and frames to it.
+    """A Pinocchio model, with the mapping of names to its joints and frames.
 
     Attributes:
-        model: joints in a tree; ``inertias[0]`` is what stands still.
-        joints: joint name -> Pinocchio's joint, in the order of the realization.
-        frames: site or body -> (Pinocchio's joint, placement in it).
-        reference: joint -> value at which the robot stands as it is drawn, rad or m.
-        neutral: ball or free joint -> value where none is given.
+        model: model of Pinocchio; ``inertias[0]`` is that of all fixed bodies.
+        joints: joint name -> index in Pinocchio, in the order of the realization.
+        frames: site or body -> (index of its joint in Pinocchio, pose in that joint).
+        reference: joint -> joint value of the pose that the file describes, rad or m.
+        neutral: joint -> value where none is given, rad or m; quaternion or pose for a ball or
+            free joint.
         armature: joint -> kg*m^2 or kg.
-        world: placement of Pinocchio's universe in the world.
-        notes: what was taken from MuJoCo.
+        world: pose of Pinocchio's universe frame in the world.
+        notes: values that were taken from MuJoCo.
     """
 
     model: pin.Model = field(default_factory=pin.Model)
@@ -39,9 +40,12 @@ class RigidModel:
 
 
 def add_inertia(model: pin.Model, joint: int, *changes: tuple[float, Vector]) -> None:
-    """Add bodies to a joint, or take them away: pairs of a factor and :func:`moments`.
+    """Add bodies to a joint of ``model`` or subtract them.
 
-    Mass, first and second moments about one origin add up, whatever their sign.
+    Args:
+        model: changed in place.
+        joint: index of the joint.
+        changes: pairs of a factor (1 or -1) and the :func:`moments` of a body.
     """
     total = model.inertias[joint].toDynamicParameters()
     for factor, parameters in changes:
@@ -53,14 +57,15 @@ def add_inertia(model: pin.Model, joint: int, *changes: tuple[float, Vector]) ->
 
 
 def moments(mass: float, com: Vector, tensor: Vector, placement: pin.SE3) -> Vector:
-    """(10,) mass, first and second moments of a body, as Pinocchio orders them.
+    """(10,) mass [kg], first [kg*m] and second moments [kg*m^2] of a body, in Pinocchio's order.
 
     Args:
+        mass: kg.
         com: (3,) centre of mass in the body's frame, m.
-        tensor: (3, 3) about the centre of mass, body axes, kg*m^2.
-        placement: of the body in the frame that is wanted.
+        tensor: (3, 3) inertia about the centre of mass, body axes, kg*m^2.
+        placement: pose of the body in the frame of the result.
     """
     lever = placement.act(np.asarray(com, dtype=np.float64))
     axes = placement.rotation
-    i = axes @ tensor @ axes.T + inertia.of_point(mass, lever)
+    i = axes @ tensor @ axes.T + inertia.point_inertia(mass, lever)
     return np.array([mass, *(mass * lever), i[0, 0], i[0, 1], i[1, 1], i[0, 2], i[1, 2], i[2, 2]])

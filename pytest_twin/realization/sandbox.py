@@ -1,7 +1,7 @@
-"""A child process that loads and steps what may be hostile, under bounds of time and memory.
+"""A child process that loads and steps untrusted models, with limits of time and memory.
 
-The child is a fresh interpreter. It is told what to call over one pipe and answers over another,
-both as JSON, so that nothing that it sends can run in the parent. Imports no simulator.
+The child is a new interpreter. It receives calls through one pipe and answers through another, both
+as JSON, so that its answers cannot execute code in the parent. This module imports no simulator.
 """
 
 from __future__ import annotations
@@ -30,23 +30,24 @@ MEMORY_BYTES = 8 * 2**30
 SECONDS = 300.0
 _ANSWER_BYTES = 512 * 2**20
 _OUTPUT_BYTES = 64 * 2**10
-# A process that closed its pipes has nothing left to do but exit.
+# Time within which a child must end after it closed its pipes, s.
 _END_SECONDS = 5.0
 
 
 class Sandbox:
     """A child process that answers calls one after another until it is closed.
 
-    Args:
-        memory_bytes: bound on the child's address space.
-        seconds: bound on the wall time of one call, and nearly so on its CPU time per core.
-        cwd: the child's working folder.
-        confined_to: folders that the child may read besides Python's own; it may then write its
-            scratch folder alone. None for a child with the user's rights.
-        write: further folders that a confined child may write.
-
     A child that was killed or crashed is replaced at the next call. Calls from several threads
     wait for one another.
+
+    Args:
+        memory_bytes: limit of the child's address space, bytes.
+        seconds: limit of the wall time of one call, s; also the limit of its CPU time per core.
+        cwd: working directory of the child.
+        confined_to: folders that the child may read in addition to those of Python; it may then
+            write only its temporary folder and those in ``write``. None for a child with the
+            user's rights.
+        write: further folders that a confined child may write.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class Sandbox:
 
     @property
     def output(self) -> str:
-        """The end of what the last call wrote to standard output and error, 64 KiB at most."""
+        """The last 64 KiB that the last call wrote to standard output and standard error."""
         return self._output.decode("utf-8", "replace")
 
     def call(
@@ -83,22 +84,23 @@ class Sandbox:
     ) -> Any:
         """Call ``module:function`` with keyword ``arguments`` in the child.
 
-        A function with a parameter ``progress`` is given a callback of the fraction done, one with
-        a parameter ``tell`` a callback of a kind of message and its text.
+        A function with a parameter ``progress`` gets a callback for the fraction that is done. A
+        function with a parameter ``tell`` gets a callback for a message: its kind and its text.
 
         Args:
-            arguments: JSON-able.
-            seconds: bound on this call, the sandbox's own by default.
+            function: ``module:function``.
+            arguments: JSON-able keyword arguments.
+            seconds: time limit of this call, s; that of the sandbox by default.
             progress: called in this thread with each fraction that the function reports.
             tell: called in this thread with each message.
 
         Returns:
-            The function's result, which must be JSON-able; tuples come back as lists.
+            The result of the function, which must be JSON-able; tuples become lists.
 
         Raises:
-            TwinError: as the function raised it.
-            LimitError: out of time or memory; the child is killed.
-            SimulationError: the child crashed, or the function raised anything else.
+            TwinError: an error that the function raised.
+            LimitError: the time or memory limit was exceeded; the child is killed.
+            SimulationError: the child crashed, or the function raised another exception.
         """
         bound = self.seconds if seconds is None else seconds
         with self._lock:
@@ -114,15 +116,15 @@ class Sandbox:
             try:
                 answer = self._exchange(self._child, request, bound, progress, tell)
             except BaseException:
-                # Whatever ended the wait, the child is in an unknown state.
+                # After any exception, the state of the child is unknown.
                 self._discard()
                 raise
         if "error" in answer:
-            raise _rebuild(answer["error"])
+            raise _error_from_json(answer["error"])
         return answer["result"]
 
     def interrupt(self) -> None:
-        """Ask the function that runs in the child to end early, if it can be asked (SIGINT)."""
+        """Send SIGINT to the child; a function that handles it ends early."""
         if self._child is not None:
             with contextlib.suppress(ProcessLookupError):
                 self._child.process.send_signal(signal.SIGINT)
@@ -170,7 +172,7 @@ class Sandbox:
                 events = selector.select(remaining) if remaining > 0 else []
                 if not events:
                     raise LimitError(
-                        "ran past its bound of time and was killed",
+                        "exceeded its time limit and was killed",
                         expected=f"at most {bound:g} s",
                     )
                 for key, _ in events:
@@ -184,7 +186,7 @@ class Sandbox:
                         self._drain(child)
                         raise child.crashed(self._output, self.memory_bytes, bound)
                     buffer += data
-                for answer in _frames(buffer):
+                for answer in _complete_answers(buffer):
                     if "progress" in answer:
                         if progress is not None:
                             progress(float(answer["progress"]))
@@ -197,7 +199,7 @@ class Sandbox:
                         return answer
 
     def _drain(self, child: _Child) -> None:
-        """Take what the child wrote up to now, without waiting for more."""
+        """Read the output that the child has written so far, without waiting."""
         os.set_blocking(child.output, False)
         with contextlib.suppress(BlockingIOError):
             while data := os.read(child.output, 1 << 16):
@@ -205,14 +207,14 @@ class Sandbox:
         os.set_blocking(child.output, True)
 
 
-def _frames(buffer: bytearray) -> list[dict[str, Any]]:
-    """Take the whole answers off the front of ``buffer``."""
+def _complete_answers(buffer: bytearray) -> list[dict[str, Any]]:
+    """Remove the complete answers from the front of ``buffer``, and return them."""
     found = []
     while len(buffer) >= 8:
         size = int.from_bytes(buffer[:8], "big")
         if size > _ANSWER_BYTES:
             raise SimulationError(
-                "the child process sent an answer out of all proportion",
+                "the child process sent too large an answer",
                 value=size,
                 unit="bytes",
                 expected=f"at most {_ANSWER_BYTES} bytes",
@@ -248,7 +250,7 @@ class _Child:
         self.output, output_write = os.pipe()
         environment = dict(os.environ)
         environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
-        # Forks share work out already, and a sum that threads divide rounds by how many they are.
+        # The forks use all cores, and sums in several threads depend on the number of threads.
         environment.setdefault("OPENBLAS_NUM_THREADS", "1")
         command = [
             sys.executable,
@@ -273,7 +275,8 @@ class _Child:
                 pass_fds=(request_read, answer_write),
                 cwd=cwd,
                 env=environment,
-                # Its own group: a kill takes what it started along, and Ctrl-C is the parent's.
+                # A separate process group: a kill ends its children too, and Ctrl-C reaches only
+                # the parent.
                 start_new_session=True,
             )
         finally:
@@ -289,7 +292,7 @@ class _Child:
             view = view[os.write(self.requests, view) :]
 
     def crashed(self, output: bytes, memory_bytes: int, seconds: float) -> TwinError:
-        """The error that says how the child ended."""
+        """Return an error that describes how the child ended."""
         try:
             status = self.process.wait(timeout=_END_SECONDS)
         except subprocess.TimeoutExpired:
@@ -307,7 +310,7 @@ class _Child:
         name = signal.Signals(-status).name
         if name == "SIGXCPU":
             return LimitError(
-                "ran past its bound of CPU time and was killed",
+                "exceeded its limit of CPU time and was killed",
                 expected=f"at most {seconds:g} s on each core",
             )
         if "bad_alloc" in last or "MemoryError" in last or "could not allocate" in last.lower():
@@ -335,8 +338,8 @@ def _end(
         scratch.cleanup()
 
 
-def _rebuild(answer: Mapping[str, Any]) -> TwinError:
-    """The typed error that the child described."""
+def _error_from_json(answer: Mapping[str, Any]) -> TwinError:
+    """Build the error that the child has sent."""
     kind = getattr(errors, str(answer.get("kind")), None)
     if not (isinstance(kind, type) and issubclass(kind, TwinError)):
         kind = SimulationError

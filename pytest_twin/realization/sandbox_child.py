@@ -1,4 +1,4 @@
-"""The child's side of :mod:`pytest_twin.realization.sandbox`."""
+"""Main program of the child process of :mod:`pytest_twin.realization.sandbox`."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from pytest_twin.errors import LimitError, SimulationError, TwinError
 
 
 def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> None:
-    """Answer calls until the parent closes its end."""
+    """Answer calls until the parent closes the pipe."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    # An interruption is the parent's affair; a function that can be stopped handles it itself.
+    # The parent handles interruptions; a function that can be stopped sets its own handler.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _bound_memory(memory_bytes)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
@@ -40,7 +40,7 @@ def _end_with_parent(parent: int) -> None:
     """End the child if its parent was killed, because the parent can no longer end it."""
     while os.getppid() == parent:
         time.sleep(1.0)
-    # With the forks that share its work: the group is its own.
+    # The process group contains the child and its forks, and nothing else.
     os.killpg(os.getpgrp(), signal.SIGKILL)
 
 
@@ -60,20 +60,20 @@ def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
         json.dumps(result)
         return {"result": result}
     except TwinError as error:
-        return {"error": _described(error)}
+        return {"error": _error_to_json(error)}
     except MemoryError:
-        return {"error": _described(_out_of_memory())}
+        return {"error": _error_to_json(_out_of_memory())}
     except (Exception, SystemExit) as error:
         if "could not allocate memory" in str(error).lower():
-            # MuJoCo's words for the same.
-            return {"error": _described(_out_of_memory())}
+            # MuJoCo reports a lack of memory with this text.
+            return {"error": _error_to_json(_out_of_memory())}
         traceback.print_exc()
-        # The innermost frame: where a user's own function went wrong.
+        # The innermost frame is the place of the error, for example in a user's function.
         frames = traceback.extract_tb(error.__traceback__)
         place = frames[-1] if frames else None
         words = str(error) or "no message"
         return {
-            "error": _described(
+            "error": _error_to_json(
                 SimulationError(
                     f"{type(error).__name__}: {words}",
                     path=None if place is None else place.filename,
@@ -91,29 +91,29 @@ def _out_of_memory() -> LimitError:
 
 
 def _bound_memory(memory_bytes: int) -> None:
-    """Bound the address space, or keep a lower bound that the machine sets."""
-    bound = _at_most(memory_bytes, resource.RLIMIT_AS)
+    """Limit the address space; a lower limit of the system stays."""
+    bound = _within_hard_limit(memory_bytes, resource.RLIMIT_AS)
     try:
         resource.setrlimit(resource.RLIMIT_AS, (bound, bound))
     except (ValueError, OSError):
-        # macOS has no such bound; those on time hold there alone.
+        # macOS has no such limit; there only the time limits apply.
         if sys.platform == "linux":
             raise
 
 
-def _at_most(wanted: int, limit: int) -> int:
+def _within_hard_limit(wanted: int, limit: int) -> int:
     """``wanted``, or the hard limit of this process where that is lower."""
     hard = resource.getrlimit(limit)[1]
     return wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
 
 
 def _bound_cpu(seconds: float) -> None:
-    """Set a time limit in the child itself, which holds even after the parent has ended."""
+    """Set a limit of CPU time in the child, which applies even after the parent has ended."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     used = usage.ru_utime + usage.ru_stime
     soft = int(used + seconds * (os.cpu_count() or 1) + 5)
     hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
-    resource.setrlimit(resource.RLIMIT_CPU, (_at_most(soft, resource.RLIMIT_CPU), hard))
+    resource.setrlimit(resource.RLIMIT_CPU, (_within_hard_limit(soft, resource.RLIMIT_CPU), hard))
 
 
 def _call(function: str, arguments: Mapping[str, Any], answers: BinaryIO) -> Any:
@@ -131,7 +131,7 @@ def _call(function: str, arguments: Mapping[str, Any], answers: BinaryIO) -> Any
     return target(**arguments, **{name: f for name, f in given.items() if name in parameters})
 
 
-def _described(error: TwinError) -> dict[str, Any]:
+def _error_to_json(error: TwinError) -> dict[str, Any]:
     return {
         "kind": type(error).__name__,
         "problem": error.problem,

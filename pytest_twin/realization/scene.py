@@ -1,4 +1,4 @@
-"""Something to touch, set around a robot without editing it; and what a pair of bodies feels."""
+"""Add a floor and a free object to a model, and evaluate the contact of two sets of geoms."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SimulationError
-from pytest_twin.realization.features.elements import felt_geoms
+from pytest_twin.realization.features.elements import colliding_geoms
 from pytest_twin.realization.simulate import geom_name
 
 Vector = NDArray[np.float64]
 
 OBJECT = "object"
 FLOOR = "floor"
-_PREFIX = "twin:"  # keeps the scene's names apart from the robot's
+_PREFIX = "twin:"  # distinguishes the names of the scene from those of the robot
 _SHAPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -25,20 +25,22 @@ _SHAPES = {
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
 }
 SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
-"""How many half sizes a shape has, in m: x y z; radius; radius and half length along z."""
+"""Number of size parameters of a shape: half sizes x y z; radius; radius and half length along z.
+They are in m."""
 _ALL_GROUPS = 2**31 - 1
-_FAR = 100.0  # m, beyond which distances are not looked for
+_MAX_DISTANCE = 100.0  # m, largest distance that is computed
 
 
 @dataclass(frozen=True, slots=True)
 class FreeObject:
-    """A rigid body that floats free in the scene.
+    """A rigid body with a free joint in the scene.
 
     Attributes:
         shape: a key of ``SIZES``.
-        size: half sizes in m.
+        size: half sizes, m.
         mass: kg.
-        friction: sliding friction, or None: what it touches decides all contact parameters.
+        friction: sliding friction coefficient; None: the other geom determines all contact
+            parameters.
     """
 
     shape: str
@@ -48,17 +50,17 @@ class FreeObject:
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class PairContact:
     """Contact of geoms A with geoms B at one instant.
 
     Attributes:
-        force: (3,) N on A, in the world.
-        normal: (3,) unit, from B into A, weighted by force; zero without contact.
-        normal_force, tangential_force: N, parts of ``force`` along and across ``normal``.
-        depth: m, of the deepest contact, 0 where none overlaps.
-        point: (3,) m, weighted by force.
-        friction: sliding friction coefficient of the deepest contact, as the model declares it.
-        is_touching: whether any contact is there.
+        force: (3,) force on A in the world, N.
+        normal: (3,) unit normal from B to A, mean weighted by force; zero without contact.
+        normal_force, tangential_force: components of ``force`` along and normal to ``normal``, N.
+        depth: depth of the deepest contact, m; 0 without penetration.
+        point: (3,) contact point in the world, mean weighted by force, m.
+        friction: sliding friction coefficient of the deepest contact, from the model.
+        is_touching: whether there is a contact.
     """
 
     force: Vector
@@ -71,8 +73,15 @@ class Touch:
     is_touching: bool
 
 
-def setting(free: FreeObject | None, floor: float | None) -> Callable[[mujoco.MjSpec], None] | None:
-    """What adds a free object and a floor at a height in m to a spec; None for neither."""
+def scene_of(
+    free: FreeObject | None, floor: float | None
+) -> Callable[[mujoco.MjSpec], None] | None:
+    """Function that adds a free object and a floor to a spec; None if there is neither.
+
+    Args:
+        free: the object, or None.
+        floor: height of the floor, m, or None.
+    """
     if free is None and floor is None:
         return None
 
@@ -94,7 +103,7 @@ def setting(free: FreeObject | None, floor: float | None) -> Callable[[mujoco.Mj
                     unit="kg",
                     expected="a model without settotalmass: state the masses of its bodies",
                 )
-            # gravcomp has to be there when the model is compiled to be switched later.
+            # gravcomp can be changed later only if it is not zero at compilation.
             body = spec.worldbody.add_body(
                 name=_PREFIX + OBJECT,
                 gravcomp=1.0,
@@ -118,7 +127,7 @@ def setting(free: FreeObject | None, floor: float | None) -> Callable[[mujoco.Mj
 def _collides_with_all(geom: mujoco.MjsGeom) -> None:
     geom.contype = _ALL_GROUPS
     geom.conaffinity = _ALL_GROUPS
-    # The asset's default classes hold for the asset; stiffness is that of what is touched.
+    # Values of the asset's default classes are reset; the other geom determines the stiffness.
     geom.margin = geom.gap = geom.solmix = 0.0
     geom.priority = 0
     geom.friction = [1.0, 0.005, 0.0001]
@@ -126,7 +135,7 @@ def _collides_with_all(geom: mujoco.MjsGeom) -> None:
 
 
 def moments(free: FreeObject) -> Vector:
-    """Principal moments (3,) in kg m^2 of a solid of even density, about x, y, z."""
+    """(3,) principal moments of inertia of a homogeneous solid about x, y, z, kg*m^2."""
     a, b, c = (*free.size, 0.0, 0.0)[:3]
     mass = free.mass
     if free.shape == "box":
@@ -136,7 +145,7 @@ def moments(free: FreeObject) -> Vector:
     if free.shape == "cylinder":
         across = mass * (a * a / 4.0 + b * b / 3.0)
         return np.array([across, across, 0.5 * mass * a * a])
-    # A capsule: a cylinder of radius a and half length b with two half balls on its ends.
+    # A capsule: a cylinder of radius a and half length b with two hemispheres.
     ends = mass * (4.0 / 3.0 * a) / (2.0 * b + 4.0 / 3.0 * a)
     middle = mass - ends
     across = middle * (a * a / 4.0 + b * b / 3.0)
@@ -146,23 +155,31 @@ def moments(free: FreeObject) -> Vector:
 
 
 def geoms_of(model: mujoco.MjModel, name: str, in_scene: bool) -> frozenset[int]:
-    """Geoms that collide of a geom or of a body; of the scene's own where ``in_scene``."""
+    """Index of a named geom, or indices of a body's geoms that can collide.
+
+    Args:
+        model: the model.
+        name: name of a geom or body.
+        in_scene: whether it is an element of the scene and not of the robot.
+    """
     name = _PREFIX + name if in_scene else name
     geom = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name))
     if geom >= 0:
         return frozenset({geom})
     body = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
-    felt = felt_geoms(model)
-    return frozenset(i for i in range(model.ngeom) if model.geom_bodyid[i] == body and felt[i])
+    can_collide = colliding_geoms(model)
+    return frozenset(
+        i for i in range(model.ngeom) if model.geom_bodyid[i] == body and can_collide[i]
+    )
 
 
 def body_of(model: mujoco.MjModel, geoms: frozenset[int]) -> int:
-    """The body that carries ``geoms``."""
+    """Index of the body to which ``geoms`` belong."""
     return int(model.geom_bodyid[min(geoms)])
 
 
 def object_body(model: mujoco.MjModel) -> int:
-    """The free object's body."""
+    """Index of the free object's body."""
     return int(model.body(_PREFIX + OBJECT).id)
 
 
@@ -176,22 +193,22 @@ def free_joint(model: mujoco.MjModel, body: int) -> int | None:
 
 
 def set_weight(model: mujoco.MjModel, body: int, weighs: bool) -> None:
-    """Let gravity act on a body, or compensate it."""
+    """Turn the weight of a body on, or compensate it."""
     model.body_gravcomp[body] = 0.0 if weighs else 1.0
 
 
 def distance(
     model: mujoco.MjModel, data: mujoco.MjData, first: frozenset[int], second: frozenset[int]
 ) -> tuple[float, Vector]:
-    """Least distance in m of two sets of geoms, and the unit direction from first to second.
+    """Smallest distance of two sets of geoms, m, and unit direction (3,) from first to second.
 
-    ``data`` holds positions of geoms. The direction is zero where they overlap or are too far.
+    ``data`` contains the positions of geoms. The direction is zero in penetration and beyond 100 m.
     """
-    best, direction = _FAR, np.zeros(3)
+    best, direction = _MAX_DISTANCE, np.zeros(3)
     ends: Vector = np.zeros(6)
     for a in first:
         for b in second:
-            found = float(mujoco.mj_geomDistance(model, data, a, b, _FAR, ends))
+            found = float(mujoco.mj_geomDistance(model, data, a, b, _MAX_DISTANCE, ends))
             if found < best:
                 best = found
                 span = ends[3:] - ends[:3]
@@ -200,8 +217,8 @@ def distance(
     return best, direction
 
 
-def put(model: mujoco.MjModel, data: mujoco.MjData, joint: int, pose: Vector) -> None:
-    """Set a free joint to a (4, 4) pose in the world."""
+def set_free_joint(model: mujoco.MjModel, data: mujoco.MjData, joint: int, pose: Vector) -> None:
+    """Set a free joint to a pose (4, 4) in the world, m."""
     at = int(model.jnt_qposadr[joint])
     data.qpos[at : at + 3] = pose[:3, 3]
     mujoco.mju_mat2Quat(data.qpos[at + 3 : at + 7], pose[:3, :3].ravel())
@@ -216,32 +233,33 @@ def lift_above(
     second: frozenset[int],
     gap: float,
 ) -> None:
-    """Put a free tree straight above ``second``, ``gap`` m between the two sets of geoms.
+    """Move a free body vertically until its distance to ``second`` is ``gap``, m.
 
-    It comes down from far above by the distance that is left, which never overshoots.
+    The body starts high above and is lowered repeatedly by the remaining distance, which cannot
+    overshoot.
 
     Raises:
-        SimulationError: the tree has nothing below it.
+        SimulationError: no geom of ``second`` is below the body.
     """
     at = int(model.jnt_qposadr[joint]) + 2
-    data.qpos[at] += 0.5 * _FAR
+    data.qpos[at] += 0.5 * _MAX_DISTANCE
     for _ in range(2000):
         mujoco.mj_kinematics(model, data)
         left = distance(model, data, first, second)[0] - gap
         if abs(left) < 1e-9:
             return
         data.qpos[at] -= left
-        if not abs(data.qpos[at]) < 2.0 * _FAR:
+        if not abs(data.qpos[at]) < 2.0 * _MAX_DISTANCE:
             break
     raise SimulationError(
-        "nothing lies below the body that is let go",
+        "nothing is below the body that is dropped",
         where="target.pair",
         expected="a second body of the pair straight below the first",
     )
 
 
-def overlapped(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> str | None:
-    """Name of a geom that ``body`` overlaps by more than 1 um, None where it is free."""
+def penetrated_geom(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> str | None:
+    """Name of a geom that ``body`` penetrates by more than 1 um, or None."""
     for i in np.flatnonzero(data.contact.dist < -1e-6):
         one, two = (int(geom) for geom in data.contact.geom[i])
         if body in model.geom_bodyid[[one, two]]:
@@ -249,17 +267,17 @@ def overlapped(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> str | N
     return None
 
 
-def touch(
+def pair_contact(
     model: mujoco.MjModel, data: mujoco.MjData, first: frozenset[int], second: frozenset[int]
-) -> Touch:
-    """What ``first`` feels of ``second`` in the contacts of ``data``."""
+) -> PairContact:
+    """Evaluate the contacts of ``first`` (A) with ``second`` (B) in ``data``."""
     force, normal, point = np.zeros(3), np.zeros(3), np.zeros(3)
     deepest, friction, weight = np.inf, 0.0, 0.0
     local: Vector = np.zeros(6)
     for i in range(data.ncon):
         one, two = (int(geom) for geom in data.contact.geom[i])
         if one in first and two in second:
-            sign = -1.0  # MuJoCo's force acts on the second geom
+            sign = -1.0  # MuJoCo's contact force acts on the second geom
         elif one in second and two in first:
             sign = 1.0
         else:
@@ -278,7 +296,7 @@ def touch(
         normal /= length
         point /= weight
     along = float(force @ normal)
-    return Touch(
+    return PairContact(
         force=force,
         normal=normal,
         normal_force=along,
@@ -291,7 +309,7 @@ def touch(
 
 
 def body_pose(data: mujoco.MjData, body: int) -> Vector:
-    """``transform_world_to_body`` (4, 4) at the last kinematics."""
+    """Pose (4, 4) of a body in the world after the last kinematics, m."""
     pose = np.eye(4)
     pose[:3, :3] = data.xmat[body].reshape(3, 3)
     pose[:3, 3] = data.xpos[body]
@@ -299,7 +317,7 @@ def body_pose(data: mujoco.MjData, body: int) -> Vector:
 
 
 def velocity_of(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[float, ...]:
-    """Velocity (3,) in m/s of a body's centre of mass in the world, at the last forward step."""
+    """(3,) velocity of a body's centre of mass in the world after the last forward step, m/s."""
     found: Vector = np.zeros(6)
     mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, found, 0)
     return tuple(float(v) for v in found[3:])
@@ -308,5 +326,13 @@ def velocity_of(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[
 def push(
     model: mujoco.MjModel, data: mujoco.MjData, body: int, force: Vector, point: Vector
 ) -> None:
-    """Add a force (3,) in N at a world point to the generalized forces of ``data``."""
+    """Add a force on a body to the generalized forces of ``data``.
+
+    Args:
+        model: the model.
+        data: its ``qfrc_applied`` is changed.
+        body: index of the body.
+        force: (3,) in the world, N.
+        point: (3,) point of application in the world, m.
+    """
     mujoco.mj_applyFT(model, data, force, np.zeros(3), point, body, data.qfrc_applied)

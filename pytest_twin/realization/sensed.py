@@ -1,4 +1,4 @@
-"""What ideal sensors at a frame of a robot read along a motion."""
+"""Compute the readings of ideal sensors on a robot along a motion."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _NAMES = ("force", "torque", "gyro", "accelerometer")
 
 @dataclass(frozen=True)
 class Sensed:
-    """True signals in the axes of a frame.
+    """Ideal sensor signals in the axes of a frame.
 
     Attributes:
-        wrench: (n, 6) force (N) and torque (N*m) of the frame's body and all beyond it on what
-            carries them, about the frame's origin: a payload at rest pulls down.
+        wrench: (n, 6) force (N) and torque (N*m) about the frame's origin, which the frame's body
+            and all bodies beyond it exert on the preceding body. A payload at rest pulls down.
         inertial: (n, 6) angular velocity (rad/s) and specific force (m/s^2).
     """
 
@@ -36,15 +36,16 @@ def sensed_at(
     velocity: FloatArray,
     acceleration: FloatArray,
 ) -> Sensed:
-    """Ideal readings at a site or body along a motion, without contact.
+    """Ideal sensor signals at a site or body along a motion, without contact.
 
-    MuJoCo's ``force`` and ``torque`` sensors give what carries the body; the wrench here is its
-    opposite, the load on the sensor.
+    MuJoCo's ``force`` and ``torque`` sensors give the force that supports the body. The wrench of
+    this function has the opposite sign: it is the load on the sensor.
 
     Args:
+        realization: the model.
         frame: site or body.
-        joints: j names; others stay at the model's reference.
-        position, velocity, acceleration: (n, j).
+        joints: j names; other joints stay at the model's reference.
+        position, velocity, acceleration: (n, j) rad, rad/s, rad/s^2 (m, m/s, m/s^2 at a slide).
 
     Raises:
         SpecError: no such frame or joint.
@@ -92,13 +93,14 @@ def load_at(
 ) -> FloatArray:
     """(n, 1) load of a hinge (N*m) or slide (N) by the links beyond it, without contact.
 
-    Armature, friction, damping and springs of the joints act between motor and link and are left
-    out: a sensor on the link's side of the gear does not see them.
+    Armature, friction, damping and springs of the joints are excluded. They act between motor and
+    link, so that a sensor on the link side of the gear does not measure them.
 
     Args:
-        joint: whose load.
-        joints: j names; others stay at the model's reference.
-        position, velocity, acceleration: (n, j).
+        realization: the model.
+        joint: the joint with the sensor.
+        joints: j names; other joints stay at the model's reference.
+        position, velocity, acceleration: (n, j) rad, rad/s, rad/s^2 (m, m/s, m/s^2 at a slide).
 
     Raises:
         SpecError: no such joint.
@@ -125,15 +127,16 @@ def load_at(
     return found
 
 
-def turns_at(
+def orientations_at(
     realization: Realization, frame: str, joints: tuple[str, ...], position: FloatArray
 ) -> FloatArray:
     """(n, 3, 3) orientations of a site or body in the world.
 
     Args:
+        realization: the model.
         frame: site or body.
-        joints: j names; others stay at the model's reference.
-        position: (n, j).
+        joints: j names; other joints stay at the model's reference.
+        position: (n, j) rad or m.
 
     Raises:
         SpecError: no such frame or joint.

@@ -1,4 +1,4 @@
-"""The joints between a robot's base and one of its frames, from URDF, MJCF or ``twin.yaml``."""
+"""Serial kinematic chain from a robot's base to a frame, from URDF, MJCF or ``twin.yaml``."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SerialChain:
-    """Joints in series from the base to a frame.
+    """Serial kinematic chain from the base to a frame.
 
     Attributes:
-        base: name of the frame that it starts from.
-        frame: name of the frame that it ends at.
-        joints: names, the first at the base.
-        placements: (n, 4, 4) each joint's frame in the one before it, at value 0, m.
-        axes: (n, 3) unit axis of each joint in its own frame.
-        revolute: (n,) True where a joint turns, False where it slides.
-        end: (4, 4) the frame in the last joint's.
+        base: name of the first frame.
+        frame: name of the last frame.
+        joints: (n,) names, from the base on.
+        placements: (n, 4, 4) pose of each joint's frame in the previous one, at joint value 0, m.
+        axes: (n, 3) unit axis of each joint in its frame.
+        revolute: (n,) True for a hinge, False for a slide.
+        end: (4, 4) pose of the last frame in the frame of the last joint, m.
         signs, offsets: (n,) ``model = sign * reading + offset``, from ``twin.yaml``, rad or m;
-            the sign has the encoder's scale in it.
-        limits: (n, 2) lowest and highest model position, infinite where none is stated, rad or m;
-            None where they are not known.
+            ``signs`` includes the scale of the encoder.
+        limits: (n, 2) lower and upper limit of the model's position, rad or m, infinite where the
+            joint is unlimited; None where they are unknown.
     """
 
     base: str
@@ -52,17 +52,15 @@ class SerialChain:
 
 
 def load_serial_chain(path: Path, frame: str) -> SerialChain:
-    """The joints between the base and ``frame``.
-
-    Meshes of a URDF are not touched.
+    """Load the kinematic chain from the base to ``frame``; meshes of a URDF are not read.
 
     Args:
         path: URDF, MJCF or ``twin.yaml``.
-        frame: link or frame of a URDF, site or body of an MJCF.
+        frame: link of a URDF, site or body of an MJCF.
 
     Raises:
-        TwinError: a model that cannot be read, without this frame, or with a joint of more than
-            one degree of freedom in between.
+        TwinError: the model cannot be read, has no such frame, or has a joint with more than one
+            degree of freedom in the chain.
     """
     calibration: dict[str, JointCalibration] = {}
     twin = None
@@ -76,7 +74,7 @@ def load_serial_chain(path: Path, frame: str) -> SerialChain:
         base, rigid = robot.root, _of_urdf(robot, path)
         limits = {name: joint.limits for name, joint in robot.joints.items() if joint.limits}
     else:
-        # Its own calibration moves the base, which here is what is looked for.
+        # Loaded without the twin: its calibrated base pose is an unknown of the calibration.
         realization = load(path)
         base, rigid = "world", reference_mjcf.build(realization)
         limits = _ranges(realization.model)
@@ -142,7 +140,7 @@ def _series(
         placement = model.jointPlacements[at].homogeneous
         reference = rigid.reference.get(name, 0.0)
         if reference:
-            placement = placement @ _moved(subspace, -reference)
+            placement = placement @ _joint_motion(subspace, -reference)
         placements.append(placement)
         axes.append(subspace[3:] if turns else subspace[:3])
         revolute.append(turns)
@@ -161,6 +159,6 @@ def _series(
     )
 
 
-def _moved(subspace: Vector, value: float) -> Vector:
+def _joint_motion(subspace: Vector, value: float) -> Vector:
     moved: Vector = pin.exp6(pin.Motion(subspace * value)).homogeneous
     return moved

@@ -1,4 +1,4 @@
-"""Mass and inertia of shapes, in closed form and by volume integrals.
+"""Volume and inertia of shapes, in closed form and by volume integrals.
 
 Formulas of solids: Beer, Johnston, "Vector Mechanics for Engineers: Dynamics", table of mass
 moments of inertia; triangle meshes: Eberly, "Polyhedral Mass Properties (Revisited)", 2002.
@@ -16,9 +16,9 @@ Vector = NDArray[np.float64]
 
 
 def solid(geom: mujoco.MjsGeom, size: Vector) -> tuple[float, Vector] | None:
-    """Volume [m^3] and (3,) principal moments per unit mass [m^2] of a primitive.
+    """Volume [m^3] and (3,) principal moments per unit mass [m^2] of a solid primitive.
 
-    None where it is no solid that is known here.
+    None for other types of geom.
     """
     kinds = mujoco.mjtGeom
     a, b, c = (float(v) for v in size)
@@ -43,12 +43,12 @@ def solid(geom: mujoco.MjsGeom, size: Vector) -> tuple[float, Vector] | None:
 
 
 def polyhedron(vertices: Vector, faces: NDArray[np.int32]) -> tuple[float, Vector, Vector] | None:
-    """Volume, (3,) centroid, and (3, 3) inertia about it per unit mass, of a closed mesh.
+    """Volume [m^3], (3,) centroid [m], (3, 3) inertia per unit mass [m^2] of a closed mesh.
 
-    None where there is no volume.
+    The inertia is about the centroid. None for a mesh without volume.
 
-    Sums signed tetrahedra from the origin; the second moments of a tetrahedron with corners
-    0, a, b, c and volume V are V/20 (aa + bb + cc + ss), s = a + b + c.
+    The function sums signed tetrahedra from the origin. The second moments of a tetrahedron with
+    corners 0, a, b, c and volume V are V/20 (aa + bb + cc + ss), s = a + b + c.
     """
     corners = vertices[faces]
     volumes = np.linalg.det(corners) / 6
@@ -64,7 +64,7 @@ def polyhedron(vertices: Vector, faces: NDArray[np.int32]) -> tuple[float, Vecto
 
 
 def hull(vertices: Vector) -> NDArray[np.int32] | None:
-    """(m, 3) faces of the convex hull, all looking out; None where it has no volume."""
+    """(m, 3) faces of the convex hull with outward normals; None where it has no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:

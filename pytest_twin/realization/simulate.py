@@ -1,4 +1,4 @@
-"""Stepping one realization under a stimulus: where it starts, what holds it, what is recorded."""
+"""Simulate a realization under a stimulus: initial state, holding controls, recorded signals."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ from pytest_twin.trial import CommandMode
 
 Vector = NDArray[np.float64]
 
-# A locked dof's inertia, against the heaviest and the lightest dof that moves. More, and rounding
-# in the solver lets stops, contacts and couplings of the light one give way.
+# Armature of a locked degree of freedom, relative to the largest and the smallest inertia of the
+# moving ones. With larger values, rounding in the solver softens limits, contacts and couplings of
+# the lightest one.
 _LOCKED_TO_HEAVIEST, _LOCKED_TO_LIGHTEST = 1e5, 1e6
-# Its damping times the timestep, against that inertia: what loads it for long makes it creep and
-# not fall. Where integration is not implicit in damping, more than this is unstable.
-_LOCKED_CREEP, _LOCKED_CREEP_EXPLICIT = 1e4, 0.5
-# Integers: an array's element is never equal to an enum that stands on the left.
+# Damping of a locked degree of freedom times the timestep, relative to its armature. Under a
+# lasting load it then moves slowly and does not accelerate. The second value is the limit of
+# stability where the integrator is not implicit in damping.
+_LOCKED_DAMPING, _LOCKED_DAMPING_EXPLICIT = 1e4, 0.5
+# Integers, because a MuJoCo enum on the left of == does not compare with a NumPy integer.
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _STATE = (
     "time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart", "eq_active",
@@ -39,7 +41,7 @@ _FATAL = (
 )
 
 
-def bench(
+def prepared_model(
     realization: Realization,
     *,
     gravity: bool = True,
@@ -47,22 +49,23 @@ def bench(
     locked: Collection[str] = (),
     edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> mujoco.MjModel:
-    """A model to step, apart from the realization's own, which stays as it is.
+    """Copy of a realization's model for a test, with changed options and locked joints.
 
     Args:
-        gravity, contact: False switches it off.
-        locked: joints that keep their start position, as bolted (by an armature far above
-            the inertia of what moves).
-        edit: changes a copy of the spec before it is compiled, such as an object to touch.
+        realization: the model; not changed.
+        gravity, contact: False turns it off.
+        locked: joints that keep their initial position, by an armature far above the inertia of
+            the moving joints.
+        edit: changes a copy of the spec before it is compiled, for example adds an object.
 
     Raises:
-        ModelError: the edited spec does not compile.
+        ModelError: the changed spec does not compile.
     """
     if edit is None:
         model = copy.copy(realization.model)
     else:
         spec = realization.spec.copy()
-        for key in list(spec.keys):  # their sizes are the robot's, not the scene's
+        for key in list(spec.keys):  # the sizes of keyframes do not match the scene
             spec.delete(key)
         edit(spec)
         try:
@@ -72,7 +75,7 @@ def bench(
                 f"MuJoCo refuses the scene: {' '.join(str(error).split())}", path=realization.path
             ) from None
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    # A reset in mid-flight would hide a divergence.
+    # An automatic reset would hide a divergence.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if not gravity:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
@@ -88,7 +91,7 @@ def bench(
             _LOCKED_TO_HEAVIEST * float(inertia.max()), _LOCKED_TO_LIGHTEST * float(inertia.min())
         )
         model.dof_armature[~moves] = locked_inertia
-        creep = _LOCKED_CREEP if _damps_implicitly(model) else _LOCKED_CREEP_EXPLICIT
+        creep = _LOCKED_DAMPING if _damps_implicitly(model) else _LOCKED_DAMPING_EXPLICIT
         model.dof_damping[~moves] = creep * locked_inertia / float(model.opt.timestep)
         mujoco.mj_setConst(model, mujoco.MjData(model))
         model.stat.meaninertia = mean_inertia  # scales the solver's tolerance
@@ -110,7 +113,7 @@ def _dofs(model: mujoco.MjModel, joint: int) -> slice:
 
 
 def coupled_joints(realization: Realization, joint: str) -> frozenset[str]:
-    """``joint`` and those tied to it by a joint equality or a tendon."""
+    """``joint`` and all joints that are coupled to it by joint equalities or tendons."""
     model = realization.model
     ties: list[set[int]] = []
     for i in range(model.neq):
@@ -163,9 +166,9 @@ def _driven(model: mujoco.MjModel, actuator: int) -> list[int]:
 
 
 def command_kind(model: mujoco.MjModel, actuator: int) -> CommandMode:
-    """What the actuator's first control asks for, of a joint, a tendon or anything else.
+    """Quantity of an actuator's first control input: ``position``, ``velocity`` or ``effort``.
 
-    The declared input decides; without one, a bias that pulls towards a target does.
+    It is the declared input; without a declaration it follows from the actuator's bias.
     """
     if model.actuator_ctrlnum[actuator] > 0:
         declared = mujoco.mj_actuatorInputName(model, actuator, 0)
@@ -182,9 +185,10 @@ def command_kind(model: mujoco.MjModel, actuator: int) -> CommandMode:
 
 
 def hold(model: mujoco.MjModel, data: mujoco.MjData) -> Vector:
-    """Controls (nu,) that ask for the pose of ``data`` at rest; activations are set to match.
+    """(nu,) controls for rest at the pose of ``data``; activations are set to the steady state.
 
-    A position servo targets where it is, a velocity servo targets zero, a motor has no command.
+    The target of a position servo is its present position, that of a velocity servo is zero, and
+    the control of a motor is zero.
     """
     mujoco.mj_fwdPosition(model, data)
     control: Vector = np.zeros(model.nu)
@@ -206,18 +210,18 @@ def _setpoint(model: mujoco.MjModel, data: mujoco.MjData, actuator: int) -> floa
 
 
 def clipped(model: mujoco.MjModel, control: Vector) -> Vector:
-    """Controls within the declared ranges, as MuJoCo applies them."""
+    """(nu,) controls, clipped to the declared ranges as in MuJoCo."""
     limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
     lower = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
     upper = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
     return np.clip(control, lower, upper)
 
 
-# -- where it starts
+# -- initial state
 
 
-def start(model: mujoco.MjModel, realization: Realization, qpos: Vector) -> mujoco.MjData:
-    """A state at rest: the robot at its ``qpos`` (nq,), what a scene has added where it stands."""
+def initial_state(model: mujoco.MjModel, realization: Realization, qpos: Vector) -> mujoco.MjData:
+    """State at rest, with the robot at ``qpos`` (nq,) and added bodies at their reference."""
     data = mujoco.MjData(model)
     base = realization.model
     for i in range(base.njnt):
@@ -225,17 +229,17 @@ def start(model: mujoco.MjModel, realization: Realization, qpos: Vector) -> mujo
         width = {mujoco.mjtJoint.mjJNT_FREE: 7, mujoco.mjtJoint.mjJNT_BALL: 4}.get(
             mujoco.mjtJoint(base.jnt_type[i]), 1
         )
-        # A scene's own bodies come after the robot's.
+        # Bodies of the scene come after those of the robot.
         target = int(model.jnt_qposadr[i])
         data.qpos[target : target + width] = qpos[source : source + width]
     return data
 
 
 def first_pose(realization: Realization) -> str | dict[str, dict[str, float]]:
-    """A pose for a first spec: the first named keyframe, else one well inside all ranges.
+    """Pose for a first spec: the first named keyframe, or a pose well inside all joint ranges.
 
     Joints whose reference is within the inner 80 % of their range stay there and are not named;
-    the others stand in the middle.
+    the others are set to the middle of their range.
     """
     model = realization.model
     for i in range(model.nkey):
@@ -259,8 +263,8 @@ def first_pose(realization: Realization) -> str | dict[str, dict[str, float]]:
 
 
 def overlaps(realization: Realization, qpos: Vector) -> bool:
-    """Whether bodies touch or overlap at ``qpos`` (nq,)."""
-    data = start(realization.model, realization, qpos)
+    """Whether any bodies are in contact at ``qpos`` (nq,)."""
+    data = initial_state(realization.model, realization, qpos)
     mujoco.mj_fwdPosition(realization.model, data)
     return bool(data.ncon)
 
@@ -270,17 +274,17 @@ def overlaps(realization: Realization, qpos: Vector) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What a simulation went through; row k is the state at ``time[k]``.
+    """Recorded simulation; row k is the state at ``time[k]``.
 
     Attributes:
         time: (n + 1,) s.
         qpos, qvel: (n + 1, nq), (n + 1, nv).
-        energy: (n + 1,) J, kinetic and potential, with springs; contacts store none in it.
-        actuator_work, constraint_work: (n + 1,) J done on the robot since the start by
+        energy: (n + 1,) kinetic and potential energy with springs, without contacts, J.
+        actuator_work, constraint_work: (n + 1,) work done on the robot since the start, J, by
             actuators and applied forces, and by constraints (contacts, limits, friction,
-            equalities): force at the start of a step times the mean velocity over it.
-        penetration: (n + 1,) m, depth of the deepest contact, 0 where nothing overlaps.
-        deepest: names of the two geoms of the deepest contact of all, None if none overlapped.
+            equalities): force at the start of a step times the mean velocity in the step.
+        penetration: (n + 1,) depth of the deepest contact, m; 0 without penetration.
+        deepest: names of the two geoms of the deepest contact of the run, or None.
     """
 
     time: Vector
@@ -294,7 +298,7 @@ class Run:
 
 
 def steps_in(model: mujoco.MjModel, duration: float) -> int:
-    """How many steps cover ``duration`` s, at least one."""
+    """Number of steps that cover ``duration`` (s), at least one."""
     return max(1, math.ceil(duration / float(model.opt.timestep) - 1e-6))
 
 
@@ -348,16 +352,19 @@ def simulate(
     after: Callable[[int], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
-    """Step ``data`` on and record it.
+    """Step ``data`` and record its states.
 
     Args:
-        before: called with the time in s before each step; may write controls and forces.
-        after: called with k when contacts and forces of state k are in ``data``; positions and
-            velocities are then already those of the next state.
-        progress: called with the fraction done.
+        model: the model.
+        data: initial state; changed.
+        steps: number of steps.
+        before: called with the time (s) before each step; may set controls and forces.
+        after: called with k when ``data`` contains the contacts and forces of state k; its
+            positions and velocities are then already those of the next state.
+        progress: called with the fraction that is done, 0 to 1.
 
     Raises:
-        SimulationError: a state that is not finite or beyond MuJoCo's bounds; the message has
+        SimulationError: a state that is not finite or exceeds MuJoCo's bounds; the message names
             the time and the joint.
     """
     n = steps
@@ -396,7 +403,7 @@ def simulate(
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """A geom's name, or that of its body where it has none."""
+    """Name of a geom, or ``geom of BODY`` where it has none."""
     name = str(model.geom(geom).name)
     return name or f"geom of {model.body(int(model.geom_bodyid[geom])).name}"
 
@@ -407,10 +414,10 @@ def _geom_names(model: mujoco.MjModel, geoms: NDArray[np.int32]) -> tuple[str, s
 
 
 def check_finite(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Refuse a state that has diverged.
+    """Check that a state has not diverged.
 
     Raises:
-        SimulationError: with the time and the joint.
+        SimulationError: the state diverged; the message names the time and the joint.
     """
     if not any(data.warning[kind].number for kind in _FATAL) and np.isfinite(data.qvel).all():
         return
@@ -419,7 +426,7 @@ def check_finite(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 def diverged(model: mujoco.MjModel, dof: int, time: float) -> SimulationError:
-    """The error of a simulation that left all bounds at ``dof``."""
+    """Error for a simulation that diverged at degree of freedom ``dof`` at ``time`` (s)."""
     joint = str(model.joint(int(model.dof_jntid[dof])).name)
     return SimulationError(
         f"the simulation diverged at {time:.6g} s",
@@ -428,25 +435,27 @@ def diverged(model: mujoco.MjModel, dof: int, time: float) -> SimulationError:
     )
 
 
-def periodic(
+def simulate_batch(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     control: Vector,
     applied: Vector,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Vector, Vector]:
-    """Many commands from one start, as rows of one batch.
+    """Simulate several command sequences from one initial state, as rows of one batch.
 
     Args:
-        data: the start, with the controls that hold it.
+        model: the model.
+        data: the initial state, with its controls.
         control: (m, n, nu) controls at each of n steps.
-        applied: (m, n, nv) generalized forces at each of n steps, or (m, n, 0) for none.
+        applied: (m, n, nv) generalized forces at each of n steps, N*m or N; (m, n, 0) for none.
+        progress: called with the fraction that is done, 0 to 1.
 
     Returns:
         qpos (m, n, nq) and qvel (m, n, nv) after each step.
 
     Raises:
-        SimulationError: a row diverged; the message has the time and the joint.
+        SimulationError: a row diverged; the message names the time and the joint.
     """
     rows, steps, _ = control.shape
     spec = mujoco.mjtState.mjSTATE_CTRL.value
@@ -478,7 +487,7 @@ def periodic(
 
 
 def _check_rows(model: mujoco.MjModel, time: Vector, qvel: Vector, begin: float) -> None:
-    """Refuse rows (m, n) that stopped at a warning: their clock stands, their states repeat."""
+    """Check that no row (m, n) stopped at a warning; the time of such a row does not advance."""
     timestep = float(model.opt.timestep)
     due = begin + timestep * np.arange(1, 1 + time.shape[1])
     stopped = (time < due - 0.5 * timestep) | ~np.isfinite(qvel).all(axis=2)
@@ -490,7 +499,7 @@ def _check_rows(model: mujoco.MjModel, time: Vector, qvel: Vector, begin: float)
 
 
 def resample(time: Vector, values: Vector, grid: Vector) -> Vector:
-    """Values (n, k) or (n,) at the times of ``grid``, linear between samples."""
+    """Values (n, k) or (n,), interpolated linearly at the times of ``grid`` (s)."""
     if values.ndim == 1:
         return np.interp(grid, time, values)
     return np.column_stack([np.interp(grid, time, column) for column in values.T])

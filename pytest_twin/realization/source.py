@@ -1,4 +1,4 @@
-"""What a realization was built from."""
+"""Elements and files that a realization was built from."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from pytest_twin.realization.node import Node
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What a realization was built from.
+    """Elements and files that a realization was built from.
 
     Attributes:
         kind: ``mjcf`` or ``urdf``.
-        root: the checked elements, includes spliced in.
-        assets: name in the spec -> a file of each mesh, texture, or other asset; equal files share
-            one name.
-        read: files that were read beside those of ``root`` and ``assets``.
+        root: the checked elements, with includes inserted.
+        assets: name in the spec -> file of each mesh, texture or other asset; files with the same
+            content share one name.
+        read: further files that were read.
         urdf: the robot as read, None for MJCF.
-        notes: what the conversion changed or left out, with file and line.
-        inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz, kg*m^2) that replaces one
-            that no body can have, where such a repair was accepted.
+        notes: changes and omissions of the conversion, with file and line.
+        inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz, kg*m^2) that replaces an
+            inconsistent one, where such a repair was accepted.
         velocity_limit: joint -> rad/s or m/s.
-        effects: the file of what is stepped beside the model, where a diagnosis wrote it.
-        located: where its files may lie, and how its packages were found.
+        effects: file of the effects that a diagnosis added to the model, or None.
+        located: folders that may contain its files, and how its packages were found.
     """
 
     kind: Literal["mjcf", "urdf"]
@@ -44,7 +44,7 @@ class Source:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Every file that was read, sorted."""
+        """All files that were read, sorted."""
         named = {node.path for node in self.root.walk()} | set(self.assets.values())
         beside = set() if self.effects is None else {self.effects}
         return tuple(sorted(named | self.read | beside))

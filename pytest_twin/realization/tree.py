@@ -1,7 +1,8 @@
-"""Kinematics and masses of a tree of rigid bodies in numpy, independent of any engine.
+"""Kinematics, gravity torque and mass matrix of a rigid-body tree in NumPy.
 
-The forms are the textbook ones (Siciliano et al., "Robotics: Modelling, Planning and Control",
-2009, ch. 3 and 7), with the Jacobian of each body's centre of mass: short rather than fast.
+This module is independent of all physics engines. It uses the Jacobian of each body's centre of
+mass (Siciliano et al., "Robotics: Modelling, Planning and Control", 2009, ch. 3 and 7) and is
+written for clarity, not for speed.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 GRAVITY = (0.0, 0.0, -9.81)
-"""m/s^2, in the frame of the root."""
+"""(3,) m/s^2, in the frame of the root body."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +25,10 @@ class TreeJoint:
     """One degree of freedom between a body and its parent.
 
     Attributes:
+        name: its name.
         kind: ``hinge`` (rad) or ``slide`` (m).
-        axis: (3,) unit vector in the frame ``anchor``.
-        anchor: (4, 4) of the joint's frame in the body.
+        axis: (3,) unit vector in the frame of the joint.
+        anchor: (4, 4) pose of the joint's frame in the body, m.
     """
 
     name: str
@@ -35,7 +37,7 @@ class TreeJoint:
     anchor: Vector
 
     def motion(self, value: float) -> Vector:
-        """(4, 4) from the body's place at zero to its place at ``value``."""
+        """(4, 4) motion of the body from joint value zero to ``value`` (rad or m), in its frame."""
         moved = np.eye(4)
         if self.kind == "slide":
             moved[:3, 3] = value * self.axis
@@ -50,12 +52,14 @@ class TreeBody:
     """A rigid body.
 
     Attributes:
-        parent: the body that carries it, None for the root.
-        placement: (4, 4) in the parent with the joint at zero.
-        joint: what it moves by, None where it is fixed (or free, and stands as it is drawn).
+        name: its name.
+        parent: name of the parent body, None for the root.
+        placement: (4, 4) pose in the parent with the joint at zero, m.
+        joint: joint to the parent; None for a fixed body, and for a free body, which stays at its
+            initial pose.
         mass: kg.
-        com: (3,) centre of mass in the body, m.
-        inertia: (3, 3) about that centre, body axes, kg*m^2.
+        com: (3,) centre of mass in the body's frame, m.
+        inertia: (3, 3) about the centre of mass, body axes, kg*m^2.
     """
 
     name: str
@@ -68,7 +72,7 @@ class TreeBody:
 
 
 def rotation_about(axis: Vector, angle: float) -> Vector:
-    """(3, 3) by Rodrigues' formula; ``axis`` of unit length, ``angle`` in rad."""
+    """(3, 3) rotation matrix by Rodrigues' formula; unit vector ``axis`` (3,), ``angle`` in rad."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turned: Vector = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
@@ -76,7 +80,7 @@ def rotation_about(axis: Vector, angle: float) -> Vector:
 
 
 def inverse(pose: Vector) -> Vector:
-    """Of a rigid transform (4, 4)."""
+    """(4, 4) inverse of a rigid transform."""
     result = np.eye(4)
     result[:3, :3] = pose[:3, :3].T
     result[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
@@ -84,9 +88,9 @@ def inverse(pose: Vector) -> Vector:
 
 
 class RigidTree:
-    """Bodies, each after its parent; poses are told from the root.
+    """A tree of rigid bodies, each listed after its parent; poses are in the frame of the root.
 
-    Joint values are mappings from joint to rad or m; joints left out stand at zero.
+    Joint values are mappings from joint to rad or m; joints that are not given are at zero.
     """
 
     def __init__(self, bodies: Iterable[TreeBody]) -> None:
@@ -103,7 +107,7 @@ class RigidTree:
         return tuple(self.bodies)
 
     def poses(self, q: Mapping[str, float]) -> dict[str, Vector]:
-        """``transform_root_to_body`` (4, 4) of every body."""
+        """Pose (4, 4) of each body in the root, m."""
         found: dict[str, Vector] = {}
         for body in self.bodies.values():
             pose = body.placement
@@ -113,29 +117,29 @@ class RigidTree:
         return found
 
     def frame_pose(self, q: Mapping[str, float], frame: str) -> Vector:
-        """``transform_root_to_frame`` (4, 4)."""
+        """Pose (4, 4) of a body in the root, m."""
         return self.poses(q)[frame]
 
     def mass(self) -> float:
-        """Of all bodies, kg."""
+        """Total mass, kg."""
         return float(sum(body.mass for body in self.bodies.values()))
 
     def center_of_mass(self, q: Mapping[str, float]) -> Vector:
-        """(3,) of all bodies, in the root, m."""
+        """(3,) centre of mass of all bodies in the root, m."""
         poses, total, moment = self.poses(q), self.mass(), np.zeros(3)
         for body in self.bodies.values():
             moment += body.mass * (poses[body.name][:3, :3] @ body.com + poses[body.name][:3, 3])
         return moment / total if total > 0 else moment
 
     def gravity_torque(self, q: Mapping[str, float]) -> Vector:
-        """(n,) N*m or N that holds each joint against ``GRAVITY``, in the order of ``joints``."""
+        """(n,) generalized forces (N*m or N) that balance ``GRAVITY``; order of ``joints``."""
         torque = np.zeros(len(self.joints))
         for body, linear, _, _ in self._jacobians(q):
             torque -= body.mass * (linear.T @ np.array(GRAVITY))
         return torque
 
     def mass_matrix(self, q: Mapping[str, float]) -> Vector:
-        """(n, n) sum of m Jv^T Jv + Jw^T I Jw, in the order of ``joints``."""
+        """(n, n) mass matrix, sum of m Jv^T Jv + Jw^T I Jw; order of ``joints``, SI units."""
         matrix = np.zeros((len(self.joints),) * 2)
         for body, linear, angular, rotation in self._jacobians(q):
             inertia = rotation @ body.inertia @ rotation.T
@@ -145,14 +149,14 @@ class RigidTree:
     def _jacobians(
         self, q: Mapping[str, float]
     ) -> Iterable[tuple[TreeBody, Vector, Vector, Vector]]:
-        """Each body, (3, n) Jacobians of its centre of mass and its rotation, and its axes."""
+        """Yield each body, its (3, n) linear and angular Jacobians, and its (3, 3) orientation."""
         poses = self.poses(q)
         index = {name: i for i, name in enumerate(self.joints)}
         above: dict[str, tuple[tuple[int, TreeJoint, Vector], ...]] = {}
         for body in self.bodies.values():
             chain = () if body.parent is None else above[body.parent]
             if body.joint is not None:
-                # The axis stays put under its own motion, so the body's own pose gives it.
+                # The axis does not move with its own joint, so that the pose of the body gives it.
                 frame = poses[body.name] @ body.joint.anchor
                 chain = (*chain, (index[body.joint.name], body.joint, frame))
             above[body.name] = chain

@@ -1,4 +1,4 @@
-"""URDF, read and checked as text: links, joints, and the tree that they make."""
+"""Read and check a URDF file: links, joints and their tree."""
 
 from __future__ import annotations
 
@@ -27,10 +27,12 @@ class Link:
     """A rigid body.
 
     Attributes:
+        name: its name.
+        node: the ``link`` element.
         mass: kg.
         com: (3,) centre of mass in the link's frame, m.
         inertia: (3, 3) about the centre of mass, link axes, kg*m^2.
-        inertial: the element, None where the link has none.
+        inertial: the ``inertial`` element, or None.
     """
 
     name: str
@@ -43,7 +45,7 @@ class Link:
 
 @dataclass(slots=True)
 class Mimic:
-    """``value = multiplier * joint + offset``."""
+    """Coupling to another joint: ``value = multiplier * joint + offset``, offset in rad or m."""
 
     node: Node
     joint: str
@@ -53,16 +55,21 @@ class Mimic:
 
 @dataclass(slots=True)
 class Joint:
-    """What ties a child link to its parent.
+    """Joint between a parent link and a child link.
 
     Attributes:
+        name: its name.
+        node: the ``joint`` element.
         type: ``revolute``, ``continuous``, ``prismatic``, ``planar``, ``floating`` or ``fixed``.
-        position: (3,) of the child's frame in the parent's, m.
-        rotation: (3, 3) of the child's frame in the parent's.
+        parent, child: names of the links.
+        position: (3,) position of the child's frame in the parent's, m.
+        rotation: (3, 3) orientation of the child's frame in the parent's.
         axis: (3,) unit vector in the child's frame.
-        limits: (lower, upper) in rad or m, None where not stated.
-        velocity: rad/s or m/s; effort: N*m or N; None where not stated.
-        damping: N*m*s/rad or N*s/m; friction: N*m or N.
+        limits: (lower, upper), rad or m, None where not stated.
+        velocity, effort: limits, rad/s or m/s, N*m or N; None where not stated.
+        damping: N*m*s/rad or N*s/m.
+        friction: N*m or N.
+        mimic: coupling to another joint, or None.
     """
 
     name: str
@@ -91,10 +98,9 @@ class Robot:
         links: in the order of the file.
         joints: in the order of the file.
         children: link -> joints whose parent it is.
-        lost_mimics: joint -> the mimic that names a joint that is not there; it is not among the
-            joint's own.
-        compiler: what the file asks of MuJoCo's compiler.
-        corrected: links whose mass or inertia is that compiler's, and not the file's.
+        lost_mimics: joint -> its mimic of a joint that does not exist; its ``mimic`` is then None.
+        compiler: settings of the file for MuJoCo's compiler.
+        corrected: links whose mass or inertia these settings change.
     """
 
     node: Node
@@ -107,7 +113,7 @@ class Robot:
     corrected: set[str] = field(default_factory=set)
 
     def in_order(self) -> list[Joint]:
-        """Joints, each after the one that carries it."""
+        """Joints, each after the joints between it and the root."""
         found: list[Joint] = []
         waiting = list(reversed(self.children[self.root]))
         while waiting:
@@ -118,11 +124,11 @@ class Robot:
 
 
 def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
-    """Read a URDF file; the meshes that it names are not touched.
+    """Read a URDF file; its mesh files are not opened.
 
     Raises:
-        FormatError: not well-formed, or beyond a bound.
-        ModelError: not a tree of links, or a value that no robot can have.
+        FormatError: not well-formed, or larger than a limit.
+        ModelError: not a tree of links, or an invalid value.
     """
     root = document(path, limits=limits)
     links: dict[str, Link] = {}
@@ -158,21 +164,21 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
     robot = Robot(root, "", links, joints, {name: [] for name in links}, compiler=compiler)
     robot.corrected.update(corrected)
     _check_tree(robot)
-    _take_lost_mimics(robot)
+    _remove_lost_mimics(robot)
     _check_mimics(robot)
     return robot
 
 
 def check_depth(robot: Node, ends: Iterable[tuple[str, str]], most: int) -> None:
-    """Refuse links that hang too deep below each other.
+    """Check the depth of the tree of links.
 
     Args:
         robot: the ``robot`` element.
         ends: parent and child of each joint.
-        most: links between a root and a leaf, both counted.
+        most: largest number of links from the root to a leaf, including both.
 
     Raises:
-        LimitError: a longer chain.
+        LimitError: the tree is deeper.
     """
     children: dict[str, list[str]] = {}
     below: set[str] = set()
@@ -197,11 +203,11 @@ def check_depth(robot: Node, ends: Iterable[tuple[str, str]], most: int) -> None
 
 
 def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
-    """The ``robot`` element of a URDF file, its values not yet looked at.
+    """The ``robot`` element of a URDF file; its values are not checked.
 
     Raises:
-        FormatError: not well-formed, or beyond a bound.
-        ModelError: no URDF.
+        FormatError: not well-formed, or larger than a limit.
+        ModelError: not a URDF.
     """
     root = _nodes(xml.parse(path), path, limits)
     if root.tag != "robot":
@@ -214,7 +220,9 @@ def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
 
 
 def rotation(rpy: Vector) -> Vector:
-    """(3, 3) of roll, pitch, yaw about fixed axes: R_z(yaw) R_y(pitch) R_x(roll)."""
+    """(3, 3) rotation matrix of (3,) roll, pitch, yaw [rad] about fixed axes: R_z(yaw) R_y(pitch)
+    R_x(roll).
+    """
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
     return np.array(
         [
@@ -226,7 +234,7 @@ def rotation(rpy: Vector) -> Vector:
 
 
 def origin(node: Node) -> tuple[Vector, Vector]:
-    """(3,) position in m and (3, 3) rotation of the ``origin`` below ``node``."""
+    """(3,) position [m] and (3, 3) orientation in the ``origin`` element below ``node``."""
     element = node.find("origin")
     if element is None:
         return np.zeros(3), np.eye(3)
@@ -262,10 +270,10 @@ def _name(node: Node) -> str:
 
 
 def link_of(node: Node) -> Link:
-    """What a ``link`` element says.
+    """Parse a ``link`` element.
 
     Raises:
-        ModelError: a value that no link can have.
+        ModelError: an invalid value.
     """
     name = _name(node)
     inertial = node.find("inertial")
@@ -291,10 +299,10 @@ def link_of(node: Node) -> Link:
 
 
 def joint_of(node: Node) -> Joint:
-    """What a ``joint`` element says, without a look at the links that it names.
+    """Parse a ``joint`` element; the links that it names are not checked.
 
     Raises:
-        ModelError: a value that no joint can have.
+        ModelError: an invalid value.
     """
     name = _name(node)
     kind = node.attributes.get("type", "")
@@ -369,7 +377,7 @@ def joint_of(node: Node) -> Joint:
 def _not_negative(node: Node, attribute: str, unit: str, joint: str) -> float | None:
     if attribute not in node.attributes:
         return None
-    # Limits of 1e30 say that there is none.
+    # Some files state 1e30 for an unlimited value.
     value = node.number(attribute, None, unit=unit, most=math.inf)
     if value < 0:
         raise node.error(
@@ -427,8 +435,11 @@ def _check_tree(robot: Robot) -> None:
         )
 
 
-def _take_lost_mimics(robot: Robot) -> None:
-    """MuJoCo and Pinocchio load a robot with a mimic of no joint, and couple nothing."""
+def _remove_lost_mimics(robot: Robot) -> None:
+    """Move mimics of joints that do not exist to ``lost_mimics``.
+
+    MuJoCo and Pinocchio load such a robot and ignore the mimic.
+    """
     for joint in robot.joints.values():
         if joint.mimic is not None and joint.mimic.joint not in robot.joints:
             robot.lost_mimics[joint.name] = joint.mimic
@@ -467,5 +478,5 @@ def _check_mimics(robot: Robot) -> None:
 
 
 def principal_text(moments: Vector) -> str:
-    """Principal moments as people read them."""
+    """Principal moments of a (3, 3) inertia as text."""
     return ", ".join(f"{m:.6g}" for m in np.linalg.eigvalsh(moments))

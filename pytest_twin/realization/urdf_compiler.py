@@ -1,8 +1,8 @@
-"""The ``<mujoco>`` block of a URDF: what it asks of MuJoCo's compiler, done to the robot itself.
+"""Settings for MuJoCo's compiler in the ``<mujoco>`` block of a URDF, applied to the robot.
 
-MuJoCo reads ``<compiler>``, ``<option>`` and ``<size>`` there. Its corrections of inertias are
-part of the robot that its author simulates, so every form of the robot gets them. The folders of
-meshes are in :mod:`pytest_twin.realization.files.urdf`.
+MuJoCo reads ``<compiler>``, ``<option>`` and ``<size>`` in this block. The author of the robot
+simulates it with the corrected inertias, so that all realizations get the corrections. The folders
+of meshes are handled in :mod:`pytest_twin.realization.files.urdf`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-_HONOURED = frozenset(
+_APPLIED = frozenset(
     {"meshdir", "assetdir", "texturedir", "strippath"}
     | {"balanceinertia", "boundmass", "boundinertia"}
 )
-# No motion depends on them: visual shapes collide with nothing, links that are welded together
-# move as one, URDF's angles are radians for MuJoCo too, and a stated range limits.
+# Attributes that do not change the motion: visual shapes do not collide, fixed links move together,
+# MuJoCo reads the angles of a URDF in rad, and a stated range is a limit.
 _WITHOUT_EFFECT = frozenset(
     {"discardvisual", "fusestatic", "angle", "eulerseq", "coordinate", "usethread", "alignfree"}
 )
@@ -34,15 +34,15 @@ _WITHOUT_EFFECT = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class UrdfCompiler:
-    """What the ``<mujoco>`` block of a URDF states.
+    """Settings in the ``<mujoco>`` block of a URDF.
 
     Attributes:
-        balance: an inertia that no body can have becomes the mean of its principal moments about
-            every axis.
-        bound_mass: least mass of a link, kg.
-        bound_inertia: least principal moment of a link, kg*m^2.
-        option: the ``<option>`` element.
-        compiler: the ``<compiler>`` element.
+        balance: whether the principal moments of an inconsistent inertia are replaced by their
+            mean.
+        bound_mass: smallest mass of a link, kg.
+        bound_inertia: smallest principal moment of a link, kg*m^2.
+        option: the ``<option>`` element, or None.
+        compiler: the ``<compiler>`` element, or None.
     """
 
     balance: bool = False
@@ -53,10 +53,10 @@ class UrdfCompiler:
 
     @staticmethod
     def of(root: Node) -> UrdfCompiler:
-        """What the ``robot`` element says.
+        """Read the settings below the ``robot`` element.
 
         Raises:
-            ModelError: a bound that is no number.
+            ModelError: a bound that is not a number.
         """
         block = root.find("mujoco")
         if block is None:
@@ -73,7 +73,7 @@ class UrdfCompiler:
         )
 
     def corrected(self, link: Link) -> Link:
-        """The link as MuJoCo's compiler leaves it: bounds first, then the balance."""
+        """The link with the corrections of MuJoCo's compiler: bounds first, then the balance."""
         if link.inertial is None:
             return link
         mass = max(link.mass, self.bound_mass)
@@ -86,13 +86,13 @@ class UrdfCompiler:
         return replace(link, mass=mass, inertia=axes @ np.diag(wanted) @ axes.T)
 
     @property
-    def not_honoured(self) -> tuple[str, ...]:
-        """Attributes of ``<compiler>`` that change the robot for MuJoCo and are left out here."""
+    def not_applied(self) -> tuple[str, ...]:
+        """Attributes of ``<compiler>`` that change the robot in MuJoCo and are not applied."""
         stated = {} if self.compiler is None else self.compiler.attributes
-        return tuple(sorted(set(stated) - _HONOURED - _WITHOUT_EFFECT))
+        return tuple(sorted(set(stated) - _APPLIED - _WITHOUT_EFFECT))
 
     def option_text(self, **defaults: str) -> str:
-        """An MJCF that states the options, those of the URDF above ``defaults``."""
+        """MJCF text with the simulation options: those of the URDF, else ``defaults``."""
         stated = {**defaults, **({} if self.option is None else self.option.attributes)}
         flags = "" if self.option is None else "".join(map(_text, self.option.children))
         words = "".join(f" {key}={quoteattr(value)}" for key, value in stated.items())

@@ -1,7 +1,7 @@
-"""What a URDF has besides links and joints: transmissions, sensors, contact, and the rest.
+"""Read transmissions, sensors and contact parameters of a URDF, and count other elements.
 
-URDF itself has few words for these; those read here are of ros_control, Gazebo and URDF's draft of
-sensors. What else there is gets counted, so that it is not lost in silence.
+URDF defines few of these elements. This module reads those of ros_control, Gazebo and the draft of
+URDF sensors. It counts all other elements, so that their loss is reported.
 """
 
 from __future__ import annotations
@@ -25,10 +25,13 @@ _KNOWN = ("link", "joint", "material", "transmission", "sensor")
 
 @dataclass(frozen=True, slots=True)
 class Transmission:
-    """An actuator on a joint.
+    """An actuator of a joint.
 
     Attributes:
-        reduction: motor turns for one of the joint, negative where it turns the other way.
+        name, joint, type: as written.
+        reduction: gear ratio, turns of the motor per turn of the joint; negative for opposite
+            directions; None where not stated.
+        line: line in the file.
     """
 
     name: str
@@ -43,8 +46,11 @@ class Sensor:
     """A sensor on a link.
 
     Attributes:
+        name: its name, made unique.
         type: as written, such as ``imu``, ``ray``, ``force_torque``.
-        pose: (4, 4) in the link.
+        link: name of the link.
+        pose: (4, 4) pose in the link, m.
+        line: line in the file.
     """
 
     name: str
@@ -56,11 +62,13 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Extras:
-    """All of it.
+    """Elements of a URDF other than links and joints.
 
     Attributes:
-        contact: word -> how often it is stated.
-        custom: tag below ``robot`` that is no part of URDF -> how often.
+        transmissions: all transmissions.
+        sensors: all sensors on links.
+        contact: name of a contact parameter -> number of occurrences.
+        custom: tag below ``robot`` that URDF does not define -> number of occurrences.
     """
 
     transmissions: tuple[Transmission, ...]
@@ -70,7 +78,7 @@ class Extras:
 
 
 def read(robot: Robot) -> Extras:
-    """Read them from the robot's file."""
+    """Read the elements from the robot's file."""
     root: Any = xml.parse(robot.node.path)
     return Extras(
         tuple(found for node in root.iter("transmission") for found in _transmissions(node)),
@@ -107,7 +115,7 @@ def _sensors(root: Any, robot: Robot) -> tuple[Sensor, ...]:
 
 
 def _link(node: Any, robot: Robot) -> str | None:
-    """The link that carries a sensor: its parent element says, or the block that it stands in."""
+    """The link of a sensor, from its ``parent`` element or its enclosing ``gazebo`` block."""
     parent = node.find("parent")
     named = parent.get("link") if parent is not None else None
     for above in node.iterancestors("gazebo"):
@@ -118,7 +126,7 @@ def _link(node: Any, robot: Robot) -> str | None:
 
 
 def _pose(node: Any) -> Vector:
-    """From ``<pose>x y z roll pitch yaw</pose>`` or ``<origin xyz= rpy=>``."""
+    """(4, 4) pose [m] from ``<pose>x y z roll pitch yaw</pose>`` or ``<origin xyz= rpy=>``."""
     origin = node.find("origin")
     words = _text(node.find("pose")).split()
     if origin is not None:

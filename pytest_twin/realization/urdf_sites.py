@@ -1,4 +1,4 @@
-"""Put a URDF's frames, sensors and transmissions on the spec that its links and joints became."""
+"""Add frames, sensors and transmissions of a URDF to its MuJoCo spec."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _SENSORS = {
 
 
 def add(spec: mujoco.MjSpec, robot: Robot, extras: Extras) -> None:
-    """Frames and sensors become sites, and an actuator stands on every joint with a transmission.
+    """Add sites for frames and sensors, and an actuator for each joint with a transmission.
 
-    A frame is a link without mass and shapes. Sensors that MuJoCo has are added on their site; of
-    the others only the place is kept. An actuator that no effort bounds is a motor without bounds:
-    force on the joint's side, whatever the transmission reduces.
+    A frame is a link without mass and shapes. Sensors that MuJoCo supports are added at their site;
+    for other sensors only the site is added. An actuator without an effort limit is an unlimited
+    motor whose force acts on the joint side of the gear.
     """
     taken = set()
     for name, link in robot.links.items():

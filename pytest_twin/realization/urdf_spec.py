@@ -1,14 +1,14 @@
-"""From a URDF to a :class:`mujoco.MjSpec`, with a note on everything that is not carried as it is.
+"""Convert a URDF to a :class:`mujoco.MjSpec`, with a note on each change.
 
-What URDF leaves open is decided here, and only here:
+Where URDF defines nothing, this module applies these rules:
 
-- The root link stands fixed in the world.
-- Every link is a body, links behind fixed joints too, so that each frame can be asked for.
-- A joint that states an effort, and follows no other, is driven by a ``motor`` of its own name:
-  a torque or force in N*m or N, bounded by the effort. URDF describes no servo.
-- A mimic joint is a stiff equality.
-- Collision shapes collide; visual shapes are left out. Links on both sides of a joint do not
-  collide with each other.
+- The root link is fixed to the world.
+- Each link is a body, also behind a fixed joint, so that the pose of every frame is available.
+- A joint with an effort limit and without a mimic gets a ``motor`` with its name: a torque or force
+  in N*m or N, limited by the effort. URDF describes no servo.
+- A mimic joint is a stiff equality constraint.
+- Collision shapes collide; visual shapes are left out. The two links of a joint do not collide with
+  each other.
 """
 
 from __future__ import annotations
@@ -34,29 +34,30 @@ from pytest_twin.twin import Patch
 Vector = NDArray[np.float64]
 
 TIMESTEP = 0.002
-# Stiff and well-damped: twice the step is the shortest time constant that MuJoCo holds stable.
+# Stiff and critically damped: the smallest stable time constant in MuJoCo is twice the timestep.
 _MIMIC_SOLREF = (2 * TIMESTEP, 1.0)
 _MIMIC_SOLIMP = (0.99, 0.9999, 0.001, 0.5, 2.0)
-# Thinner meshes have no convex hull that MuJoCo could build.
-_THINNEST = 1e-6
-_PLATE = 1e-3
-_WIDEST = 1e6
+# m. MuJoCo cannot build the convex hull of a thinner mesh, which becomes a box instead.
+_MIN_THICKNESS = 1e-6
+_BOX_THICKNESS = 1e-3
+_MAX_EXTENT = 1e6
 
-_NAMED = 4
-"""Links that a note names."""
+_MAX_NAMED = 4
+"""Largest number of links that a note names."""
 
 
 @dataclass(slots=True)
 class Converted:
-    """A URDF as MuJoCo will have it.
+    """MuJoCo spec of a URDF.
 
     Attributes:
-        notes: what was changed or left out, one line each, with file and line.
-        inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz) that took the place of one
-            that no body can have.
+        spec: the spec.
+        notes: changes and omissions, one line each, with file and line.
+        inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz, kg*m^2) that replaces an
+            inconsistent one.
         velocity_limit: joint -> rad/s or m/s.
-        mesh_paths: name in the spec -> file.
-        beside: files that these files name.
+        mesh_paths: name in the spec -> mesh file.
+        beside: buffer files of the mesh files.
     """
 
     spec: mujoco.MjSpec
@@ -76,19 +77,21 @@ def convert(
     shapes: bool = True,
     limits: ModelLimits = LIMITS,
 ) -> Converted:
-    """Build the spec.
+    """Convert a URDF to a MuJoCo spec.
 
     Args:
-        files: finds the meshes.
-        accept_invalid_inertia: repair inertias that no body can have, with a note, rather than
-            raise.
-        inertia_patches: link -> mass, com, inertia stated in their place.
-        shapes: with the collision shapes; without them no mesh is touched.
+        robot: the URDF.
+        files: finds the mesh files.
+        accept_invalid_inertia: whether to repair inertias that are not physically consistent and
+            add a note, instead of raising an error.
+        inertia_patches: link -> ``mass`` [kg], ``com`` [m], ``inertia`` [kg*m^2] of a fit.
+        shapes: whether to add collision shapes; without them no mesh file is read.
+        limits: size limits.
 
     Raises:
-        ModelError: an inertia that no body can have, or a shape without size.
-        PathError: a mesh outside the roots, or none.
-        FormatError: a broken mesh.
+        ModelError: an inconsistent inertia, or an invalid shape.
+        PathError: a mesh file does not exist or is outside the roots.
+        FormatError: an invalid mesh file.
     """
     patches = inertia_patches or {}
     return _Converter(robot, files, accept_invalid_inertia, patches, shapes, limits).run()
@@ -140,11 +143,11 @@ class _Converter:
         for link in self.robot.links.values() if self.shapes else ():
             self._collisions(link)
         self._exclude_base()
-        self._left_out()
+        self._note_left_out()
         return self.out
 
     def _empty(self) -> mujoco.MjSpec:
-        """A spec with the options that the URDF states, and ours for the others."""
+        """A spec with the simulation options of the URDF, and defaults for the others."""
         compiler = self.robot.compiler
         if compiler.option is not None:
             mjcf.check_values(compiler.option, limits=self.limits)
@@ -165,10 +168,10 @@ class _Converter:
                 f"link '{name}' has the mass and inertia that <mujoco><compiler> asks for: "
                 f"{link.mass:g} kg, {principal_text(link.inertia)} kg*m^2",
             )
-        for attribute in compiler.not_honoured:
+        for attribute in compiler.not_applied:
             self.note(
                 compiler.compiler or self.robot.node,
-                f"<compiler {attribute}> is not honoured: the robot is as its links state it",
+                f"<compiler {attribute}> is not applied: the robot has the values of its links",
             )
 
     # -- tree
@@ -176,7 +179,7 @@ class _Converter:
     def _links(self) -> None:
         root = self.robot.links[self.robot.root]
         world = self.spec.worldbody
-        # MuJoCo's own root has this name and stands still just so.
+        # MuJoCo's root body has this name and is fixed too.
         self.bodies[root.name] = world if root.name == "world" else world.add_body(name=root.name)
         for joint in self.robot.in_order():
             if joint.child == "world":
@@ -238,7 +241,7 @@ class _Converter:
             return
         lower, upper = joint.limits
         if upper - lower < 1e-9:
-            # MuJoCo needs room between the two.
+            # MuJoCo requires a range that is not empty.
             lower, upper = lower - 1e-9, upper + 1e-9
             self.note(joint.node, f"joint '{joint.name}' has no range and is held at {upper:.6g}")
         made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
@@ -250,8 +253,8 @@ class _Converter:
             if lost is not None:
                 self.note(
                     lost.node,
-                    f"joint '{joint.name}' is to follow '{lost.joint}', which is no joint: it "
-                    "follows none",
+                    f"joint '{joint.name}' mimics '{lost.joint}', which does not exist: the mimic "
+                    "is ignored",
                 )
             return
         if joint.type == "fixed":
@@ -320,27 +323,27 @@ class _Converter:
             if body.name != "world":
                 inertia.write(body, mass, com, moments)
         if raised:
-            self._say_raised(raised)
+            self._note_raised(raised)
 
-    def _say_raised(self, links: list[Link]) -> None:
-        """Note which moving links got an inertia, in one line."""
+    def _note_raised(self, links: list[Link]) -> None:
+        """Add a note with the moving links that got a minimal inertia."""
         names = [f"'{link.name}'" for link in links]
         if len(links) == 1:
             mass, _, moments = self.stated[links[0].name]
             found = f"moving link {names[0]} has no inertia "
             found += f"({mass:g} kg, {principal_text(moments)} kg*m^2)"
         else:
-            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+            more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
             found = f"{len(links)} moving links have no inertia "
-            found += f"({', '.join(names[:_NAMED])}{more})"
+            found += f"({', '.join(names[:_MAX_NAMED])}{more})"
         self.note(
             links[0].inertial or links[0].node,
             f"{found}: raised to {inertia.MASS_FLOOR:g} kg and kg*m^2 so that the model can be "
-            "simulated; motions under forces mean nothing until their masses are stated",
+            "simulated; simulated motions are not meaningful until their masses are stated",
         )
 
     def _stated(self, link: Link) -> tuple[float, Vector, Vector]:
-        """Mass, centre of mass and inertia, patches taken in."""
+        """Mass, centre of mass and inertia of a link, with the fit applied."""
         mass, com, moments = link.mass, link.com, link.inertia
         patched = self.inertia_patches.get(link.name, {})
         if "mass" in patched:
@@ -349,11 +352,11 @@ class _Converter:
             com = np.array(patched["com"], dtype=np.float64)
         if "inertia" in patched:
             moments = inertia.tensor(patched["inertia"])  # type: ignore[arg-type]
-        return mass, com, self._possible(link, moments)
+        return mass, com, self._consistent_inertia(link, moments)
 
-    def _possible(self, link: Link, moments: Vector) -> Vector:
+    def _consistent_inertia(self, link: Link, moments: Vector) -> Vector:
         if np.abs(moments).max() < inertia.MASS_FLOOR:
-            # A zero that is not exact after a change of frame.
+            # Zero apart from rounding errors of the frame transformation.
             return np.zeros((3, 3))
         share = inertia.violation(moments)
         if share == 0.0:
@@ -370,7 +373,7 @@ class _Converter:
             )
         repaired = inertia.consistent(moments)
         if share > inertia.ROUNDING:
-            self.out.inertia_repairs[link.name] = inertia.six(repaired)
+            self.out.inertia_repairs[link.name] = inertia.six_components(repaired)
         why = "rounded digits" if share <= inertia.ROUNDING else "accepted repair"
         self.note(
             node,
@@ -380,7 +383,7 @@ class _Converter:
         return repaired
 
     def _has_inertia(self, link: Link) -> bool:
-        """Whether it, or a link fixed to it, has what MuJoCo asks of a moving body."""
+        """Whether the link, or a link fixed to it, has the inertia that MuJoCo requires."""
         waiting = [link]
         while waiting:
             candidate = waiting.pop()
@@ -470,12 +473,12 @@ class _Converter:
                 expected="three factors other than 0",
             )
         triangles = self._triangles(node, path).scaled(scale)
-        if not np.abs(triangles.vertices).max() < _WIDEST:
+        if not np.abs(triangles.vertices).max() < _MAX_EXTENT:
             raise node.error(
-                "a mesh out of all proportion", "scale", expected=f"less than {_WIDEST:g} m"
+                "the mesh is too large", "scale", expected=f"less than {_MAX_EXTENT:g} m"
             )
-        if triangles.thickness < _THINNEST:
-            return self._plate(link, node, triangles, position, axes)
+        if triangles.thickness < _MIN_THICKNESS:
+            return self._thin_box(link, node, triangles, position, axes)
         key = (path, tuple(scale.tolist()))
         if key not in self.mesh_names:
             name = path.stem
@@ -486,7 +489,8 @@ class _Converter:
             made = self.spec.add_mesh(name=name)
             made.uservert = triangles.vertices.ravel()
             made.userface = triangles.faces.ravel()
-            # Of no weight here, and a shell has one however the faces stand.
+            # The mesh has no mass, but MuJoCo needs an inertia, and that of a shell is valid
+            # for any orientation of the faces.
             made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
             if triangles.up_axis != "Z_UP":
                 self.other_axes[triangles.up_axis] += 1
@@ -497,18 +501,19 @@ class _Converter:
             "quat": _quaternion(axes),
         }
 
-    def _plate(
+    def _thin_box(
         self, link: Link, node: Node, triangles: mesh.Triangles, position: Vector, axes: Vector
     ) -> dict[str, Any]:
-        """The thin box around a mesh without volume."""
+        """A thin box around a mesh without volume."""
         centre = triangles.vertices.mean(axis=0)
         frame = triangles.principal_axes
         local = (triangles.vertices - centre) @ frame
-        half = np.maximum(np.ptp(local, axis=0) / 2, _PLATE / 2)
+        half = np.maximum(np.ptp(local, axis=0) / 2, _BOX_THICKNESS / 2)
         middle = centre + frame @ ((local.max(axis=0) + local.min(axis=0)) / 2)
         self.note(
             node,
-            f"flat collision mesh of link '{link.name}' became a box {_PLATE * 1e3:g} mm thick",
+            f"flat collision mesh of link '{link.name}' became a box "
+            f"{_BOX_THICKNESS * 1e3:g} mm thick",
         )
         return {
             "type": mujoco.mjtGeom.mjGEOM_BOX,
@@ -522,7 +527,7 @@ class _Converter:
             try:
                 found = mesh.read(path, self.limits)
             except TwinError as error:
-                error.problem += f"; wanted by {node.place}"
+                error.problem += f"; used at {node.place}"
                 raise
             self.triangles[path] = found
             self.out.beside.update(mesh.files_of(path, self.limits)[1:])
@@ -542,9 +547,9 @@ class _Converter:
     # -- the rest
 
     def _exclude_base(self) -> None:
-        """Links on both sides of a joint do not collide.
+        """Exclude collisions of the two links of a joint whose parent is fixed to the world.
 
-        MuJoCo leaves such pairs out by itself, but not where the parent stands still.
+        MuJoCo excludes the other pairs of parent and child itself.
         """
         still = [self.robot.root]
         for joint in self.robot.in_order():
@@ -566,11 +571,11 @@ class _Converter:
                             bodyname2=second,
                         )
 
-    def _left_out(self) -> None:
+    def _note_left_out(self) -> None:
         for axis, count in self.other_axes.items():
             self.note(
                 self.robot.node,
-                f"{count} COLLADA or glTF meshes state {axis}; their vertices stand as read",
+                f"{count} COLLADA or glTF meshes state {axis}; their vertices are not rotated",
             )
         counts = Counter[str]()
         for node in self.robot.node.walk():
@@ -584,11 +589,11 @@ class _Converter:
 
 
 def mesh_file(node: Node, files: UrdfFiles) -> Path:
-    """The file that a ``mesh`` element names.
+    """Path of the file of a ``mesh`` element.
 
     Raises:
-        ModelError: none is named.
-        PathError: its package is not found, it is outside the roots, or not there.
+        ModelError: the element names no file.
+        PathError: its package is not found, or the file does not exist or is outside the roots.
     """
     reference = node.attributes.get("filename", "")
     if not reference:

@@ -1,4 +1,4 @@
-"""A URDF as a tree of rigid bodies, by what its text states alone."""
+"""Build a rigid-body tree from a URDF, without a physics engine."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pytest_twin.realization.tree import RigidTree, TreeBody, TreeJoint
 from pytest_twin.realization.urdf import Joint, Robot
 
 SCALAR = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
-"""Type of a URDF joint of one degree of freedom -> what it does."""
+"""Type of a URDF joint with one degree of freedom -> ``hinge`` or ``slide``."""
 
 
 def build(robot: Robot) -> RigidTree:
-    """The tree; planar and floating joints stand as they are drawn."""
+    """Build the tree; planar and floating joints stay at their initial pose."""
     bodies = [_body(robot, robot.root, None)]
     bodies += [_body(robot, joint.child, joint) for joint in robot.in_order()]
     return RigidTree(bodies)

@@ -1,4 +1,4 @@
-"""What a URDF looks like, on the spec that its links became: seen, and never felt."""
+"""Add the visual shapes of a URDF to its MuJoCo spec; they do not collide and have no mass."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from pytest_twin.realization.urdf import Robot, origin
 
 Vector = NDArray[np.float64]
 GROUP = 2
-"""MuJoCo's viewer shows it at first, and hides that of collision shapes."""
+"""Geom group that MuJoCo's viewer shows by default; the group of collision shapes is hidden."""
 
 
 def add(spec: mujoco.MjSpec, robot: Robot, mesh_paths: dict[str, Path]) -> None:
-    """Put every visual shape of a normalized URDF on its body.
+    """Add all visual shapes of a normalized URDF to their bodies.
 
     Args:
-        mesh_paths: mesh of the spec -> its file; gets the meshes that are only looked at.
+        spec: changed in place.
+        robot: the normalized URDF.
+        mesh_paths: mesh of the spec -> its file; the meshes of visual shapes are added.
     """
     colours = {
         node.attributes.get("name", ""): colour

@@ -1,4 +1,4 @@
-"""A URDF as a USD stage, through ``urdf-usd-converter`` (extra ``usd``)."""
+"""Convert a URDF to a USD stage with ``urdf-usd-converter`` (extra ``usd``)."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 INSTALL = "pip install 'pytest-twin[usd]'"
 _FIRST_WITHOUT = (3, 13)
-"""The first Python for which usd-exchange has no release; on it the extra installs nothing."""
+"""First Python version without a release of usd-exchange; there the extra installs nothing."""
 
 
 class UsdMissingError(TwinError):
-    """The extra ``usd`` is not installed, or two packages of OpenUSD stand in each other's way."""
+    """The extra ``usd`` is not installed, or two packages of OpenUSD conflict."""
 
 
 def missing(consequence: str, *, path: Path | None = None) -> UsdMissingError:
-    """The error that says why USD is not there, and what to do on this Python.
+    """Error that says why USD is not available, and what to do with this version of Python.
 
     Args:
-        consequence: what does not happen without it, ``USD is left out``.
+        consequence: what is not done without it, such as ``USD is left out``.
         path: the file that needs it.
     """
     running = sys.version_info[:2]
@@ -60,8 +60,8 @@ def require() -> None:
             import urdf_usd_converter  # noqa: F401
             from pxr import UsdPhysics  # noqa: F401
     except ImportError as error:
-        # usd-core and usd-exchange (which the converter needs) both bring the modules `pxr`, and
-        # whichever comes last breaks the other.
+        # usd-core and usd-exchange (which the converter needs) both install the modules `pxr`, and
+        # the later installation breaks the other.
         raise UsdMissingError(
             f"USD is left out: OpenUSD does not load ({' '.join(str(error).split())[:120]})",
             expected="usd-exchange without usd-core: `pip uninstall usd-core`, then "
@@ -70,7 +70,7 @@ def require() -> None:
 
 
 def version() -> str:
-    """OpenUSD and the converter, as a manifest names them."""
+    """Versions of OpenUSD and the converter, for a manifest."""
     from importlib.metadata import version as installed
 
     from pxr import Usd
@@ -82,10 +82,12 @@ def version() -> str:
 def convert(urdf: Path, target: Path) -> None:
     """Write the stage of a normalized URDF as one file, ``.usda`` or ``.usdc``.
 
-    The converter writes orientations of links with single precision; they are stated again with
-    double precision from the same text, and oblique axes of joints as exactly as single precision
-    can, so that the stage stands and moves as exactly as its schema lets it.
-    A frame that it merged into its parent, for its mass, is put back as a frame.
+    The converter writes orientations of links in single precision. This function replaces them by
+    double precision from the same URDF, and improves oblique joint axes as far as single precision
+    allows.
+
+    The converter merges some links of fixed joints into their parent; they are added again as
+    frames.
 
     Raises:
         UsdMissingError: as :func:`require`.
@@ -105,15 +107,15 @@ def convert(urdf: Path, target: Path) -> None:
             words = " ".join(str(error).split())[:300]
             raise ModelError(f"the USD converter refuses it: {words}", path=urdf) from None
         layer = Sdf.Layer.FindOrOpen(made.path)
-        _state_frames(made.path, urdf)
-        # Where and when it was made is not of the robot, and would change its digest.
+        _replace_frames(made.path, urdf)
+        # Place and time of the conversion are removed, because they would change the digest.
         layer.documentation = ""
         layer.comment = ""
         layer.customLayerData = {}
         layer.Export(str(target))
 
 
-def _state_frames(stage_path: str, urdf: Path) -> None:
+def _replace_frames(stage_path: str, urdf: Path) -> None:
     from pxr import Gf, Sdf, Usd
     from scipy.spatial.transform import Rotation
 
@@ -135,12 +137,12 @@ def _state_frames(stage_path: str, urdf: Path) -> None:
         made = prim.CreateAttribute("xformOp:orient", Sdf.ValueTypeNames.Quatd, custom=False)
         x, y, z, w = Rotation.from_matrix(joint.rotation).as_quat()
         made.Set(Gf.Quatd(w, x, y, z))
-    usd_axes.restate(stage, robot)
+    usd_axes.improve_axes(stage, robot)
     stage.GetRootLayer().Save()
 
 
 def _frame(parent: Any, joint: Joint) -> Any:
-    """A prim for the child link of a fixed joint that has none."""
+    """Add a prim for the child link of a fixed joint that lacks one."""
     from pxr import Gf, Tf, UsdGeom
 
     stem, count = Tf.MakeValidIdentifier(joint.child), 1
@@ -158,7 +160,7 @@ def _frame(parent: Any, joint: Joint) -> Any:
 
 @contextlib.contextmanager
 def _temporary(folder: str) -> Iterator[None]:
-    """Let the converter put its temporary files where they will be cleared away."""
+    """Make the converter write its temporary files into ``folder``, which is deleted later."""
     before = tempfile.tempdir
     tempfile.tempdir = folder
     try:
@@ -169,7 +171,7 @@ def _temporary(folder: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep OpenUSD's running commentary off the terminal: it writes to the descriptors."""
+    """Suppress the output that OpenUSD writes directly to the descriptors 1 and 2."""
     saved: list[tuple[int, int]] = []
     with warnings.catch_warnings(), Path(os.devnull).open("w") as sink:
         warnings.simplefilter("ignore")

@@ -1,7 +1,8 @@
-"""Axes of joints as exactly as UsdPhysics can hold them.
+"""Reduce the rounding error of joint axes in UsdPhysics.
 
-A joint's frame is a quaternion of single precision: an oblique axis is off by up to 1e-7 rad. But
-the frame may roll about the axis as it likes, and of many rolls one rounds to almost the true axis.
+The frame of a joint is a quaternion in single precision, so that an oblique axis has an error of up
+to 1e-7 rad. The rotation of the frame about the axis is free. Of many such rotations, the one whose
+rounded quaternion gives the smallest error of the axis is chosen.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ _ROLLS = 200_000
 _TOKENS = {"X": 0, "Y": 1, "Z": 2}
 
 
-def restate(stage: Any, robot: Robot) -> None:
-    """State the frames of joints anew whose axis is not held to 1e-10."""
+def improve_axes(stage: Any, robot: Robot) -> None:
+    """Replace the frames of joints whose axis has an error above 1e-10."""
     from pxr import Gf, UsdGeom, UsdPhysics
 
     cache = UsdGeom.XformCache()
@@ -48,16 +49,16 @@ def restate(stage: Any, robot: Robot) -> None:
 
 
 def single_precision_frame(token: Vector, axis: Vector) -> Vector:
-    """(4,) x y z w in single precision that turns ``token`` into ``axis``, both of unit length."""
+    """(4,) quaternion x y z w in single precision that rotates ``token`` (3,) to ``axis`` (3,)."""
     turn = Rotation.align_vectors(axis[None], token[None])[0]
-    # All frames with that axis: the turn, after a roll by twice an angle.
+    # All frames with that axis: the rotation, after a roll by twice an angle.
     straight = turn.as_quat()
     across = (turn * Rotation.from_quat([*token, 0.0])).as_quat(canonical=False)
     angles = np.random.default_rng(7).uniform(0.0, np.pi, (_ROLLS, 1))
     rounded = (np.cos(angles) * straight + np.sin(angles) * across).astype(np.float32)
     frames = rounded.astype(np.float64)
     vector, scalar = frames[:, :3], frames[:, 3:]
-    # q token q*, without dividing by a length that rounding leaves at 1 to 1e-7.
+    # q token q*, without normalization: the length is 1 up to 1e-7.
     turned = (
         2.0 * (vector @ token)[:, None] * vector
         + (scalar**2 - (vector**2).sum(axis=1, keepdims=True)) * token

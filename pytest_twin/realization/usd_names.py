@@ -1,4 +1,4 @@
-"""Which prim of a stage is which link or joint."""
+"""Find the prims of links and joints in a USD stage."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from typing import Any
 
 
 def display_name(prim: Any) -> str:
-    """The name that it had before USD's rules for names: its display name, or its own."""
+    """Original name of a prim: its display name, or its name where it has none."""
     return str(prim.GetDisplayName() or prim.GetName())
 
 
 def link_prims(stage: Any) -> dict[str, Any]:
-    """Link -> its prim: rigid bodies, and the frames between them and below.
+    """Link -> prim, for rigid bodies and for frames between and below them.
 
-    A shape of several meshes is an Xform too; it is none of a link's.
+    An Xform that only groups the meshes of a shape is not a link.
     """
     from pxr import Usd
 
@@ -27,7 +27,7 @@ def link_prims(stage: Any) -> dict[str, Any]:
 
 
 def _is_shape(prim: Any) -> bool:
-    """Whether an Xform only gathers the meshes of one shape."""
+    """Whether an Xform only groups the meshes of one shape."""
     from pxr import Usd, UsdGeom, UsdPhysics
 
     if prim.HasAPI(UsdPhysics.RigidBodyAPI) or prim.HasAPI(UsdPhysics.MassAPI):

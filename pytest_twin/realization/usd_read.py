@@ -1,4 +1,4 @@
-"""A USD stage read back through UsdPhysics: the robot that a physics engine would find in it."""
+"""Read the robot in a USD stage through UsdPhysics, as a physics engine would."""
 
 from __future__ import annotations
 
@@ -25,16 +25,18 @@ class UsdJoint:
     """A joint of the stage.
 
     Attributes:
+        name: its name.
         kind: ``revolute``, ``prismatic``, ``fixed``, ``spherical``, ``distance`` or ``d6``.
         body0, body1: links, None for the world.
-        limits: (lower, upper) in rad or m; None where it has none.
-        gap: how far its two frames stand apart as the stage is drawn: (m, rad).
-        max_force: of its drive, N*m or N; None without a drive.
-        stiffness, drive_damping: of its drive, N*m/rad and N*m*s/rad, or N/m and N*s/m; 0
+        limits: (lower, upper), rad or m; None where it is unlimited.
+        gap: distance (m) and angle (rad) between its two frames at the initial pose of the stage.
+        max_force: limit of its drive, N*m or N; None without a drive.
+        stiffness, drive_damping: gains of its drive, N*m/rad and N*m*s/rad, or N/m and N*s/m; 0
             without a drive.
-        velocity: rad/s or m/s, None where the stage states none (no part of UsdPhysics).
-        damping, friction: N*m*s/rad or N*s/m; N*m or N (no part of UsdPhysics).
-        has_collision: whether the bodies on its two sides collide.
+        velocity: limit, rad/s or m/s, or None (not part of UsdPhysics).
+        damping: N*m*s/rad or N*s/m, or None (not part of UsdPhysics).
+        friction: N*m or N, or None (not part of UsdPhysics).
+        has_collision: whether its two bodies collide with each other.
     """
 
     name: str
@@ -59,8 +61,8 @@ class UsdShape:
     Attributes:
         kind: ``box``, ``sphere``, ``cylinder``, ``capsule``, ``mesh``, or ``convex hull`` of one.
         size: full lengths of a box; radius; radius and length, m.
-        pose: (4, 4) in the link.
-        points: (n, 3) vertices of a mesh in that pose, m.
+        pose: (4, 4) pose in the link, m.
+        points: (n, 3) vertices of a mesh in the frame of ``pose``, m.
     """
 
     kind: str
@@ -71,16 +73,16 @@ class UsdShape:
 
 @dataclass(frozen=True, slots=True)
 class UsdRobot:
-    """What UsdPhysics says of a robot.
+    """A robot in a USD stage.
 
     Attributes:
-        tree: bodies and the joints of one degree of freedom.
-        joints: every joint, by name.
-        rigid_bodies: links that are rigid bodies of their own.
+        tree: bodies, and joints with one degree of freedom.
+        joints: name -> joint, of all types.
+        rigid_bodies: links that are rigid bodies.
         mimics: follower -> (leader, multiplier, offset in rad or m), from Newton's schema.
         collisions: link -> its collision shapes.
-        disabled_pairs: pairs of links that are kept apart.
-        materials: how many shapes have a physics material.
+        disabled_pairs: pairs of links that do not collide.
+        materials: number of shapes with a physics material.
         attributes: names of attributes that belong to no schema, such as ``urdf:limit:effort``.
     """
 
@@ -99,7 +101,7 @@ def read(path: Path) -> UsdRobot:
 
     Raises:
         UsdMissingError: the extra ``usd`` is not installed.
-        ModelError: no stage, or a stage without links.
+        ModelError: not a USD stage, a stage in other units, or a stage without links.
     """
     usd.require()
     from pxr import Tf, Usd, UsdGeom, UsdPhysics
@@ -183,8 +185,8 @@ class _Reader:
 
     # -- bodies
 
-    def _above(self, prim: Any) -> str | None:
-        """The link that a prim stands in, itself left out."""
+    def _parent_link(self, prim: Any) -> str | None:
+        """The nearest link above a prim, None without one."""
         parent = prim.GetParent()
         while parent and parent.GetPath() not in self.of_prim:
             parent = parent.GetParent()
@@ -194,7 +196,7 @@ class _Reader:
         from pxr import UsdPhysics
 
         prim = self.links[name]
-        parent = self._above(prim)
+        parent = self._parent_link(prim)
         placement = np.eye(4)
         if parent is not None:
             placement = _placement(prim, self.links[parent])
@@ -214,7 +216,7 @@ class _Reader:
         from pxr import UsdPhysics
 
         api = UsdPhysics.Joint(prim)
-        first, second = self._side(api.GetBody0Rel()), self._side(api.GetBody1Rel())
+        first, second = self._link_of(api.GetBody0Rel()), self._link_of(api.GetBody1Rel())
         frames = (
             _frame(api.GetLocalPos0Attr().Get(), api.GetLocalRot0Attr().Get()),
             _frame(api.GetLocalPos1Attr().Get(), api.GetLocalRot1Attr().Get()),
@@ -236,29 +238,32 @@ class _Reader:
         drive = UsdPhysics.DriveAPI(prim, "angular" if turning else "linear")
         force = drive.GetMaxForceAttr().Get() if drive else None
         per_degree = math.pi / 180.0 if turning else 1.0
-        velocity, damping = _plain(prim, "newton:velocityLimit"), _plain(prim, "newton:damping")
+        velocity, damping = (
+            _finite_value(prim, "newton:velocityLimit"),
+            _finite_value(prim, "newton:damping"),
+        )
         joint = UsdJoint(
             name,
             kind,
             first,
             second,
             limits,
-            self._gap(first, second, frames),
+            self._frame_gap(first, second, frames),
             None if force is None else float(force),
             float(drive.GetStiffnessAttr().Get() or 0.0) / per_degree if drive else 0.0,
             float(drive.GetDampingAttr().Get() or 0.0) / per_degree if drive else 0.0,
             None if velocity is None else velocity * per_degree,
             None if damping is None else damping / per_degree,
-            _plain(prim, "newton:friction"),
+            _finite_value(prim, "newton:friction"),
             bool(api.GetCollisionEnabledAttr().Get()),
         )
         return joint, degree
 
-    def _side(self, relation: Any) -> str | None:
+    def _link_of(self, relation: Any) -> str | None:
         targets = relation.GetTargets()
         return self.of_prim.get(targets[0]) if targets else None
 
-    def _gap(
+    def _frame_gap(
         self, first: str | None, second: str | None, frames: tuple[Vector, Vector]
     ) -> tuple[float, float]:
         if first is None or second is None:
@@ -273,8 +278,8 @@ class _Reader:
 
     def _mimic(self, prim: Any, target: Any) -> tuple[str, float, float]:
         factor = math.pi / 180.0 if "Revolute" in str(prim.GetTypeName()) else 1.0
-        offset = _plain(prim, "newton:mimicCoef0")
-        multiplier = _plain(prim, "newton:mimicCoef1")
+        offset = _finite_value(prim, "newton:mimicCoef0")
+        multiplier = _finite_value(prim, "newton:mimicCoef1")
         leader = display_name(self.stage.GetPrimAtPath(target))
         return leader, 1.0 if multiplier is None else multiplier, (offset or 0.0) * factor
 
@@ -286,7 +291,7 @@ class _Reader:
         found: dict[str, list[UsdShape]] = {}
         for prim in self.stage.Traverse():
             if prim.HasAPI(UsdPhysics.CollisionAPI):
-                owner = self._above(prim)
+                owner = self._parent_link(prim)
                 if owner is not None:
                     found.setdefault(owner, []).append(self._shape(prim, owner))
         return {name: tuple(held) for name, held in found.items()}
@@ -310,7 +315,7 @@ class _Reader:
                 return UsdShape(kind.lower(), size, pose, none)
         stated = UsdGeom.PointBased(prim).GetPointsAttr().Get()
         points = np.array(stated if stated is not None else none, dtype=np.float64)
-        # A mirror has no place in a pose, so the points take the whole linear part.
+        # A pose cannot express a reflection, so that the points get the whole linear part.
         pose, points = np.eye(4), points.reshape(-1, 3) @ raw[:3, :3].T
         pose[:3, 3] = raw[:3, 3]
         how = UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get()
@@ -335,10 +340,10 @@ class _Reader:
 
 
 def _placement(prim: Any, above: Any) -> Vector:
-    """(4, 4) of a prim in one above it, scale left out.
+    """(4, 4) pose of a prim in an ancestor, m, without scale.
 
-    The quaternions are taken as they stand: OpenUSD goes by an angle on the way to a matrix,
-    which loses turns below 2e-8 rad.
+    The quaternions are converted here, because OpenUSD converts through an angle and loses
+    rotations below 2e-8 rad.
     """
     from pxr import UsdGeom
 
@@ -363,14 +368,14 @@ def _placement(prim: Any, above: Any) -> Vector:
     return pose
 
 
-def _plain(prim: Any, name: str) -> float | None:
+def _finite_value(prim: Any, name: str) -> float | None:
     attribute = prim.GetAttribute(name)
     value = attribute.Get() if attribute else None
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def _matrix(value: Any) -> Vector:
-    """(4, 4) of a Gf matrix, which multiplies rows, with scale left out."""
+    """(4, 4) pose of a Gf matrix (row vectors), without scale."""
     matrix: Vector = np.array(value, dtype=np.float64).T
     scale = np.linalg.norm(matrix[:3, :3], axis=0)
     matrix[:3, :3] /= np.where(scale > 0, scale, 1.0)
@@ -378,7 +383,7 @@ def _matrix(value: Any) -> Vector:
 
 
 def _rotation(quaternion: Any) -> Vector:
-    """(3, 3) of a Gf quaternion; one of length 0 means no rotation."""
+    """(3, 3) rotation matrix of a Gf quaternion; identity for length 0."""
     from scipy.spatial.transform import Rotation
 
     values = np.array([*quaternion.GetImaginary(), quaternion.GetReal()], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Signed releases: what passed, with everything that it depended on."""
+"""Write and verify signed releases: results of goldens, with all that they depended on."""
 
 from pytest_twin.release.check import Baseline, baseline, check, newest
 from pytest_twin.release.environment import environment

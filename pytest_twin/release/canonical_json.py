@@ -1,4 +1,4 @@
-"""JSON with one byte string per value, so that no byte of a signed file is without meaning."""
+"""Canonical JSON: each value has exactly one byte string, so that a signature covers all bytes."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pytest_twin.release.limits import LIMITS, ReleaseLimits
 
 
 def dump(value: object) -> bytes:
-    """Sorted keys, no spaces, ASCII, shortest decimal form of floats.
+    """Write a value as canonical JSON: sorted keys, no spaces, ASCII, shortest decimal floats.
 
     Raises:
-        ReleaseError: a number that is not finite, or something that JSON cannot say.
+        ReleaseError: a number that is not finite, or a value that JSON cannot express.
     """
     try:
         text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -24,16 +24,16 @@ def dump(value: object) -> bytes:
 
 
 def load(data: bytes, what: str, limits: ReleaseLimits = LIMITS) -> Any:
-    """The value of ``data``, which must be exactly what :func:`dump` makes of it.
+    """Parse canonical JSON; the bytes must equal those that :func:`dump` writes for the value.
 
     Args:
         data: the bytes.
-        what: what they are, for the errors.
-        limits: bounds on size and depth.
+        what: name of the data, for error messages.
+        limits: limits of size and depth.
 
     Raises:
-        ReleaseError: too large, too deep, no JSON, a key twice, a number that is not finite, or
-            any other spelling than the canonical one.
+        ReleaseError: too large, nested too deeply, not JSON, a repeated key, a number that is not
+            finite, or JSON that is not canonical.
     """
     if len(data) > limits.envelope_bytes:
         raise ReleaseError(

@@ -1,4 +1,4 @@
-"""Reads a release and its neighbours from the disk, and verifies it with ``verify``."""
+"""Read a release and its neighbours from the disk, and verify it."""
 
 from __future__ import annotations
 
@@ -27,21 +27,22 @@ from pytest_twin.release.verify import (
 )
 from pytest_twin.twin import FILE_NAME
 
-# Envelopes that are opened to find an authentic neighbour; forged ones cost time only.
+# Largest number of envelopes that are read to find an authentic neighbour, so that forged ones
+# cannot cost much time.
 _NEIGHBOURS = 16
-OF_THE_PAST = ("expired", "rollback")
-"""Codes of problems that a release has with age alone."""
+AGE_CODES = ("expired", "rollback")
+"""Codes of problems that come only from the age of a release."""
 
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """What the gate compares today with.
+    """Release with which the gate compares the present twin.
 
     Attributes:
-        release: the newest release that holds, None where none does.
-        known: the newest authentic release, whether or not it holds: expired, or its files
-            damaged. Its goldens existed.
-        problems: why newer ones, or all, do not hold; to be said loudly.
+        release: the newest valid release, or None.
+        known: the newest authentic release, which may have expired or have damaged files. It
+            states which goldens existed.
+        problems: why newer releases are not valid; the gate shows them.
     """
 
     release: Release | None
@@ -52,16 +53,17 @@ class Baseline:
 def check(
     release: Path, *, keys: Path | None = None, now: datetime | None = None, remember: bool = False
 ) -> Verdict:
-    """Whether the release in a folder holds.
+    """Verify the release in a folder.
 
     Args:
         release: the folder.
-        keys: folder of trusted public keys; the twin's own ``keys/`` if None.
-        now: the time to judge at; the clock's if None.
-        remember: compare it with the releases accepted here before, and record it if valid.
+        keys: folder of trusted public keys; ``keys/`` of the twin if None.
+        now: time for the verification; the present time if None.
+        remember: whether to compare it with the releases accepted before on this machine, and to
+            record it if it is valid.
 
     Raises:
-        ReleaseError, PathError: the keys or what was remembered cannot be read.
+        ReleaseError, PathError: the keys or the record of accepted releases cannot be read.
     """
     release = Path(os.path.abspath(release))  # noqa: PTH100 (takes '..' out, follows no link)
     root = release.parent.parent
@@ -70,17 +72,17 @@ def check(
 
 
 def newest(root: Path) -> Path | None:
-    """The folder of a twin's release with the highest number, whether or not it holds."""
+    """Folder of the release with the highest number, which need not be valid; None without any."""
     found = folders.numbered(root / folders.RELEASES)
     return found[0][1] if found else None
 
 
 def baseline(root: Path, *, now: datetime | None = None) -> Baseline:
-    """The newest release of a twin that holds.
+    """Find the newest valid release of a twin.
 
     Args:
         root: the twin's folder.
-        now: the time to judge at; the clock's if None.
+        now: time for the verification; the present time if None.
 
     Raises:
         ReleaseError, PathError: the keys cannot be read.
@@ -137,7 +139,7 @@ def _circumstances(
 
 
 def _follows(release: Release, older: Sequence[tuple[int, Path]]) -> bool:
-    """Whether the nearest older neighbour is, byte by byte, the one that the release follows."""
+    """Whether the digest of the previous release equals the one that the release states."""
     previous = release.header.previous
     if previous is None or not older or older[0][0] != previous.number:
         return False
@@ -161,8 +163,11 @@ def _first_authentic(entries: Sequence[tuple[int, Path]], trusted: Sequence[Key]
 
 
 def _stated_name(root: Path) -> str | None:
-    """The name in ``twin.yaml``. Without one a twin is called as its folder, which may differ
-    from place to place, and nothing is expected of its releases."""
+    """The name stated in ``twin.yaml``, or None.
+
+    Without a stated name, the twin has the name of its folder, which may differ between copies, so
+    that the name in a release is not checked.
+    """
     try:
         data = yaml.load(root / FILE_NAME).data
     except TwinError:

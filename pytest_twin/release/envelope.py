@@ -1,8 +1,8 @@
-"""DSSE envelopes: who signed which bytes. No files.
+"""Sign payloads and verify signatures in DSSE envelopes; this module reads no files.
 
-Dead Simple Signing Envelope, https://github.com/secure-systems-lab/dsse, with Ed25519 through
-securesystemslib. Stricter than the specification: the envelope's own bytes are canonical, and
-every signature in it must be one of a trusted key.
+The format is the Dead Simple Signing Envelope, https://github.com/secure-systems-lab/dsse, with
+Ed25519 through securesystemslib. The rules are stricter than the specification: the bytes of the
+envelope must be canonical, and each signature must be by a trusted key.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ PAYLOAD_TYPE = "application/vnd.in-toto+json"
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class AuthenticPayload:
     """An authentic payload.
 
     Attributes:
         payload: the signed bytes.
-        key_ids: every trusted key that signed them.
-        sha256: of the envelope, hex.
+        key_ids: ids of the trusted keys that signed them.
+        sha256: digest of the envelope, hex.
     """
 
     payload: bytes
@@ -38,18 +38,25 @@ class Opened:
 
 
 def seal(payload: bytes, signer: Signer) -> bytes:
-    """The envelope of ``payload`` with one signature."""
+    """Sign ``payload``, and return the envelope."""
     envelope = Envelope(payload, PAYLOAD_TYPE, {})
     envelope.sign(signer)
     return canonical_json.dump(envelope.to_dict())
 
 
-def open_envelope(data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMITS) -> Opened:
-    """The payload of an envelope that trusted keys signed.
+def open_envelope(
+    data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMITS
+) -> AuthenticPayload:
+    """Verify an envelope, and return its payload.
+
+    Args:
+        data: bytes of the envelope.
+        keys: trusted public keys.
+        limits: limits of size and number of signatures.
 
     Raises:
-        ReleaseError: no keys; an envelope that is not canonical or not ours; no signature, too
-            many, one twice, one of a foreign key, or one that does not fit the bytes.
+        ReleaseError: no keys; an envelope that is not canonical or has another type; no signature,
+            too many, two by one key, one by an untrusted key, or an invalid one.
     """
     if not keys:
         raise ReleaseError("no trusted keys", expected="at least one public key")
@@ -82,13 +89,13 @@ def open_envelope(data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMI
                 value=key_id,
                 expected="the release as it was signed; fetch it again from where it was written",
             ) from None
-    return Opened(
+    return AuthenticPayload(
         envelope.payload, tuple(sorted(envelope.signatures)), hashlib.sha256(data).hexdigest()
     )
 
 
 def short(key_id: str) -> str:
-    """Enough of a key id for people."""
+    """First 16 digits of a key id, for messages."""
     return key_id[:16]
 
 
@@ -117,5 +124,5 @@ def _parse(value: object, limits: ReleaseLimits) -> Envelope:
     try:
         return Envelope.from_dict(value)
     except Exception as error:
-        # The library lets errors of its decoders through, of several kinds.
+        # The library raises various exceptions of its decoders.
         raise ReleaseError(f"not a DSSE envelope: {error}") from None

@@ -1,4 +1,4 @@
-"""What a run ran on."""
+"""Software environment of a run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DISTRIBUTIONS = (
 
 
 def environment() -> dict[str, str]:
-    """``python``, ``platform`` and ``machine``, and the version of every library in use."""
+    """Name -> version: ``python``, ``platform``, ``machine``, and all libraries in use."""
     found = {
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "platform": platform.platform(terse=True),

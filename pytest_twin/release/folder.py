@@ -1,4 +1,4 @@
-"""Releases on the disk: the files in their folders, and the next number."""
+"""Read the folders of releases: numbers, envelopes, files and digests."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from pytest_twin.errors import LimitError, PathError
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.paths import open_regular, read_bytes
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
-from pytest_twin.release.verify import ENVELOPE, Found
+from pytest_twin.release.verify import ENVELOPE, FolderEntry
 
 RELEASES = "releases"
 _NUMBER = re.compile(r"\d{4,9}")
 _BLOCK_BYTES = 2**20
-_TEXT_BYTES = 16 * 2**20  # as large as a trace may be
+_TEXT_BYTES = 16 * 2**20  # largest size of a trace
 
 
 def number_of(folder: Path) -> int | None:
-    """The release number that a folder's name states."""
+    """Number of a release from the name of its folder, or None."""
     return int(folder.name) if _NUMBER.fullmatch(folder.name) else None
 
 
 def numbered(releases: Path) -> list[tuple[int, Path]]:
-    """(number, folder) of every release in ``releases``, the highest number first.
+    """(number, folder) of all releases in ``releases``, the highest number first.
 
     Raises:
         PathError: ``releases`` cannot be read.
@@ -42,7 +42,7 @@ def numbered(releases: Path) -> list[tuple[int, Path]]:
 
 
 def read_envelope(folder: Path, limits: ReleaseLimits = LIMITS) -> bytes | None:
-    """The bytes of a release's envelope, None where there is none.
+    """Content of the envelope of a release, None if it does not exist.
 
     Raises:
         PathError: it is a link or cannot be read.
@@ -54,14 +54,14 @@ def read_envelope(folder: Path, limits: ReleaseLimits = LIMITS) -> bytes | None:
     return read_bytes(path, limits.envelope_bytes)
 
 
-def listing(folder: Path, limits: ReleaseLimits = LIMITS) -> dict[str, Found]:
-    """Everything in a folder, relative POSIX path -> what lies there; no link is followed.
+def listing(folder: Path, limits: ReleaseLimits = LIMITS) -> dict[str, FolderEntry]:
+    """All entries of a folder: relative POSIX path -> entry; links are not followed.
 
     Raises:
-        LimitError: more entries than any release has.
-        PathError: something cannot be read.
+        LimitError: more entries than a release may have.
+        PathError: an entry cannot be read.
     """
-    found: dict[str, Found] = {}
+    found: dict[str, FolderEntry] = {}
     waiting = [folder]
     while waiting:
         here = waiting.pop()
@@ -72,7 +72,7 @@ def listing(folder: Path, limits: ReleaseLimits = LIMITS) -> dict[str, Found]:
                     name = path.relative_to(folder).as_posix()
                     if entry.is_dir(follow_symlinks=False):
                         waiting.append(path)
-                    found[name] = _found(path, limits)
+                    found[name] = _entry(path, limits)
                     if len(found) > 4 * limits.files_count:
                         raise LimitError(
                             "too many files for a release",
@@ -85,10 +85,10 @@ def listing(folder: Path, limits: ReleaseLimits = LIMITS) -> dict[str, Found]:
 
 
 def digest(path: Path) -> tuple[str, int, int]:
-    """SHA-256 in hex, size in bytes, and number of names of a regular file.
+    """SHA-256 (hex), size (bytes) and number of hard links of a regular file.
 
     Raises:
-        PathError: missing, unreadable, a link, or no regular file.
+        PathError: it does not exist, cannot be read, is a link, or is not a regular file.
     """
     hashed, size = hashlib.sha256(), 0
     with open_regular(path) as stream:
@@ -98,21 +98,21 @@ def digest(path: Path) -> tuple[str, int, int]:
         return hashed.hexdigest(), size, os.fstat(stream.fileno()).st_nlink
 
 
-def _found(path: Path, limits: ReleaseLimits) -> Found:
+def _entry(path: Path, limits: ReleaseLimits) -> FolderEntry:
     facts = path.lstat()
     if stat.S_ISLNK(facts.st_mode):
-        return Found("link")
+        return FolderEntry("link")
     if stat.S_ISDIR(facts.st_mode):
-        return Found("folder")
+        return FolderEntry("folder")
     if not stat.S_ISREG(facts.st_mode):
-        return Found("other")
+        return FolderEntry("other")
     if facts.st_size > limits.file_bytes:
-        # Not read: no statement that we accept lists a file of this size.
-        return Found("file", size=facts.st_size, links=facts.st_nlink)
+        # Not read, because no valid statement lists a file of this size.
+        return FolderEntry("file", size=facts.st_size, links=facts.st_nlink)
     sha256, size, links = digest(path)
     with_lf = ""
     if size <= _TEXT_BYTES:
         data = read_bytes(path, _TEXT_BYTES)
         if b"\r\n" in data:
             with_lf = bytes_sha256(data.replace(b"\r\n", b"\n"))
-    return Found("file", sha256, size, links, with_lf)
+    return FolderEntry("file", sha256, size, links, with_lf)

@@ -1,4 +1,4 @@
-"""Keys on the disk: the trusted public ones in the twin, the private one outside it."""
+"""Read and create keys: trusted public keys in the twin, the private key outside it."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ VARIABLE = "TWIN_SIGNING_KEY"
 
 
 def load_trusted(folder: Path, limits: ReleaseLimits = LIMITS) -> list[Key]:
-    """The Ed25519 public keys ``*.pub`` (PEM) of a folder; none where there is no folder.
+    """Read the Ed25519 public keys ``*.pub`` (PEM) of a folder; empty if it does not exist.
 
     Raises:
-        ReleaseError: a file that is no such key, or too many of them.
+        ReleaseError: a file that is not such a key, or too many files.
         PathError: a file that is a link or cannot be read.
     """
     try:
@@ -70,19 +70,18 @@ def load_trusted(folder: Path, limits: ReleaseLimits = LIMITS) -> list[Key]:
 def signer(
     root: Path, option: str | None = None, ini: str | None = None
 ) -> tuple[CryptoSigner, tuple[str, ...]]:
-    """The signing key, and what to say about it.
+    """Find the signing key; the key, and notes for the terminal.
 
-    It is looked for in ``option`` (``--twin-key``), the environment variable
-    ``TWIN_SIGNING_KEY``, ``ini`` (``twin_key``), and the user's configuration folder, where it is
-    made on first use.
+    The order is ``option`` (``--twin-key``), the environment variable ``TWIN_SIGNING_KEY``, ``ini``
+    (``twin_key``), and the user's configuration folder, in which a key is created at first use.
 
     Args:
         root: the twin's folder.
-        option, ini: paths as given; relative ones from the working folder.
+        option, ini: paths as given; relative to the working directory.
 
     Raises:
-        ReleaseError: no such file, no Ed25519 key, inside the twin's folder, or not among the
-            keys that the twin trusts.
+        ReleaseError: the file does not exist, is not an Ed25519 key, is inside the twin's folder,
+            or its key is not trusted by the twin.
     """
     notes: list[str] = []
     stated = option or os.environ.get(VARIABLE) or ini
@@ -109,10 +108,10 @@ def signer(
 
 
 def require_trusted(signer: CryptoSigner, trusted: Sequence[Key], root: Path) -> None:
-    """Refuse to sign with a key that no verification would accept.
+    """Check that a signing key is trusted.
 
     Raises:
-        ReleaseError: the key is not among the trusted ones.
+        ReleaseError: the key is not among the trusted keys.
     """
     key_id = signer.public_key.keyid
     if key_id not in {key.keyid for key in trusted}:
@@ -125,10 +124,10 @@ def require_trusted(signer: CryptoSigner, trusted: Sequence[Key], root: Path) ->
 
 
 def trust_first(root: Path, signer: CryptoSigner) -> str:
-    """Write the signer's public key into a twin without keys; what to say about it.
+    """Write the signer's public key into a twin without keys, and return a note.
 
     Raises:
-        ReleaseError: another signer came first.
+        ReleaseError: another process wrote another key at the same time.
         PathError: it cannot be written.
     """
     folder = root / FOLDER
@@ -153,7 +152,7 @@ def trust_first(root: Path, signer: CryptoSigner) -> str:
 
 
 def public_pem(signer: CryptoSigner) -> bytes:
-    """The public key of a signer, PEM."""
+    """Public key of a signer, PEM."""
     private = load_pem_private_key(signer.private_bytes, None)
     return private.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
 
@@ -173,7 +172,7 @@ def _load_private(path: Path) -> CryptoSigner:
 
 
 def _create(path: Path) -> None:
-    """A new key, readable by its owner alone; where two make one at once, the first stands."""
+    """Create a key that only its owner can read; if two processes create one, the first is kept."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         descriptor, temporary = tempfile.mkstemp(dir=path.parent)
@@ -183,7 +182,7 @@ def _create(path: Path) -> None:
                 stream.flush()
                 os.fsync(stream.fileno())
             Path(temporary).chmod(0o600)
-            # A hard link fails where the name is taken; a rename would overwrite.
+            # A hard link fails if the name exists; a rename would overwrite the file.
             path.hardlink_to(temporary)
         except FileExistsError:
             pass

@@ -1,4 +1,4 @@
-"""Bounds of the verification: what a release may be, with room to spare."""
+"""Limits of the verification of releases, well above the size of real ones."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ReleaseLimits:
-    """Bounds on a release and on the keys that it is compared with."""
+    """Limits of a release and of the trusted keys; the unit is in the name of each field."""
 
     envelope_bytes: int = 256 * 2**20
     depth_levels: int = 64

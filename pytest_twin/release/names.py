@@ -1,4 +1,4 @@
-"""Names of files in a release: the same file on every system, inside its folder, once."""
+"""Check that the file names of a release are portable, inside its folder, and unique."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Iterable
 
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
 
-# Names that Windows gives to devices, whatever the suffix.
+# Device names of Windows, with any suffix.
 _DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
 _FORBIDDEN = set('<>:"|?*\\')
 
 
 def problem_with(name: str, limits: ReleaseLimits = LIMITS) -> str | None:
-    """What is wrong with a relative POSIX path as the name of a file in a release, or None."""
+    """Problem of a relative POSIX path as a file name in a release, or None."""
     try:
         length = len(name.encode("utf-8"))
     except UnicodeEncodeError:
@@ -34,7 +34,7 @@ def problem_with(name: str, limits: ReleaseLimits = LIMITS) -> str | None:
 
 
 def colliding(names: Iterable[str]) -> list[tuple[str, str]]:
-    """Pairs of names that are one file where case does not count, or a file and its folder."""
+    """Pairs of names that are the same without case, or of which one is a folder of the other."""
     seen: dict[str, str] = {}
     found: list[tuple[str, str]] = []
     listed = sorted(names)
@@ -49,7 +49,7 @@ def colliding(names: Iterable[str]) -> list[tuple[str, str]]:
             folder = "/".join(parts[:end])
             if folder in seen:
                 found.append((seen[folder], name))
-    # Two spellings of one folder are two folders here and one elsewhere.
+    # Two folders whose names differ only in case are one folder on some systems.
     folders: dict[str, str] = {}
     for name in listed:
         parts = name.split("/")

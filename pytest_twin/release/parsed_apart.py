@@ -1,8 +1,8 @@
-"""Data sets and policies whose format a library in C or C++ reads: parsed in a child process.
+"""Read stamps of data sets and policies in a child process, if a C or C++ library parses them.
 
-A file from elsewhere may exploit a fault of such a library. The child is bounded in time and
-memory, and what it answers is text. Where the kernel has Landlock, it can open no file outside the
-data's folder, and write none there where stamps are only read.
+An untrusted file may exploit a fault of such a library. The child has limits of time and memory,
+and its answers are text. Where the kernel has Landlock, the child can open only files in the data's
+folder, and write none of them where stamps are only read.
 """
 
 from __future__ import annotations
@@ -11,37 +11,37 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pytest_twin.formats.stamps import Carrier, carriers_of
-from pytest_twin.realization.confinement import obstacle
+from pytest_twin.realization.confinement import why_not_confined
 from pytest_twin.realization.sandbox import Sandbox
 
 _BY_LIBRARIES = frozenset({".h5", ".hdf5", ".onnx"})
 _SECONDS = 1800.0
-"""Bound on one file, s: a digest of 100 GB at 60 MB/s."""
+"""Time limit of one file, s: enough for the digest of 100 GB at 60 MB/s."""
 
 
 @dataclass(frozen=True)
 class ParsedApart:
-    """A carrier of a stamp whose file the child process alone opens.
+    """A file with a stamp that only the child process opens.
 
     Attributes:
         path: the file.
-        sandbox: shared by all files of a data set.
+        sandbox: the child process, shared by all files of a data set.
     """
 
     path: Path
     sandbox: Sandbox
 
     def read(self) -> str | None:
-        """The stamp's text, None where there is none."""
+        """Text of the stamp, None without a stamp."""
         found = self._call("read_text")
         return None if found is None else str(found)
 
     def write(self, text: str) -> None:
-        """Write the text in place of an earlier stamp."""
+        """Write the text of a stamp; it replaces an earlier one."""
         self._call("write_text", text=text)
 
     def digest(self) -> str:
-        """SHA-256 of the stamped content without the stamp itself, hex."""
+        """SHA-256 of the content without the stamp, hex."""
         return str(self._call("digest"))
 
     def _call(self, function: str, **more: str) -> object:
@@ -50,22 +50,22 @@ class ParsedApart:
 
 
 def carriers_apart(dataset: Path, *, writable: bool) -> list[Carrier]:
-    """The carriers of a data set or policy, as ``carriers_of`` finds them.
+    """Files of a data set or policy that can contain a stamp, as found by ``carriers_of``.
 
-    The child ends with the last of them.
+    The child process ends when the last of them is deleted.
 
     Args:
-        dataset: the file or folder.
-        writable: whether stamps are written into it: the child may then write the data's folder.
+        dataset: file or folder.
+        writable: whether stamps will be written; the child may then write the data's folder.
 
     Raises:
-        TwinError: nothing that holds a stamp.
+        TwinError: no file that can contain a stamp.
     """
     place = dataset.resolve()
     folder = place if place.is_dir() else place.parent
     sandbox = Sandbox(
         seconds=_SECONDS,
-        confined_to=[folder] if obstacle() is None else None,
+        confined_to=[folder] if why_not_confined() is None else None,
         write=[folder] if writable else [],
     )
     return [
@@ -75,17 +75,17 @@ def carriers_apart(dataset: Path, *, writable: bool) -> list[Carrier]:
 
 
 def read_text(path: str) -> str | None:
-    """In the child: the text of a stamp."""
+    """Read the text of a stamp; runs in the child process."""
     return _only(path).read()
 
 
 def write_text(path: str, text: str) -> None:
-    """In the child: write the text of a stamp."""
+    """Write the text of a stamp; runs in the child process."""
     _only(path).write(text)
 
 
 def digest(path: str) -> str:
-    """In the child: the digest of what is stamped."""
+    """Digest of the stamped content, hex; runs in the child process."""
     return _only(path).digest()
 
 

@@ -1,4 +1,4 @@
-"""Files of a release, put back to where the twin has them."""
+"""Restore the files of a release in the twin's folder."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.paths import open_regular
 from pytest_twin.release import folder as folders
-from pytest_twin.release.check import OF_THE_PAST, check
+from pytest_twin.release.check import AGE_CODES, check
 from pytest_twin.release.statement import FileEntry, Release
 from pytest_twin.release.verify import FILES
 from pytest_twin.twin import FILE_NAME
 
 KEPT = ".twin/before-rollback"
-"""Where the files that a rollback replaces are kept, in a folder for each."""
+"""Folder that keeps the files replaced by rollbacks, in one folder for each rollback."""
 
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """What a rollback did.
+    """Result of a rollback.
 
     Attributes:
-        release: whose files the twin has now.
-        replaced: paths in the twin's folder that were written.
-        kept: the folder with what they were before, None where none existed.
+        release: the restored release.
+        replaced: written files, relative to the twin's folder.
+        kept: folder with the replaced files, None if none existed.
     """
 
     release: Release
@@ -39,20 +39,20 @@ class Restored:
 
 
 def place_of(entry: FileEntry) -> str | None:
-    """Path in the twin's folder of a released file; None for results and report."""
+    """Path of a released file in the twin's folder; None for results and report."""
     if not entry.name.startswith(f"{FILES}/"):
         return None
     return entry.original or entry.name.removeprefix(f"{FILES}/")
 
 
 def copy_files(release: Release, folder: Path, into: Path) -> None:
-    """Copy the files of a release to where its ``twin.yaml`` expects them, below ``into``.
+    """Copy the files of a release below ``into``, to the paths that its ``twin.yaml`` refers to.
 
-    Every copy is compared with the signed digest.
+    The digest of each copy is compared with the signed one.
 
     Raises:
-        ReleaseError: a file is not what was signed, or there is no ``twin.yaml``.
-        PathError: a file is missing, or cannot be copied.
+        ReleaseError: a file differs from the signed one, or there is no ``twin.yaml``.
+        PathError: a file does not exist, or cannot be copied.
     """
     for entry in release.files:
         place = place_of(entry)
@@ -61,7 +61,7 @@ def copy_files(release: Release, folder: Path, into: Path) -> None:
         target = into / place
         if not target.resolve().is_relative_to(into.resolve()):
             raise ReleaseError(
-                "a file that leaves its folder", path=folder, value=place,
+                "a file outside the folder", path=folder, value=place,
                 expected="files inside the release's folder",
             )  # fmt: skip
         try:
@@ -83,10 +83,10 @@ def copy_files(release: Release, folder: Path, into: Path) -> None:
 
 
 def last_validated(root: Path, now: datetime) -> Path:
-    """The newest release of a twin that is signed, undamaged and not what the twin has today.
+    """The newest release that is signed, undamaged, and differs from the twin's present files.
 
     Raises:
-        ReleaseError: there is none; the message lists why each was refused.
+        ReleaseError: there is none; the message states why each release was refused.
     """
     refused: list[str] = []
     for number, folder in folders.numbered(root / folders.RELEASES):
@@ -107,13 +107,13 @@ def last_validated(root: Path, now: datetime) -> Path:
 
 
 def authentic(folder: Path, now: datetime) -> Release:
-    """A release that is signed by a trusted key and undamaged, of whatever age.
+    """Read a release that is signed by a trusted key and undamaged; it may have expired.
 
     Raises:
-        ReleaseError: it is not; also where nothing is signed.
+        ReleaseError: it is damaged, not signed, or signed by an untrusted key.
     """
     verdict = check(folder, now=now)
-    problems = [p.text for p in verdict.problems if p.code not in OF_THE_PAST]
+    problems = [p.text for p in verdict.problems if p.code not in AGE_CODES]
     if verdict.release is None or problems:
         raise ReleaseError(
             f"the release does not hold: {problems[0] if problems else 'it is not signed'}",
@@ -124,15 +124,15 @@ def authentic(folder: Path, now: datetime) -> Release:
 
 
 def restore(root: Path, folder: Path, *, now: datetime | None = None) -> Restored:
-    """Give a twin the files of a release again.
+    """Restore the files of a release in a twin.
 
-    All files are copied and checked before the first is replaced; each is replaced whole, with
-    ``twin.yaml`` the last. What they were before is kept.
+    All files are copied and checked before the first is replaced. Each file is replaced in one
+    step, and ``twin.yaml`` last. The replaced files are kept.
 
     Args:
         root: the twin's folder.
-        folder: of the release.
-        now: the time; the clock's if None.
+        folder: folder of the release.
+        now: time for the verification; the present time if None.
 
     Raises:
         ReleaseError: the release is unsigned, damaged, or by a key that is not trusted.
@@ -148,7 +148,7 @@ def restore(root: Path, folder: Path, *, now: datetime | None = None) -> Restore
             (place for entry in changed if (place := place_of(entry)) is not None),
             key=lambda place: (place == FILE_NAME, place),
         )
-        saved = _keep(root, places, kept)
+        saved = _keep_copies(root, places, kept)
         for place in places:
             target = root / place
             atomic.make_folder(target.parent)
@@ -170,8 +170,8 @@ def _differs(entry: FileEntry, root: Path) -> bool:
         return True
 
 
-def _keep(root: Path, places: Sequence[str], kept: Path) -> bool:
-    """Copy what is about to be replaced; whether there was anything."""
+def _keep_copies(root: Path, places: Sequence[str], kept: Path) -> bool:
+    """Copy the files that will be replaced; whether any exists."""
     there = [place for place in places if (root / place).is_file()]
     for place in there:
         target = kept / place

@@ -1,7 +1,7 @@
-"""Which releases this user has accepted, so that an older one is not passed off as current.
+"""Record of the releases that this user has accepted, to detect a rollback to an older one.
 
-One small file for each series of releases in the user's state folder. It is not a secret and not
-signed: it guards against what reaches the machine, not against who owns it.
+Each series of releases has one small file in the user's state folder. It is neither secret nor
+signed: it protects against an old release from outside, not against the user of the machine.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _MAX_BYTES = 4096
 
 
 def highest(series: str) -> int | None:
-    """The highest number of a series (32 hex digits) that was accepted here, None for none.
+    """Highest accepted release number of a series (32 hex digits), or None.
 
     Raises:
-        ReleaseError: what was remembered cannot be read.
+        ReleaseError: the record cannot be read.
     """
     path = _path(series)
     if not path.exists():
@@ -42,7 +42,7 @@ def highest(series: str) -> int | None:
 
 
 def remember(series: str, number: int) -> str | None:
-    """Remember that a release was accepted; what to say where that is not possible."""
+    """Record an accepted release; a note if that is not possible, else None."""
     path = _path(series)
     known = highest(series)
     if known is not None and known >= number:
@@ -58,7 +58,7 @@ def remember(series: str, number: int) -> str | None:
 
 
 def remember_twin(series: str, root: Path) -> None:
-    """Remember where the twin of a series of releases lies; data that it stamped point to it."""
+    """Record the folder of a twin by its series, so that its stamped data can be checked."""
     path = _twin_path(series)
     with contextlib.suppress(OSError, PathError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ def remember_twin(series: str, root: Path) -> None:
 
 
 def twin_of(series: str) -> Path | None:
-    """The folder of a series' twin, where it was remembered and still is there."""
+    """Recorded folder of the twin of a series; None without a record or if it does not exist."""
     path = _twin_path(series)
     try:
         root = Path(json.loads(read_bytes(path, _MAX_BYTES))["root"])

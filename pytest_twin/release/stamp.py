@@ -1,8 +1,8 @@
-"""The stamp of a data set or policy: which release of which twin it was made with. No files.
+"""Stamp of a data set or policy: the release of the twin that it was made with.
 
-A stamp holds the tuple of IDs with digests, and the release's signed envelope as it is. A trusted
-key therefore vouches for the tuple; the digest of the data, which no release can know, guards
-against mistakes and not against whoever may write the data.
+A stamp contains the IDs with digests, and the signed envelope of the release. The signature of the
+release therefore covers the IDs. It cannot cover the digest of the data, which detects mistakes but
+not a change by someone who can write the data. This module reads no files.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from pytest_twin.release.verify import authenticate
 
 SCHEMA = 1
 PARTS = ("asset", "calibration", "fit", "controller", "validation")
-"""Members of the tuple, each with ``id`` and ``digest``."""
+"""Members of the twin in a stamp, each with ``id`` and ``digest``."""
 _TUPLE = ("twin", "series", "release", *PARTS, "payload", "declared")
 _FIELDS = {"schema", *_TUPLE, "data", "stamped", "envelope"}
 
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What a data set or policy says of itself.
+    """Content of a stamp.
 
     Attributes:
-        ids: the tuple: ``twin``, ``series``, ``release`` (its number), each of :data:`PARTS`,
-            ``payload`` and ``declared`` (firmware and the like).
-        data: SHA-256 of the content when it was stamped, hex.
-        stamped: RFC 3339, UTC.
-        envelope: the release's signed envelope.
+        ids: ``twin``, ``series``, ``release`` (its number), all of :data:`PARTS`, ``payload`` and
+            ``declared`` (such as firmware).
+        data: SHA-256 of the content at the time of the stamp, hex.
+        stamped: time of the stamp, RFC 3339, UTC.
+        envelope: signed envelope of the release.
     """
 
     ids: Mapping[str, Any]
@@ -46,11 +46,11 @@ class Stamp:
 
     @property
     def name(self) -> str:
-        """``release 7 of 'arm'``."""
+        """Number and twin of the release as text: ``release 7 of 'arm'``."""
         return f"release {self.ids['release']} of {self.ids['twin']!r}"
 
     def to_text(self) -> str:
-        """As it is written; ASCII."""
+        """Text of the stamp as written into a file, ASCII."""
         fields = {
             "schema": SCHEMA,
             **self.ids,
@@ -62,19 +62,19 @@ class Stamp:
 
 
 def make(release: Release, envelope: bytes, data: str, now: datetime) -> Stamp:
-    """The stamp of a release on data of a digest.
+    """Create the stamp of a release for data with the SHA-256 ``data``.
 
     Raises:
         ReleaseError: the release states no digests.
     """
-    return Stamp(tuple_of(release), data, timestamp(now), envelope)
+    return Stamp(stated_ids(release), data, timestamp(now), envelope)
 
 
-def tuple_of(release: Release) -> dict[str, Any]:
-    """The tuple of IDs with digests that a signed release states.
+def stated_ids(release: Release) -> dict[str, Any]:
+    """IDs with digests that a signed release states.
 
     Raises:
-        ReleaseError: a release of an earlier version, which states none.
+        ReleaseError: a release of an earlier version, which states no digests.
     """
     ids, header = release.ids, release.header
     digests = ids.get("digests")
@@ -106,10 +106,10 @@ def _listed(names: Any) -> str | None:
 
 
 def parse(text: str) -> Stamp:
-    """The stamp that a data set's text is.
+    """Parse the text of a stamp.
 
     Raises:
-        ReleaseError: no stamp; the message says what is wrong with it.
+        ReleaseError: not a stamp.
     """
     wrong = ReleaseError(
         "not a stamp of pytest-twin",
@@ -141,11 +141,11 @@ def parse(text: str) -> Stamp:
 
 @dataclass(frozen=True, slots=True)
 class StampVerdict:
-    """Whether a stamp holds.
+    """Result of the verification of a stamp.
 
     Attributes:
-        release: what the envelope states, None where it is not authentic.
-        problems: empty where it holds.
+        release: release in the envelope, None if it is not authentic.
+        problems: reasons why the stamp is not valid; empty for a valid one.
     """
 
     release: Release | None
@@ -153,25 +153,25 @@ class StampVerdict:
 
     @property
     def holds(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether the stamp is valid."""
         return self.release is not None and not self.problems
 
 
 def judge(stamp: Stamp, keys: Sequence[Key], data: str, now: datetime) -> StampVerdict:
-    """Whether a trusted key vouches for a stamp's tuple, and the data are those it was put on.
+    """Verify the signature and the IDs of a stamp, and that the data have not changed.
 
-    A release that has expired since, or that newer ones follow, still is what the data were made
-    with.
+    A stamp stays valid when its release has expired or has a successor, because the data were made
+    with that release.
 
     Args:
-        stamp: as read.
-        keys: the trusted public keys.
-        data: SHA-256 of the content today, hex.
-        now: with time zone.
+        stamp: the stamp.
+        keys: trusted public keys.
+        data: SHA-256 of the present content, hex.
+        now: present time, with time zone.
     """
     try:
         release = authenticate(stamp.envelope, keys)
-        expected = tuple_of(release)
+        expected = stated_ids(release)
         stamped = moment(stamp.stamped)
     except ReleaseError as error:
         return StampVerdict(None, (str(error),))

@@ -1,4 +1,4 @@
-"""Stamps on the disk: written into data sets, read from them, and compared with trusted keys."""
+"""Write stamps into data sets, read them, and verify them with trusted keys."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ _SERIES = frozenset("0123456789abcdef")
 
 @dataclass(frozen=True, slots=True)
 class Stamped:
-    """One file that bears a stamp.
+    """A file that can contain a stamp.
 
     Attributes:
         carrier: the file.
-        stamp: None where it has none that can be read; ``problem`` then says why.
+        stamp: its stamp, None if it has none or it cannot be read.
+        problem: why the stamp cannot be read.
     """
 
     carrier: Carrier
@@ -37,21 +38,21 @@ class Stamped:
 
 
 def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> list[Stamped]:
-    """Stamp every file of a data set, or a policy, with a release.
+    """Stamp all files of a data set, or a policy, with a release.
 
-    All files are read before the first is written; each is replaced whole or not at all.
+    All files are read before the first is written; each is replaced in one step.
 
     Args:
-        dataset: the file or folder.
-        release_folder: of a release that is authentic and undamaged.
-        now: the time to stamp; the clock's if None.
+        dataset: file or folder.
+        release_folder: folder of an authentic, undamaged release.
+        now: time of the stamp; the present time if None.
 
     Raises:
         ReleaseError: the release is not authentic, is damaged, or states no digests.
-        TwinError: a file that holds no stamp, is damaged, or cannot be written.
+        TwinError: a file that cannot contain a stamp, is damaged, or cannot be written.
     """
     now = now or datetime.now(UTC)
-    # Data recorded with a release keep it after it has expired or newer ones have followed.
+    # The release may have expired or have a successor: the data were recorded with it.
     released = authentic(release_folder, now)
     envelope = folders.read_envelope(release_folder)
     assert envelope is not None
@@ -67,11 +68,11 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
 
 
 def read(dataset: Path) -> list[Stamped]:
-    """The stamps of a data set or policy, one for each of its files.
+    """Read the stamps of a data set or policy, one for each file.
 
     Raises:
-        TwinError: nothing there that holds a stamp, or a damaged file.
-        ReleaseError: none of its files is stamped.
+        TwinError: no file that can contain a stamp, or a damaged file.
+        ReleaseError: no file is stamped.
     """
     found = [_read(carrier) for carrier in carriers_apart(dataset, writable=False)]
     if not any(one.stamp or one.problem for one in found):
@@ -96,7 +97,7 @@ def _read(carrier: Carrier) -> Stamped:
 def judge(
     found: list[Stamped], keys: list[Key], *, now: datetime | None = None
 ) -> dict[Path, StampVerdict]:
-    """Whether each stamp holds, and all are of one release.
+    """Verify all stamps, and that they are of one release; file -> verdict.
 
     Raises:
         TwinError: a file cannot be read.
@@ -118,9 +119,10 @@ def judge(
 
 
 def twins_near(dataset: Path, found: list[Stamped]) -> Iterator[Path]:
-    """Folders of twins that may have stamped a data set, the nearest first.
+    """Folders of twins that may have stamped a data set, the most probable first.
 
-    Above the data set, above the working folder, and where the twin lay when this user stamped.
+    These are the twin above the data set, the one above the working directory, and the recorded
+    folder of the twin in the stamp.
     """
     given: dict[Path, None] = {}
     for start in (dataset.absolute(), Path.cwd()):
@@ -137,11 +139,12 @@ def twins_near(dataset: Path, found: list[Stamped]) -> Iterator[Path]:
 
 
 def keys_of(dataset: Path, found: list[Stamped], folder: Path | None) -> list[Key]:
-    """The trusted keys: those of a folder, else of the twin that stamped the data set; none where
-    no stamp can be read.
+    """Trusted keys of a folder, or of the twin that stamped the data set.
+
+    The result is empty if no stamp can be read.
 
     Raises:
-        ReleaseError: none can be found.
+        ReleaseError: no twin with keys was found.
     """
     if folder is not None:
         return trusted_keys.load_trusted(folder)
@@ -152,10 +155,10 @@ def keys_of(dataset: Path, found: list[Stamped], folder: Path | None) -> list[Ke
 
 
 def twin_that_stamped(dataset: Path, found: list[Stamped]) -> Path:
-    """The folder of the twin whose keys vouch for a stamp, else of the nearest twin with keys.
+    """Folder of the twin whose keys verify a stamp, or of the most probable twin with keys.
 
     Raises:
-        ReleaseError: no twin is near.
+        ReleaseError: no twin with keys was found.
     """
     nearest: Path | None = None
     now = datetime.now(UTC)

@@ -1,4 +1,4 @@
-"""What a release says: an in-toto statement with our predicate. Bytes in, nouns out, and back."""
+"""Write and read the statement of a release: an in-toto statement with our own predicate."""
 
 from __future__ import annotations
 
@@ -42,11 +42,12 @@ class FileEntry:
     """A file that a release depends on.
 
     Attributes:
-        name: relative POSIX path: in the release's folder, or, for external files, from the
-            twin's folder.
-        sha256: hex. size: bytes.
-        original: the path in the twin's folder where that is no valid file name on every system,
-            and ``name`` is used; None where they are the same.
+        name: POSIX path relative to the release's folder, or, for an external file, relative to
+            the twin's folder.
+        sha256: digest, hex.
+        size: bytes.
+        original: path in the twin's folder if it is not a portable file name; None if it equals
+            ``name``.
     """
 
     name: str
@@ -57,14 +58,14 @@ class FileEntry:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """One golden on one realization as a release vouches for it.
+    """Result of one golden on one realization in a release.
 
     Attributes:
-        outcome: the result, with every measure and margin.
-        title: the golden's title.
+        outcome: the result, with all measures and margins.
+        title: title of the golden.
         parts: ids of the parts that the result depends on.
-        release: number of the release that ran it; 0 in a draft for the one being written.
-        at: RFC 3339, UTC, when that release was made; empty in a draft likewise.
+        release: number of the release for which it ran; 0 in a draft.
+        at: creation time of that release, RFC 3339, UTC; empty in a draft.
     """
 
     outcome: Outcome
@@ -76,7 +77,7 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class Previous:
-    """The release before: its number and the SHA-256 of its envelope."""
+    """Number of the previous release, and SHA-256 of its envelope, hex."""
 
     number: int
     sha256: str
@@ -84,15 +85,15 @@ class Previous:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What is known of a release before its files are.
+    """Fields of a release that are known before its files.
 
     Attributes:
-        twin: the twin's name.
-        series: random 128 bits, hex, chosen with the first release and kept by those after it.
+        twin: name of the twin.
+        series: 128 random bits, hex, which all releases of a twin share.
         number: counted from 1.
-        previous: the release before, None for the first.
+        previous: the previous release, None for the first.
         created, expires: RFC 3339, UTC.
-        key_id: who signs.
+        key_id: id of the signing key.
     """
 
     twin: str
@@ -106,18 +107,18 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What the gate wants released.
+    """Content of a release that is to be written.
 
     Attributes:
-        twin: its name.
-        valid_days: days until the release expires.
-        ids: the tuple of IDs: asset, realizations, calibration, fit, controllers, payloads,
-            firmware and other declared parts.
-        parts: part id -> part, everything that any golden depends on.
-        proofs: every golden on every realization, passed or advisory.
-        environment: what it ran on.
-        files: file -> SHA-256 that it had before the run. What lies in the twin's folder is
-            copied, the rest is listed.
+        twin: name of the twin.
+        valid_days: validity of the release, days.
+        ids: IDs of asset, realizations, calibration, fit, controllers, payloads, firmware and
+            other declared parts.
+        parts: part id -> part, for all parts that goldens depend on.
+        proofs: results of all goldens on all realizations.
+        environment: software environment of the run.
+        files: file -> SHA-256 before the run. Files in the twin's folder are copied, others are
+            listed.
     """
 
     twin: str
@@ -131,16 +132,16 @@ class Draft:
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """A signed statement, read.
+    """A signed release.
 
     Attributes:
-        header: twin, series, number, previous release, when made, how long valid, who signed.
+        header: twin, series, number, previous release, creation, expiry and key.
         ids, environment: as in :class:`Draft`.
         parts: part id -> part with its content.
-        goldens: ``golden@realization`` -> proof.
-        files: what lies in the release's folder beside the envelope.
-        external: what lies outside the twin's folder.
-        sha256: of the envelope, hex.
+        goldens: ``golden@realization`` -> result.
+        files: files in the release's folder, without the envelope.
+        external: files outside the twin's folder.
+        sha256: digest of the envelope, hex.
     """
 
     header: Header
@@ -154,25 +155,25 @@ class Release:
 
     @property
     def twin(self) -> str:
-        """The twin's name."""
+        """Name of the twin."""
         return self.header.twin
 
     @property
     def number(self) -> int:
-        """Counted from 1."""
+        """Number of the release, counted from 1."""
         return self.header.number
 
 
 def timestamp(moment: datetime) -> str:
-    """RFC 3339, UTC, whole seconds."""
+    """Time as RFC 3339 text in UTC, whole seconds."""
     return moment.astimezone(UTC).strftime(_TIME)
 
 
 def moment(text: str) -> datetime:
-    """The inverse of :func:`timestamp`.
+    """Parse a time as :func:`timestamp` writes it.
 
     Raises:
-        ReleaseError: any other form.
+        ReleaseError: another form.
     """
     try:
         parsed = datetime.strptime(text, _TIME).replace(tzinfo=UTC)
@@ -184,7 +185,7 @@ def moment(text: str) -> datetime:
 
 
 def proof_to_json(proof: Proof) -> dict[str, Any]:
-    """JSON-able fields of a proof; margins are written out for readers in other languages."""
+    """JSON-able fields of a result, with the margins of all measures."""
     outcome = replace(proof.outcome, plot=None).to_json()
     for fields, measure in zip(outcome["measures"], proof.outcome.measures, strict=True):
         margin = measure.margin
@@ -202,10 +203,10 @@ def proof_to_json(proof: Proof) -> dict[str, Any]:
 def write(
     header: Header, draft: Draft, files: Sequence[FileEntry], external: Sequence[FileEntry]
 ) -> bytes:
-    """The statement as canonical JSON.
+    """Write the statement as canonical JSON.
 
     Raises:
-        ReleaseError: two proofs of one golden, or a proof that depends on a part that is not there.
+        ReleaseError: two results of one golden, or a result that depends on a missing part.
     """
     goldens: dict[str, dict[str, Any]] = {}
     for proof in draft.proofs:
@@ -250,17 +251,16 @@ def write(
 
 
 def read(payload: bytes, key_id: str, sha256: str, limits: ReleaseLimits = LIMITS) -> Release:
-    """The release that a signed payload states.
+    """Read the release in a signed payload.
 
     Args:
-        payload: the statement's bytes, already authenticated.
-        key_id: who signed them.
-        sha256: of the envelope around them, hex.
-        limits: bounds.
+        payload: bytes of the statement, with a verified signature.
+        key_id: id of the signing key.
+        sha256: digest of the envelope, hex.
+        limits: limits of sizes and counts.
 
     Raises:
-        ReleaseError: not canonical JSON, not an in-toto statement of ours, or one that
-            contradicts itself.
+        ReleaseError: not canonical JSON, not a statement of this type, or an inconsistent one.
     """
     statement = canonical_json.load(payload, "the statement", limits)
     try:
@@ -392,7 +392,7 @@ def _name(entry: FileEntry) -> str:
 
 
 def _descriptor(entry: FileEntry) -> dict[str, Any]:
-    """An in-toto ResourceDescriptor."""
+    """The in-toto ResourceDescriptor of a file."""
     annotations: dict[str, Any] = {"size": entry.size}
     if entry.original is not None:
         annotations["original"] = entry.original

@@ -1,4 +1,4 @@
-"""Whether a release holds. Bytes and facts in, a verdict out; no files, no clock of its own."""
+"""Verify a release from its bytes and facts; this module reads neither files nor the clock."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ Code = Literal[
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """One entry of a release's folder as it lies there.
+class FolderEntry:
+    """An entry of a release's folder on the disk.
 
     Attributes:
         kind: ``file``, ``folder``, ``link``, or ``other`` (pipe, socket, device).
-        sha256: hex, of a file that was read, else empty.
-        size: bytes, of a file.
-        links: number of names that the file has on the disk.
-        sha256_with_lf: hex, of a small file with CR LF in it, as if each were LF; else empty.
+        sha256: digest of a file that was read, hex; else empty.
+        size: size of a file, bytes.
+        links: number of hard links of the file.
+        sha256_with_lf: digest of a small file after conversion of CR LF to LF, hex; else empty.
     """
 
     kind: Literal["file", "folder", "link", "other"]
@@ -47,14 +47,14 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Circumstances:
-    """What is known beside the release itself; None where nothing is.
+    """Facts outside the release itself; None where they are unknown.
 
     Attributes:
-        folder_number: the number that the folder's name states.
-        twin: the name that the twin around it states.
-        newer: an authentic release with a higher number that lies beside.
-        before: the authentic release with the highest lower number that lies beside.
-        seen: the highest number of this series that was accepted here before.
+        folder_number: number in the name of the folder.
+        twin: name that the enclosing twin states.
+        newer: an authentic release with a higher number in the same twin.
+        before: the authentic release with the next lower number in the same twin.
+        seen: highest number of this series that was accepted before on this machine.
     """
 
     folder_number: int | None = None
@@ -66,7 +66,12 @@ class Circumstances:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One reason why a release does not hold."""
+    """A reason why a release is not valid.
+
+    Attributes:
+        code: category of the problem.
+        text: description, one line.
+    """
 
     code: Code
     text: str
@@ -74,11 +79,11 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether a release holds.
+    """Result of the verification of a release.
 
     Attributes:
-        release: what it states, None where that is not authentic.
-        problems: empty where it holds.
+        release: the release, None if it is not authentic.
+        problems: reasons why it is not valid; empty for a valid one.
     """
 
     release: Release | None
@@ -86,11 +91,11 @@ class Verdict:
 
     @property
     def holds(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether the release is valid."""
         return self.release is not None and not self.problems
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able fields."""
+        """Return the fields as JSON-able values."""
         found: dict[str, Any] = {
             "schema": 1,
             "holds": self.holds,
@@ -119,10 +124,10 @@ NOTHING_SIGNED = Verdict(
 
 
 def authenticate(data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMITS) -> Release:
-    """The release that an envelope states, once a trusted key vouches for every byte of it.
+    """Verify the signature of an envelope, and read its release.
 
     Raises:
-        ReleaseError: it is not authentic, or no release.
+        ReleaseError: it is not authentic, or not a release.
     """
     opened = open_envelope(data, keys, limits)
     return statement.read(opened.payload, opened.key_ids[0], opened.sha256, limits)
@@ -130,22 +135,22 @@ def authenticate(data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMIT
 
 def verify(
     data: bytes | None,
-    listing: Mapping[str, Found],
+    listing: Mapping[str, FolderEntry],
     keys: Sequence[Key],
     *,
     now: datetime,
     circumstances: Circumstances = Circumstances(),
     limits: ReleaseLimits = LIMITS,
 ) -> Verdict:
-    """Whether a release holds.
+    """Verify a release.
 
     Args:
-        data: the envelope's bytes, None where there is none.
-        listing: everything in the folder, relative POSIX path -> what lies there.
-        keys: the trusted public keys.
-        now: with time zone.
-        circumstances: what is known beside the release.
-        limits: bounds.
+        data: content of the envelope, None if it does not exist.
+        listing: all entries of the folder, relative POSIX path -> entry.
+        keys: trusted public keys.
+        now: present time, with time zone.
+        circumstances: facts outside the release.
+        limits: limits of sizes and counts.
     """
     if data is None:
         return NOTHING_SIGNED
@@ -158,15 +163,15 @@ def verify(
 
 def judge(
     release: Release,
-    listing: Mapping[str, Found],
+    listing: Mapping[str, FolderEntry],
     *,
     now: datetime,
     circumstances: Circumstances = Circumstances(),
     limits: ReleaseLimits = LIMITS,
 ) -> Verdict:
-    """Whether an authentic statement is true of what lies there, current, and in its place.
+    """Verify the files, the place and the age of an authentic release.
 
-    Arguments as for :func:`verify`.
+    The arguments are those of :func:`verify`.
     """
     problems = [
         *_files(release, listing),
@@ -180,15 +185,15 @@ def judge(
     return Verdict(release, tuple(problems))
 
 
-def _files(release: Release, listing: Mapping[str, Found]) -> Iterator[Problem]:
+def _files(release: Release, listing: Mapping[str, FolderEntry]) -> Iterator[Problem]:
     stated = {entry.name: entry for entry in release.files}
-    yield from _misplaced(stated)
-    yield from _not_listed(stated, listing)
+    yield from _misplaced_files(stated)
+    yield from _unlisted_entries(stated, listing)
     for name, entry in stated.items():
-        yield from _changed(name, entry, listing.get(name))
+        yield from _changed_file(name, entry, listing.get(name))
 
 
-def _misplaced(stated: Mapping[str, FileEntry]) -> Iterator[Problem]:
+def _misplaced_files(stated: Mapping[str, FileEntry]) -> Iterator[Problem]:
     for name in (RESULTS, REPORT):
         if name not in stated:
             yield Problem("files", f"{name}: a release without it")
@@ -197,7 +202,9 @@ def _misplaced(stated: Mapping[str, FileEntry]) -> Iterator[Problem]:
             yield Problem("files", f"{name}: not a place for a file of a release")
 
 
-def _not_listed(stated: Mapping[str, FileEntry], listing: Mapping[str, Found]) -> Iterator[Problem]:
+def _unlisted_entries(
+    stated: Mapping[str, FileEntry], listing: Mapping[str, FolderEntry]
+) -> Iterator[Problem]:
     folders = set(_folders(stated))
     for name, found in sorted(listing.items()):
         if found.kind == "link":
@@ -213,7 +220,7 @@ def _not_listed(stated: Mapping[str, FileEntry], listing: Mapping[str, Found]) -
             yield Problem("files", f"{name}: linked from {found.links} places")
 
 
-def _changed(name: str, entry: FileEntry, here: Found | None) -> Iterator[Problem]:
+def _changed_file(name: str, entry: FileEntry, here: FolderEntry | None) -> Iterator[Problem]:
     if here is None:
         yield Problem("files", f"{name}: missing")
     elif here.kind == "file" and here.sha256_with_lf == entry.sha256:

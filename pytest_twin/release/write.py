@@ -1,4 +1,4 @@
-"""Writing a release: staged beside its place, synced, checked, and renamed into it."""
+"""Write a release: into a temporary folder, which is checked and renamed to its final name."""
 
 from __future__ import annotations
 
@@ -42,24 +42,24 @@ def write(
     *,
     now: datetime | None = None,
 ) -> tuple[Release, tuple[str, ...]]:
-    """Sign ``draft`` and write it as the twin's next release.
+    """Sign ``draft``, and write it as the next release of the twin.
 
-    Either the whole release is there afterwards, or none of it.
+    Either the whole release is written, or nothing.
 
     Args:
         root: the twin's folder.
-        draft: what is released.
-        signer: with what, from :func:`pytest_twin.release.signer`.
-        report: makes the HTML report once the number is known.
-        now: the time to sign at; the clock's if None.
+        draft: content of the release.
+        signer: signing key, from :func:`pytest_twin.release.signer`.
+        report: returns the HTML report for the header of the release.
+        now: time of the signature; the present time if None.
 
     Returns:
-        The release, and what to say in the terminal.
+        The release, and notes for the terminal.
 
     Raises:
-        ReleaseError: a critical golden did not pass; a file is not what it was before the run;
-            the key is not trusted; another release was written meanwhile.
-        PathError: the disk refuses, or a link lies in the way.
+        ReleaseError: a critical golden did not pass; a file changed since the run started; the key
+            is not trusted; another process wrote a release at the same time.
+        PathError: a file cannot be written, or a link is in its place.
     """
     root = Path(os.path.realpath(root))
     releases = root / folders.RELEASES
@@ -68,18 +68,18 @@ def write(
     header = _header(root, releases, draft, signer, now or datetime.now(UTC))
     try:
         releases.mkdir(exist_ok=True)
-        _clean(releases)
+        _remove_old_staging(releases)
         staging = Path(tempfile.mkdtemp(prefix=_STAGING, dir=releases))
     except OSError as error:
         raise PathError(f"cannot be written: {error.strerror}", path=releases) from None
     try:
-        release = _stage(staging, root, draft, header, signer, report)
+        release = _write_staged(staging, root, draft, header, signer, report)
         _check_staged(staging, release, header)
         notes = [trusted_keys.trust_first(root, signer)] if first else []
-        # mkdtemp makes folders that only their owner can read.
+        # mkdtemp creates a folder that only its owner can read.
         staging.chmod(0o755)
         if not atomic.create_directory(staging, releases / f"{header.number:04d}"):
-            raise _meanwhile(header.number, releases)
+            raise _concurrent_release(header.number, releases)
     except OSError as error:
         raise PathError(f"cannot be written: {error.strerror or error}", path=releases) from None
     finally:
@@ -101,7 +101,7 @@ def _require_passed(draft: Draft) -> None:
 
 
 def _require_trust(root: Path, releases: Path, signer: CryptoSigner) -> bool:
-    """Refuse a signer that the twin does not trust; whether it is the twin's first."""
+    """Check that the twin trusts the signer; whether it is the first signer of the twin."""
     trusted = trusted_keys.load_trusted(root / trusted_keys.FOLDER)
     if trusted:
         trusted_keys.require_trusted(signer, trusted, root)
@@ -115,7 +115,7 @@ def _require_trust(root: Path, releases: Path, signer: CryptoSigner) -> bool:
     return True
 
 
-def _meanwhile(number: int, releases: Path) -> ReleaseError:
+def _concurrent_release(number: int, releases: Path) -> ReleaseError:
     return ReleaseError(
         f"release {number} was written by another process meanwhile",
         path=releases,
@@ -134,10 +134,10 @@ def _header(
     else:
         series = before.header.series
         numbers.append(seen.highest(series) or 0)
-    # A number beyond a release that was not looked at would follow the one before that.
+    # If another process finished a release in between, this one would state the wrong predecessor.
     since = folders.numbered(releases)
     if since != there:
-        raise _meanwhile(since[0][0] if since else there[0][0], releases)
+        raise _concurrent_release(since[0][0] if since else there[0][0], releases)
     return Header(
         twin=draft.twin,
         series=series,
@@ -149,7 +149,7 @@ def _header(
     )
 
 
-def _stage(
+def _write_staged(
     staging: Path,
     root: Path,
     draft: Draft,
@@ -200,12 +200,12 @@ def _relative_name(path: Path, root: Path) -> str:
 
 
 def _as_text(name: str) -> str:
-    """A path as JSON can hold it; bytes that are no text are written as escapes."""
+    """Path as text for JSON; bytes that are not valid text are escaped."""
     return name.encode("utf-8", "backslashreplace").decode()
 
 
 def _digest_into(path: Path, copy: Path | None) -> tuple[str, int]:
-    """Read a file once; the digest is of the very bytes that are copied."""
+    """Copy a file and compute SHA-256 (hex) and size (bytes) of the copied bytes in one pass."""
     hashed, size = hashlib.sha256(), 0
     if copy is not None:
         copy.parent.mkdir(parents=True, exist_ok=True)
@@ -234,7 +234,7 @@ def _results(header: Header, draft: Draft) -> str:
 
 
 def _check_staged(staging: Path, release: Release, header: Header) -> None:
-    """What was staged must hold before anybody sees it."""
+    """Verify the written release before it gets its final name."""
     verdict = judge(release, folders.listing(staging), now=statement.moment(header.created))
     if not verdict.holds:
         raise ReleaseError(
@@ -244,8 +244,8 @@ def _check_staged(staging: Path, release: Release, header: Header) -> None:
         )
 
 
-def _clean(releases: Path) -> None:
-    """Remove what interrupted writes left; not what another process may be writing now."""
+def _remove_old_staging(releases: Path) -> None:
+    """Remove temporary folders of interrupted writes that are older than an hour."""
     for path in releases.glob(f"{_STAGING}*"):
         # Another process may have finished its release since the folder was listed.
         with suppress(FileNotFoundError):

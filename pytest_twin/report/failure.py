@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pytest_twin.outcome import Measure, Outcome, Reason, use_of_tolerance
+from pytest_twin.outcome import Measure, Outcome, Reason, tolerance_ratio
 from pytest_twin.report.text import number, printable, quantity, use
 
 MAX_ROWS = 40
@@ -67,7 +67,7 @@ def failure_text(
 
 def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list[str]:
     """Return a table of measures, the worst first."""
-    ordered = sorted(measures, key=use_of_tolerance, reverse=True)
+    ordered = sorted(measures, key=tolerance_ratio, reverse=True)
     timed = any(measure.time is not None for measure in ordered[:max_rows])
     head = (
         "",

@@ -13,7 +13,7 @@ from typing import Any
 
 import jinja2
 
-from pytest_twin.outcome import Measure, Reason, use_of_tolerance
+from pytest_twin.outcome import Measure, Reason, tolerance_ratio
 from pytest_twin.report.failure import headline
 from pytest_twin.report.model import Entry, Report, Verdict
 from pytest_twin.report.page import style_of, svg_uri, template
@@ -87,7 +87,7 @@ def _rows(entries: Iterable[Entry]) -> list[_Row]:
     def gravity(entry: Entry) -> tuple[int, int, float, str]:
         outcome = entry.outcome
         worst = outcome.worst
-        used = 0.0 if worst is None else use_of_tolerance(worst)
+        used = 0.0 if worst is None else tolerance_ratio(worst)
         advisory = outcome.criticality != "critical"
         return (_ORDER[outcome.status], int(advisory), -used, outcome.key)
 
@@ -95,7 +95,7 @@ def _rows(entries: Iterable[Entry]) -> list[_Row]:
     rows = []
     for index, entry in enumerate(sorted(entries, key=gravity)):
         outcome = entry.outcome
-        ordered = sorted(outcome.measures, key=use_of_tolerance, reverse=True)
+        ordered = sorted(outcome.measures, key=tolerance_ratio, reverse=True)
         measures = tuple(ordered[: min(MAX_MEASURES, max(1, measure_room))])
         parts = tuple(sorted(entry.parts)[: min(MAX_PARTS, max(0, part_room))])
         measure_room -= len(measures)
@@ -112,7 +112,7 @@ def _rows(entries: Iterable[Entry]) -> list[_Row]:
                 headline=headline(outcome),
                 measures=measures,
                 measures_left_out=len(ordered) - len(measures),
-                used=use_of_tolerance(ordered[0]) if ordered else None,
+                used=tolerance_ratio(ordered[0]) if ordered else None,
                 parts=parts,
                 plot=plot,
                 plot_left_out=entry.plot is not None and plot is None,
@@ -171,6 +171,6 @@ def _template() -> jinja2.Template:
         number=number,
         quantity=quantity,
         use=use,
-        used=use_of_tolerance,
+        used=tolerance_ratio,
         bar=_bar_width,
     )

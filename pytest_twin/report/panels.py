@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.outcome import Measure, use_of_tolerance
+from pytest_twin.outcome import Measure, tolerance_ratio
 
 MAX_PANELS = 3
 BUCKETS = 250
@@ -125,7 +125,7 @@ def time_panels(
                 against=bound.against if bound else _against(measures),
                 command=command,
                 worst=None if bound is None or bound.time is None else _worst(bound, bound.time),
-                bound=max(about, key=use_of_tolerance, default=None),
+                bound=max(about, key=tolerance_ratio, default=None),
             )
         )
     panels.sort(key=_telling, reverse=True)
@@ -183,7 +183,7 @@ def shifted(line: Line, offset: float) -> Line:
 def _telling(panel: Panel) -> tuple[float, float]:
     """Return a sort key: used share of tolerance, then residual relative to the golden's range."""
     left = panel.residual
-    used = -1.0 if panel.bound is None else use_of_tolerance(panel.bound)
+    used = -1.0 if panel.bound is None else tolerance_ratio(panel.bound)
     if left is None or panel.then is None:
         return (used, _range(panel.now) * 1e-12)
     scale = _range(panel.then) or 1.0
@@ -203,7 +203,7 @@ def _bound_of(line: Line, measures: Sequence[Measure]) -> Measure | None:
         if measure.time is not None
         and abs(float(np.interp(measure.time, line.x, line.y)) - measure.measured) <= 1e-3 * scale
     ]
-    return max(fitting, key=use_of_tolerance, default=None)
+    return max(fitting, key=tolerance_ratio, default=None)
 
 
 def _worst(measure: Measure, time: float) -> Worst:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pytest_twin.outcome import Measure, use_of_tolerance
+from pytest_twin.outcome import Measure, tolerance_ratio
 from pytest_twin.report.panels import (
     Panel,
     Series,
@@ -233,11 +233,11 @@ def _legend(figure: Figure, rows: Sequence[Axes]) -> None:
 
 
 def _draw_bars(figure: Figure, measures: Sequence[Measure]) -> None:
-    ordered = sorted(measures, key=use_of_tolerance, reverse=True)
+    ordered = sorted(measures, key=tolerance_ratio, reverse=True)
     shown, left_out = ordered[:MAX_BARS], len(ordered) - MAX_BARS
     figure.set_size_inches(_WIDTH_INCHES, 0.85 + 0.24 * len(shown))
     axes = figure.subplots()
-    used = np.array([use_of_tolerance(measure) for measure in shown])
+    used = np.array([tolerance_ratio(measure) for measure in shown])
     finite = used[np.isfinite(used) & (used > 0)]
     # One decade of margin on both sides; bars of very small errors end at the left edge.
     low = 10.0 ** max(-4, min(-1, math.floor(math.log10(finite.min())) if finite.size else -1))

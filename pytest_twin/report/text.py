@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pytest_twin.outcome import Measure, use_of_tolerance
+from pytest_twin.outcome import Measure, tolerance_ratio
 
 
 def printable(text: str) -> str:
@@ -28,7 +28,7 @@ def quantity(value: float, unit: str) -> str:
 
 def use(measure: Measure) -> str:
     """Return the used share of the tolerance, ``47 %``, ``3.2 times``."""
-    used = use_of_tolerance(measure)
+    used = tolerance_ratio(measure)
     if not math.isfinite(used):
         return "all of none" if math.isfinite(measure.error) else "no number"
     if used < 0.001:

@@ -1,1 +1,1 @@
-"""What the plugin does once a twin is there: items, plans, verdicts. Loaded only then."""
+"""Pytest session with twins: test items, plans, verdicts. Imported only when a twin is found."""

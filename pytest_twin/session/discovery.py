@@ -1,4 +1,4 @@
-"""Twins that a run's arguments reach, before anything is collected."""
+"""Find the twins of a pytest run from its arguments, before the collection."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, find_twin
 
 
 def twin_files(
-    arguments: Iterable[Path], config: pytest.Config, *, around: bool
+    arguments: Iterable[Path], config: pytest.Config, *, include_above: bool
 ) -> tuple[Path, ...]:
-    """Each ``twin.yaml`` that the ``arguments`` reach, in the order of their paths.
+    """All ``twin.yaml`` files at, above or below the ``arguments``, sorted by path.
 
     Args:
-        arguments: files and folders as pytest was given them.
-        around: whether a twin counts too whose specs none of them can reach.
+        arguments: files and folders from the command line.
+        config: configuration of pytest.
+        include_above: whether to include a twin above an argument that contains none of its specs.
     """
     found: set[Path] = set()
     for argument in arguments:
         start = Path(os.path.normpath(config.invocation_params.dir / argument))
         above = find_twin(start if start.is_dir() else start.parent)
-        if above is not None and (around or _reaches_specs(start, above.parent)):
+        if above is not None and (include_above or _reaches_specs(start, above.parent)):
             found.add(above)
         if start.is_dir():
             found.update(_below(start, config.getini("norecursedirs")))
@@ -39,7 +40,7 @@ def _reaches_specs(start: Path, root: Path) -> bool:
 
 def _below(start: Path, skipped: list[str]) -> Iterator[Path]:
     for here, folders, files in os.walk(start):
-        # Beside a list of effects it belongs to a patched model, which is no twin of its own.
+        # With effects.json next to it, the file belongs to the patched model of a diagnosis.
         has_twin = FILE_NAME in files and EFFECTS_FILE not in files
         if has_twin:
             yield Path(here) / FILE_NAME

@@ -1,4 +1,4 @@
-"""Golden specs as pytest sees them: a file, an item per realization, a failure in words."""
+"""Pytest collectors and items of golden specs: a file, and one item per realization."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class GoldenFailedError(Exception):
     """A golden that did not pass.
 
     Attributes:
-        text: what a person needs to act on it.
-        headline: one line of it, for places that show the golden's name beside it.
-        line: 1-based line in the spec that it is about.
+        text: description of the failure, several lines.
+        headline: one line, for places that also show the name of the golden.
+        line: 1-based line in the spec of the exceeded tolerance.
     """
 
     def __init__(self, text: str, headline: str, line: int) -> None:
@@ -36,7 +36,7 @@ class GoldenFailedError(Exception):
 
 
 class FailureText:
-    """What pytest prints of a failure: our text, and one line for summaries and JUnit."""
+    """Representation of a failure for pytest: full text, and one line for summaries and JUnit."""
 
     def __init__(self, text: str, headline: str, path: str, line: int) -> None:
         self.text = text
@@ -46,17 +46,24 @@ class FailureText:
         return self.text
 
     def toterminal(self, tw: Any) -> None:
-        """Print it."""
+        """Print the text."""
         for line in self.text.splitlines():
             tw.line(line)
 
 
 class GoldenFile(pytest.File):
-    """One golden spec."""
+    """Collector of one golden spec."""
 
     @classmethod
     def of(cls, parent: pytest.Collector, *, path: Path, load: Load, run: Run) -> GoldenFile:
-        """The collector of the spec at ``path``; ``load`` reads it, ``run`` runs its items."""
+        """Create the collector of the spec at ``path``.
+
+        Args:
+            parent: parent collector.
+            path: the spec.
+            load: reads the spec and its twin.
+            run: runs an item.
+        """
         file: GoldenFile = cls.from_parent(parent, path=path)
         file.load = load
         file.run = run
@@ -66,10 +73,10 @@ class GoldenFile(pytest.File):
     run: Run
 
     def collect(self) -> list[pytest.Item]:
-        """One item per realization.
+        """Return one item per realization.
 
         Raises:
-            CollectError: the spec or its twin is broken, in one line.
+            CollectError: the spec or its twin is not valid; one line.
         """
         try:
             gate, golden = self.load()
@@ -89,14 +96,14 @@ class GoldenItem(pytest.Item):
     realization: str
     key: str
     run: Run
-    travels: str | None = None
-    """The outcome as JSON, once it ran."""
+    outcome_json: str | None = None
+    """The outcome as JSON, None before the run."""
 
     @classmethod
     def of(cls, parent: GoldenFile, *, gate: Gate, golden: Golden, realization: str) -> GoldenItem:
-        """The item of ``golden`` on ``realization``."""
+        """Create the item of ``golden`` on ``realization``."""
         name = f"{parent.path.stem}[{realization}]"
-        # Stated, so that the brackets are read as those of a parametrized test; --lf finds it.
+        # With an explicit node id pytest reads the brackets as parameters, and --lf works.
         item: GoldenItem = cls.from_parent(parent, name=name, nodeid=f"{parent.nodeid}::{name}")
         item.gate = gate
         item.golden = golden
@@ -108,7 +115,7 @@ class GoldenItem(pytest.Item):
         return item
 
     def runtest(self) -> None:
-        """Run it; raises what it has to say."""
+        """Run the golden; a failure is raised as an exception."""
         self.run(self)
 
     def reportinfo(self) -> tuple[Path, int | None, str]:
@@ -118,7 +125,7 @@ class GoldenItem(pytest.Item):
     def repr_failure(  # type: ignore[override]
         self, excinfo: pytest.ExceptionInfo[BaseException]
     ) -> Any:
-        """Our own text for a golden that did not pass."""
+        """Return the text of a golden that did not pass."""
         error = excinfo.value
         if isinstance(error, GoldenFailedError):
             return FailureText(error.text, error.headline, str(self.path), error.line)

@@ -1,4 +1,4 @@
-"""The plugin's flags, each with an entry of the same meaning in pytest's configuration file."""
+"""Command line options of the plugin; each is also an entry of pytest's configuration file."""
 
 from __future__ import annotations
 
@@ -26,13 +26,18 @@ DEFAULT_SECONDS = 600.0
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the user asked for, on the command line or in the configuration file.
+    """Options of a run, from the command line or the configuration file.
 
     Attributes:
-        report: None for the default place.
-        key, ini_key: the signing key by flag and by configuration file.
-        seconds: bound on the wall time of one golden.
-        confine: whether goldens run without the user's rights.
+        release: whether to sign a release.
+        update: whether to record goldens.
+        everything: whether to run fresh goldens too.
+        why: whether to list only why goldens are fresh or stale.
+        diagnose: whether to diagnose failures against recordings.
+        report: path of the report, None for the default.
+        key, ini_key: path of the signing key, from the command line and the configuration file.
+        seconds: limit of the wall time of one golden, s.
+        confine: whether goldens run without access to other files and to the network.
     """
 
     release: bool
@@ -48,12 +53,12 @@ class Options:
 
     @property
     def needs_twin(self) -> bool:
-        """Whether a run without a twin would be a mistake."""
+        """Whether the options make sense only with a twin."""
         return self.release or self.update or self.why
 
 
 def add_options(parser: pytest.Parser) -> None:
-    """Declare every flag and its entry in the configuration file."""
+    """Add the command line options and the entries of the configuration file."""
     group = parser.getgroup("twin", "robot twins (pytest-twin)")
     for name, text in SWITCHES.items():
         group.addoption(f"--{name}", action="store_true", default=None, help=text)
@@ -64,10 +69,10 @@ def add_options(parser: pytest.Parser) -> None:
 
 
 def read_options(config: pytest.Config) -> Options:
-    """The options of this run.
+    """Read the options of this run.
 
     Raises:
-        pytest.UsageError: they contradict one another or mean nothing.
+        pytest.UsageError: they contradict one another or are not valid.
     """
     switches = {name: bool(_value(config, name)) for name in SWITCHES}
     if switches["twin-release"] and switches["twin-update"]:
@@ -97,7 +102,7 @@ def read_options(config: pytest.Config) -> Options:
 
 
 def in_ci() -> bool:
-    """Whether the environment says that this is continuous integration."""
+    """Whether the environment variable ``CI`` is set."""
     return os.environ.get("CI", "").strip().lower() not in ("", "0", "false", "no")
 
 

@@ -1,4 +1,4 @@
-"""A live line on a terminal while a golden takes long; a line a minute in a log."""
+"""Progress of a golden: a line that is updated on a terminal, one line per minute in a log."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ _EACH_SECONDS = 0.25
 
 
 class ProgressLine:
-    """Writes the fraction done over one line of pytest's own terminal reporter."""
+    """Writes the progress through pytest's terminal reporter."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._reporter: Any = config.pluginmanager.get_plugin("terminalreporter")
         self._capture: Any = config.pluginmanager.get_plugin("capturemanager")
 
     def say(self, text: str) -> None:
-        """A line of its own, on a terminal and in a file."""
+        """Write a separate line, on a terminal or in a log."""
         if self._reporter is not None:
             self._reporter.ensure_newline()
             self._reporter.write_line(text)
 
     def of(self, item: pytest.Item) -> AbstractContextManager[Callable[[float], None] | None]:
-        """A callback for the fraction done of an item, None in a process without output."""
+        """Callback for the progress of an item (0 to 1); None in a process without output."""
         return self.named(item.name)
 
     @contextmanager
     def named(self, name: str) -> Iterator[Callable[[float], None] | None]:
-        """A callback for the fraction done of ``name``, None in a process without output."""
+        """Callback for the progress of ``name`` (0 to 1); None in a process without output."""
         if self._reporter is None:
             yield None
             return
         if not getattr(self._reporter, "isatty", False):
             log = EachMinute(name)
 
-            def told(fraction: float) -> None:
+            def write_fraction(fraction: float) -> None:
                 if (line := log.line(fraction)) is not None:
                     with self._uncaptured():
                         self.say(line)
 
-            yield told
+            yield write_fraction
             return
         next_time = time.monotonic() + _FIRST_SECONDS
         shown = False

@@ -1,4 +1,4 @@
-"""The fixture ``twin_release``: the release that a user's own test runs against."""
+"""Fixture ``twin_release``: gives a user's test the newest release of its twin."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _KNOWN: pytest.StashKey[dict[Path, TwinRelease]] = pytest.StashKey()
 
 @dataclass(frozen=True, slots=True)
 class TwinRelease:
-    """The newest release of a twin, verified.
+    """The newest release of a twin, after verification.
 
     Attributes:
-        twin: the twin's name.
-        number: of the release.
-        ids: its tuple of IDs, as it was signed.
-        root: the twin's folder.
-        folder: of the release.
+        twin: name of the twin.
+        number: number of the release.
+        ids: the signed IDs of asset, calibration, fit, controller and payload.
+        root: folder of the twin.
+        folder: folder of the release.
     """
 
     twin: str
@@ -31,10 +31,10 @@ class TwinRelease:
     folder: Path
 
     def file(self, name: str) -> Path:
-        """A file as it was released, such as ``file("arm.xml")``.
+        """Path of the released copy of a file, such as ``file("arm.xml")``.
 
         Args:
-            name: its path in the twin's folder.
+            name: path relative to the twin's folder.
 
         Raises:
             pytest.fail.Exception: the release does not contain it.
@@ -45,7 +45,7 @@ class TwinRelease:
         return path
 
     def require_stamp(self, dataset: Path | str) -> None:
-        """Fail the test unless a data set or policy bears a stamp of this release that holds.
+        """Fail the test unless a data set or policy has a valid stamp of this release.
 
         Raises:
             pytest.fail.Exception: with the reason.
@@ -71,9 +71,9 @@ class TwinRelease:
 
 @pytest.fixture(scope="module")
 def twin_release(request: pytest.FixtureRequest) -> TwinRelease:
-    """The newest release of the twin at or above the test's file, verified.
+    """The newest release of the twin at or above the test's file.
 
-    The test fails where there is no twin, no release, or one that does not hold.
+    The test fails if there is no twin, no release, or a release that fails verification.
     """
     from pytest_twin.twin import find_twin
 

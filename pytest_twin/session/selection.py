@@ -1,4 +1,4 @@
-"""What of a command line picks a subset of the tests."""
+"""Find the options and arguments of a command line that select a subset of the tests."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 
 def selected_by(config: pytest.Config) -> tuple[str, ...]:
-    """The options that pick a subset, as the user wrote them."""
+    """Options that select a subset of the tests, as written on the command line."""
     return tuple(_options(config))
 
 
@@ -34,8 +34,8 @@ def _options(config: pytest.Config) -> Iterator[str]:
             yield str(argument)
 
 
-def below(config: pytest.Config, root: Path) -> tuple[str, ...]:
-    """Arguments that lead below a twin's root without naming all of it."""
+def partial_arguments(config: pytest.Config, root: Path) -> tuple[str, ...]:
+    """Arguments that select only a part of a twin's folder; empty if one contains its root."""
     paths = [config.invocation_params.dir / str(a).split("::")[0] for a in config.args]
     absolute = [Path(path).absolute() for path in paths]
     if any(root.is_relative_to(path) for path in absolute):

@@ -1,4 +1,4 @@
-"""One pytest session with twins in it: what is collected, what runs, what comes of it."""
+"""Pytest hooks of a session with twins: collection, running, verdict and report."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import pytest
 
 from pytest_twin.checks import kinds
 from pytest_twin.errors import TwinError
-from pytest_twin.gate.closing import Policy, close
-from pytest_twin.gate.diagnosing import Diagnosed, diagnose_failures
+from pytest_twin.gate.closing import Policy, finish
+from pytest_twin.gate.diagnosing import RealizationDiagnosis, diagnose_failures
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import line_of
 from pytest_twin.gate.runner import Runner
@@ -36,16 +36,16 @@ _MARKERS = {
 }
 
 
-TRAVELS = "twin_outcome"
-"""Attribute of a report: pytest-xdist carries it from worker to controller."""
+OUTCOME_ATTRIBUTE = "twin_outcome"
+"""Attribute of a test report with the outcome as JSON; pytest-xdist sends it to the controller."""
 _FULL_DIAGNOSIS = "; full diagnosis: pytest --twin-diagnose"
 
 
 class TwinSession:
-    """The hooks of a session in which a twin was met.
+    """Hooks of a session with at least one twin.
 
-    In a run of pytest-xdist there is one in the controller, which plans, judges and signs, and one
-    in each worker, which runs goldens; without it, one that does both.
+    With pytest-xdist, the controller has one object, which plans, decides and signs, and each
+    worker has one, which runs goldens. Without pytest-xdist, one object does both.
     """
 
     def __init__(self, config: pytest.Config, options: Options) -> None:
@@ -53,7 +53,7 @@ class TwinSession:
         self.options = options
         self.gates: dict[Path, Gate] = {}
         self.broken: dict[Path, TwinError] = {}
-        self.said: set[Path] = set()
+        self.reported_broken: set[Path] = set()
         self.runner = Runner(options.seconds, confine=options.confine)
         self.progress = ProgressLine(config)
         self.failures: list[str] = []
@@ -79,7 +79,7 @@ class TwinSession:
     # -- collection
 
     def gate(self, twin_file: Path) -> Gate | None:
-        """The gate of a twin, None where its ``twin.yaml`` is broken."""
+        """The gate of a twin, None where its ``twin.yaml`` is not valid."""
         if twin_file not in self.gates and twin_file not in self.broken:
             try:
                 self.gates[twin_file] = Gate(twin_file, self.runner, signing=self.options.release)
@@ -88,18 +88,18 @@ class TwinSession:
         return self.gates.get(twin_file)
 
     def spec(self, path: Path, twin_file: Path, parent: pytest.Collector) -> GoldenFile | None:
-        """The collector of a spec, None where ``path`` is no spec.
+        """Collector of a spec, None where ``path`` is not a spec.
 
-        A broken ``twin.yaml`` is said once, by the first spec.
+        An invalid ``twin.yaml`` is reported once, by the collector of the first spec.
         """
         gate = self.gate(twin_file)
         if gate is not None and not gate.is_spec(path):
             return None
 
         if gate is None:
-            if twin_file in self.said:
+            if twin_file in self.reported_broken:
                 return None
-            self.said.add(twin_file)
+            self.reported_broken.add(twin_file)
 
         def load() -> tuple[Gate, Golden]:
             if gate is None:
@@ -112,34 +112,34 @@ class TwinSession:
     def pytest_collection_modifyitems(
         self, session: pytest.Session, items: list[pytest.Item]
     ) -> Generator[None, None, None]:
-        """See what others select; then leave out what the last release still proves."""
+        """Count the tests that other plugins deselect, then deselect the fresh goldens."""
         collected = list(items)
         self.collected.update(_keys(items))
         yield
         self.deselected = len(collected) - len(items)
         if self.config.getoption("collectonly") or session.testsfailed:
             return
-        deselected = [item for item in items if not self._runs(item)]
+        deselected = [item for item in items if not self._is_selected(item)]
         if deselected:
             self.config.hook.pytest_deselected(items=deselected)
             items[:] = [item for item in items if item not in set(deselected)]
 
-    def _runs(self, item: pytest.Item) -> bool:
+    def _is_selected(self, item: pytest.Item) -> bool:
         if self.options.why:
             return False
         if not isinstance(item, GoldenItem):
             return True
         if self.options.update:
             return item.realization == item.golden.realizations[0]
-        return self.options.everything or self._stale(item)
+        return self.options.everything or self._is_stale(item)
 
-    def _stale(self, item: GoldenItem) -> bool:
+    def _is_stale(self, item: GoldenItem) -> bool:
         if self.is_worker:
-            return item.key in self._handed(item.gate)["stale"]
+            return item.key in self._plan_from_controller(item.gate)["stale"]
         return item.gate.plan().tasks[item.key].is_stale
 
     def pytest_report_collectionfinish(self) -> list[str]:
-        """One line per twin: what runs and what does not have to."""
+        """Return one line per twin with the numbers of stale and fresh goldens."""
         if self.config.getoption("collectonly") or self.is_worker:
             return []
         return [
@@ -152,7 +152,7 @@ class TwinSession:
     # -- pytest-xdist
 
     def for_workers(self) -> str:
-        """The plans of all twins, for the workers of pytest-xdist."""
+        """The stale goldens of all twins as JSON, for the workers of pytest-xdist."""
         return json.dumps(
             {
                 str(gate.twin.path): {
@@ -166,41 +166,41 @@ class TwinSession:
             }
         )
 
-    def _handed(self, gate: Gate) -> dict[str, Any]:
+    def _plan_from_controller(self, gate: Gate) -> dict[str, Any]:
         handed: dict[str, Any] = self.worker_input.get(str(gate.twin.path), {"stale": {}})
         return handed
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
-        """Take what a worker says of its collection."""
-        told = json.loads(getattr(node, "workeroutput", {}).get("twin", "{}"))
-        self.collected.update(told.get("collected", ()))
-        self.deselected = max(self.deselected, told.get("deselected", 0))
+        """Store which tests a worker collected and deselected."""
+        message = json.loads(getattr(node, "workeroutput", {}).get("twin", "{}"))
+        self.collected.update(message.get("collected", ()))
+        self.deselected = max(self.deselected, message.get("deselected", 0))
 
     # -- running
 
     def run(self, item: GoldenItem) -> None:
-        """Run one golden; its outcome travels on the item's report.
+        """Run one golden, and attach its outcome to the item as JSON.
 
         Raises:
             GoldenFailedError: it did not pass.
         """
         gate = item.gate
-        travels: dict[str, Any] = {"twin": str(gate.twin.path)}
+        message: dict[str, Any] = {"twin": str(gate.twin.path)}
         with self.progress.of(item) as progress:
             if self.options.update:
                 outcome, update = gate.record(item.golden, progress)
-                travels["update"] = update and update.to_json()
+                message["update"] = update and update.to_json()
             else:
-                outcome = gate.prove(
+                outcome = gate.run_golden(
                     item.golden,
                     item.realization,
                     reasons=self._reasons(item),
                     progress=progress,
                 )
-        travels["outcome"] = outcome.to_json()
-        travels["unsaved_plots"] = self.runner.unsaved_plots.get(gate.root)
-        item.travels = json.dumps(travels)
+        message["outcome"] = outcome.to_json()
+        message["unsaved_plots"] = self.runner.unsaved_plots.get(gate.root)
+        item.outcome_json = json.dumps(message)
         item.user_properties.extend(_properties(outcome))
         if outcome.status != "passed":
             location = f"{os.path.relpath(item.path)}:{line_of(item.golden, outcome)}"
@@ -211,7 +211,7 @@ class TwinSession:
 
     def _reasons(self, item: GoldenItem) -> tuple[Reason, ...]:
         if self.is_worker:
-            handed = self._handed(item.gate)["stale"].get(item.key, ())
+            handed = self._plan_from_controller(item.gate)["stale"].get(item.key, ())
             return tuple(Reason(**reason) for reason in handed)
         return item.gate.plan().tasks[item.key].reasons
 
@@ -219,11 +219,11 @@ class TwinSession:
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Put the outcome on the report; an advisory failure blocks nothing."""
+        """Attach the outcome to the report; report an advisory failure as an expected failure."""
         report = yield
-        if not isinstance(item, GoldenItem) or call.when != "call" or item.travels is None:
+        if not isinstance(item, GoldenItem) or call.when != "call" or item.outcome_json is None:
             return report
-        setattr(report, TRAVELS, item.travels)
+        setattr(report, OUTCOME_ATTRIBUTE, item.outcome_json)
         error = None if call.excinfo is None else call.excinfo.value
         if isinstance(error, GoldenFailedError):
             path, _, domain = report.location
@@ -236,43 +236,43 @@ class TwinSession:
     def pytest_report_teststatus(
         self, report: pytest.CollectReport | pytest.TestReport
     ) -> tuple[str, str, str] | None:
-        """An advisory failure has a word of its own."""
+        """Report the failure of an advisory golden as ``advisory``."""
         if getattr(report, "when", None) == "call" and _is_advisory(report):
             return "advisory", "a", "ADVISORY"
         return None
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Collect outcomes, and the failures of ordinary tests."""
-        travels = getattr(report, TRAVELS, None)
-        if travels is None:
+        """Store outcomes of goldens and failures of ordinary tests."""
+        outcome_json = getattr(report, OUTCOME_ATTRIBUTE, None)
+        if outcome_json is None:
             if report.failed and not self.is_worker:
                 self.failures.append(report.nodeid)
             return
-        told = json.loads(travels)
-        outcome = Outcome.from_json(told["outcome"])
+        message = json.loads(outcome_json)
+        outcome = Outcome.from_json(message["outcome"])
         if isinstance(report.longrepr, str):
-            # From a worker: our text again, so that summaries and JUnit stay short.
+            # A worker sends plain text; the object gives summaries and JUnit one line.
             path, line, _ = report.location
             text = FailureText(report.longrepr, what(outcome), path, (line or 0) + 1)
             report.longrepr = text  # type: ignore[assignment]
         if self.is_worker:
             return
-        gate = self.gate(Path(told["twin"]))
+        gate = self.gate(Path(message["twin"]))
         if gate is None:
             return
-        gate.unsaved_plots = gate.unsaved_plots or told["unsaved_plots"]
-        if "update" not in told:
+        gate.unsaved_plots = gate.unsaved_plots or message["unsaved_plots"]
+        if "update" not in message:
             gate.outcomes[outcome.key] = outcome
             if outcome.status == "failed":
                 self.failed[gate.root, outcome.key] = report
-        elif told["update"] is not None:
-            gate.updates.append(Update.from_json(told["update"]))
+        elif message["update"] is not None:
+            gate.updates.append(Update.from_json(message["update"]))
         if _is_advisory(report):
             self.advisories.append((gate, str(report.longrepr)))
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
-        """Remember what could not be collected."""
+        """Store the errors of the collection."""
         if report.failed:
             lines = str(report.longrepr).strip().splitlines()
             self.collection_errors.append(lines[-1] if lines else report.nodeid)
@@ -280,7 +280,7 @@ class TwinSession:
     # -- the end
 
     def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
-        """Judge, sign, report; in a worker, tell the controller what was collected."""
+        """Decide, sign and report; a worker sends the collected tests to the controller."""
         self.runner.close()
         if self.is_worker:
             self.config.workeroutput["twin"] = json.dumps(  # type: ignore[attr-defined]
@@ -289,43 +289,43 @@ class TwinSession:
             return
         if self.config.getoption("collectonly"):
             return
-        if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED and self._left_out_everything():
+        if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED and self._all_goldens_fresh():
             session.exitstatus = pytest.ExitCode.OK
         if exitstatus == pytest.ExitCode.INTERNAL_ERROR or self.options.why:
             return
         for gate in self.gates.values():
-            self._close(gate, session, exitstatus)
+            self._finish(gate, session, exitstatus)
 
-    def _left_out_everything(self) -> bool:
-        """Whether nothing ran because nothing had to."""
+    def _all_goldens_fresh(self) -> bool:
+        """Whether nothing ran because all goldens are fresh."""
         return not self.collection_errors and any(
             self.options.why or (gate.planned is not None and gate.planned.fresh)
             for gate in self.gates.values()
         )
 
-    def _close(self, gate: Gate, session: pytest.Session, exitstatus: int) -> None:
+    def _finish(self, gate: Gate, session: pytest.Session, exitstatus: int) -> None:
         if self.options.update:
             self.summaries.append((gate, update_lines(gate.updates)))
             return
         if gate.planned is None and not self.options.release:
             return
-        diagnosed = self._diagnosed(gate, exitstatus)
+        diagnosed = self._diagnose(gate, exitstatus)
         policy = Policy(
             sign=self.options.release,
             key=self.options.key,
             ini_key=self.options.ini_key,
             report=self._report_path(gate),
         )
-        closed = close(gate, self._facts(gate, session, exitstatus), policy, diagnosed)
-        self.summaries.append((gate, list(closed.lines)))
-        if closed.is_blocked and session.exitstatus in (
+        result = finish(gate, self._facts(gate, session, exitstatus), policy, diagnosed)
+        self.summaries.append((gate, list(result.lines)))
+        if result.is_blocked and session.exitstatus in (
             pytest.ExitCode.OK,
             pytest.ExitCode.NO_TESTS_COLLECTED,
         ):
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
-    def _diagnosed(self, gate: Gate, exitstatus: int) -> list[Diagnosed]:
-        """Full diagnoses of what failed against recordings, each on the reports that it is of."""
+    def _diagnose(self, gate: Gate, exitstatus: int) -> list[RealizationDiagnosis]:
+        """Diagnose failures against recordings, and add the text to the reports of their tests."""
         finished = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
         if not self.options.diagnose or exitstatus not in finished:
             return []
@@ -338,7 +338,7 @@ class TwinSession:
                 report = self.failed.get((gate.root, key))
                 if report is not None:
                     report.sections.append(("diagnosis", text))
-                # The goldens of one realization share it: the first has it in full.
+                # Goldens of one realization share a diagnosis; only the first report shows it.
                 text = f"see {diagnosed.goldens[0]}"
         return found
 
@@ -346,7 +346,7 @@ class TwinSession:
         chosen = list(selection.selected_by(self.config))
         if self.deselected:
             chosen.append(f"{self.deselected} deselected")
-        chosen += selection.below(self.config, gate.root)
+        chosen += selection.partial_arguments(self.config, gate.root)
         if not chosen and not self.collection_errors:
             left = [key for key in gate.plan().tasks if key not in self.collected]
             if left:
@@ -370,7 +370,7 @@ class TwinSession:
         return path.with_name(f"{path.stem}-{gate.twin.name}{path.suffix}")
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """What a person reads last."""
+        """Write the results of all twins at the end of the terminal output."""
         if self.is_worker or self.config.getoption("collectonly"):
             return
         write = terminalreporter.write_line
@@ -388,16 +388,16 @@ class TwinSession:
                 write(line)
 
     def pytest_unconfigure(self) -> None:
-        """Leave no child behind."""
+        """End the child processes."""
         self.runner.close()
 
 
 def _is_advisory(report: pytest.CollectReport | pytest.TestReport) -> bool:
-    return getattr(report, TRAVELS, None) is not None and hasattr(report, "wasxfail")
+    return getattr(report, OUTCOME_ATTRIBUTE, None) is not None and hasattr(report, "wasxfail")
 
 
 def _properties(outcome: Outcome) -> list[tuple[str, object]]:
-    """Short entries for JUnit."""
+    """Properties of a golden for the JUnit report."""
     properties: list[tuple[str, object]] = [
         ("kind", outcome.kind),
         ("realization", outcome.realization),

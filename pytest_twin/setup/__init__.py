@@ -1,1 +1,1 @@
-"""From a robot's file to a working twin."""
+"""Create a twin for a robot's model file."""

@@ -1,4 +1,4 @@
-"""Bring a robot's files into a twin's folder, so that every reference between them holds."""
+"""Copy a robot's files into a twin's folder, so that all references between them stay valid."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pathlib import Path
 from pytest_twin.errors import SpecError
 
 ASSET = "asset"
-_NAMELESS = "files"
+_DEFAULT_NAME = "files"
 
 
 @dataclass(frozen=True, slots=True)
 class RobotFiles:
-    """What a robot is made of, where it lies.
+    """Files of a robot at their original place.
 
     Attributes:
-        model: the robot's file.
-        files: every file that was read, the model's own too.
-        root: the folder that references lead into.
+        model: the model file.
+        files: all files that were read, including the model.
+        root: root folder of the model.
         packages: ROS package -> its folder.
-        others: further folders that the user names.
+        others: further folders from the user.
     """
 
     model: Path
@@ -35,11 +35,13 @@ class RobotFiles:
 
 
 @dataclass(frozen=True, slots=True)
-class Brought:
-    """A robot in a twin's folder.
+class CopiedFiles:
+    """Files of a robot in a twin's folder.
 
     Attributes:
-        roots: what ``twin.yaml`` declares: name -> folder.
+        model: the model file.
+        files: all files.
+        roots: roots that ``twin.yaml`` must declare: name -> folder.
     """
 
     model: Path
@@ -47,21 +49,21 @@ class Brought:
     roots: dict[str, Path]
 
 
-def bring_in(robot: RobotFiles, folder: Path) -> Brought:
-    """The robot in the twin's folder; what lies outside is copied to ``asset/``.
+def bring_in(robot: RobotFiles, folder: Path) -> CopiedFiles:
+    """Copy the files of a robot that are outside the twin's folder to ``asset/``.
 
-    A copy keeps the folders between the files of one root, and each package outside of it gets a
-    folder of its own name. Files that the model names by an absolute path stay where they are:
-    their folder is declared.
+    The copy keeps the folders between the files of one root, and each package outside the root
+    gets a folder with its name. Files that the model refers to by an absolute path are not copied;
+    their folder is added to the roots.
 
     Raises:
-        SpecError: the asset's place is taken.
+        SpecError: the folder for the asset exists already.
     """
     if all(path.is_relative_to(folder) for path in robot.files):
         wider = {} if robot.root == robot.model.parent else {_name(robot.root): robot.root}
         known = {**wider, **robot.packages}
         inside = {name: place for name, place in known.items() if place.is_relative_to(folder)}
-        return Brought(robot.model, list(robot.files), inside)
+        return CopiedFiles(robot.model, list(robot.files), inside)
     fixed = [path for path in robot.files if _is_named_absolutely(path, robot)]
     copied = [path for path in robot.files if path not in fixed]
     bases = _bases(robot, copied)
@@ -69,8 +71,8 @@ def bring_in(robot: RobotFiles, folder: Path) -> Brought:
     places = {base: asset / name for base, name in bases.items()}
     for place in places.values():
         if place.exists():
-            raise SpecError("the asset's place is taken", path=place, expected="a new folder")
-    moved = {path: _moved(path, places) for path in copied}
+            raise SpecError("the folder for the asset exists", path=place, expected="a new folder")
+    moved = {path: _path_in_copy(path, places) for path in copied}
     staging = folder / f".{ASSET}-{os.getpid()}"
     try:
         for path, target in moved.items():
@@ -83,20 +85,20 @@ def bring_in(robot: RobotFiles, folder: Path) -> Brought:
                 (staging / name).rename(asset / name)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-    roots = {_name(robot.root): _moved(robot.root, places)}
+    roots = {_name(robot.root): _path_in_copy(robot.root, places)}
     roots |= {
-        name: _moved(package, places)
+        name: _path_in_copy(package, places)
         for name, package in robot.packages.items()
         if any(package.is_relative_to(base) for base in places)
     }
     for path in fixed:
         roots.setdefault(_name(path.parent), path.parent)
     roots = {name: place for name, place in roots.items() if place.is_dir()}
-    return Brought(moved[robot.model], [moved.get(path, path) for path in robot.files], roots)
+    return CopiedFiles(moved[robot.model], [moved.get(path, path) for path in robot.files], roots)
 
 
 def _bases(robot: RobotFiles, files: Sequence[Path]) -> dict[Path, str]:
-    """Each folder that is copied with what is below it, and the name of its copy."""
+    """Folders to copy -> name of the copy."""
     packages = {
         package: name
         for name, package in robot.packages.items()
@@ -113,15 +115,15 @@ def _bases(robot: RobotFiles, files: Sequence[Path]) -> dict[Path, str]:
     return {common: name, **packages}
 
 
-def _moved(path: Path, places: Mapping[Path, Path]) -> Path:
-    """Where a file or folder lies in the copy: by the nearest base above it."""
+def _path_in_copy(path: Path, places: Mapping[Path, Path]) -> Path:
+    """Path of a file or folder in the copy, from the nearest copied folder above it."""
     above = [base for base in places if path.is_relative_to(base)]
     base = max(above, key=lambda folder: len(folder.parts))
     return places[base] / path.relative_to(base)
 
 
 def _is_named_absolutely(path: Path, robot: RobotFiles) -> bool:
-    """Whether a file outside the root is named by its absolute path, which no copy could keep."""
+    """Whether the model refers to a file outside the root by its absolute path."""
     if path.is_relative_to(robot.root):
         return False
     if not any(path.is_relative_to(other) for other in robot.others):
@@ -131,5 +133,5 @@ def _is_named_absolutely(path: Path, robot: RobotFiles) -> bool:
 
 
 def _name(folder: Path) -> str:
-    """The name of a folder, as ``twin.yaml`` takes it for a root."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", folder.name).lstrip(".-") or _NAMELESS
+    """Name of a folder, with the characters allowed for a root in ``twin.yaml``."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", folder.name).lstrip(".-") or _DEFAULT_NAME

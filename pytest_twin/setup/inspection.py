@@ -1,4 +1,4 @@
-"""What a robot is and which goldens it can have; runs in the child process."""
+"""Inspect a robot's model and propose first goldens; runs in the child process."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.twin import load_twin
 
 _TOOL = re.compile(r"(^|_)(tcp|tool0?|ee|ee_link|end_effector|gripper_?frame)$", re.IGNORECASE)
-_OF_FORCES = ("frequency_response", "joint_direction", "settling", "step")
-"""Kinds whose values follow from forces and masses."""
-_LEAST_MASS = 1e-6
-"""kg: less than any robot's link; links without a mass are raised to 1e-12 kg each."""
+_DYNAMIC_KINDS = ("frequency_response", "joint_direction", "settling", "step")
+"""Kinds of golden whose values depend on forces and masses."""
+_MIN_MASS = 1e-6
+"""kg. The mass of any link is larger; a link without mass gets 1e-12 kg when it is loaded."""
 
 
-def look(
+def inspect_model(
     model: str, packages: Mapping[str, str] | None = None, roots: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """The files that a model is made of, what had to be repaired, and its tool frame.
+    """Inspect a model: its files, repaired inertias, notes, tool frame and motors.
 
     Args:
-        packages: ROS package -> its folder, as the user names it.
-        roots: folders that the user names for the model's files.
+        model: path of the model file.
+        packages: ROS package -> its folder, from the user.
+        roots: further folders for the model's files, from the user.
 
     Raises:
-        TwinError: no model that could be loaded.
+        TwinError: the model cannot be loaded.
     """
     search = SearchFolders.of(roots, packages)
     realization = load(Path(model), accept_invalid_inertia=True, search=search)
@@ -49,7 +50,7 @@ def look(
         },
         "notes": [
             *realization.notes,
-            *_nameless(realization),
+            *_unnamed_elements(realization),
             *filter(None, [fixed_base(realization)]),
         ],
         "inertia_repairs": {
@@ -62,7 +63,7 @@ def look(
 
 
 def _motors(realization: Realization) -> dict[str, str]:
-    """Actuators of a URDF with ``hinge`` or ``slide``, where none of them is a servo; else none."""
+    """Actuator -> ``hinge`` or ``slide``, for a URDF without servos; else empty."""
     commands = Actuation.of(realization).commands
     if realization.path.suffix.lower() != ".urdf" or commands != {"effort"}:
         return {}
@@ -74,8 +75,8 @@ def _motors(realization: Realization) -> dict[str, str]:
     }
 
 
-def _nameless(realization: Realization) -> list[str]:
-    """A line for each kind of element of which some have no name."""
+def _unnamed_elements(realization: Realization) -> list[str]:
+    """One line for each kind of element with unnamed elements."""
     model = realization.model
     counts = {
         "joint": (model.njnt, "joints"),
@@ -91,7 +92,15 @@ def _nameless(realization: Realization) -> list[str]:
 
 
 def first_specs(twin: str, progress: Any) -> dict[str, Any]:
-    """First specs of every installed kind, kinds without one, and why where one could not say."""
+    """First specs of all installed kinds, with the kinds that propose none and the failed ones.
+
+    Args:
+        twin: path of ``twin.yaml``.
+        progress: called with the fraction that is done, 0 to 1.
+
+    Returns:
+        ``specs``, ``silent`` (kind -> error) and ``none`` (kind -> reason).
+    """
     loaded = load_twin(Path(twin))
     first = loaded.first_realization
     realization = load(first.file, twin=loaded, name=first.name)
@@ -100,7 +109,7 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
     none: dict[str, str] = {}
     weightless = _is_weightless(realization)
     for done, kind in enumerate(kinds()):
-        if weightless and kind in _OF_FORCES:
+        if weightless and kind in _DYNAMIC_KINDS:
             none[kind] = "no moving link has a mass; state masses in the model first"
             continue
         try:
@@ -111,7 +120,7 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
         except TwinError as error:
             silent[kind] = str(error)
             continue
-        except Exception as error:  # anyone's code: it costs its own kind only
+        except Exception as error:  # the code of another package fails only its own kind
             silent[kind] = f"{type(error).__name__}: {error}"
             continue
         if not found:
@@ -122,14 +131,14 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
 
 
 def _is_weightless(realization: Realization) -> bool:
-    """Whether no joint moves a mass: what forces do to such a robot means nothing."""
+    """Whether no joint moves a mass, so that simulated dynamics are not meaningful."""
     model = realization.model
     moved = [float(model.body_subtreemass[body]) for body in model.jnt_bodyid]
-    return bool(moved) and max(moved) < _LEAST_MASS
+    return bool(moved) and max(moved) < _MIN_MASS
 
 
 def _last_frame(realization: Realization) -> str | None:
-    """The frame that is called a tool, else the one furthest along the longest chain of joints."""
+    """The frame with the name of a tool, or the last frame of the longest chain of joints."""
     structure = realization.structure
     moved = set(structure.joint_body.values())
     depth: dict[str, int] = {}
@@ -159,7 +168,7 @@ def _last_frame(realization: Realization) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """Mappings and numbers that YAML writes as people would."""
+    """Plain mappings, lists and numbers with 9 digits, for readable YAML."""
     if isinstance(value, Mapping):
         return {str(key): _plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Recordings that a new twin is given: where they stay, and the tolerance that a task asks for."""
+"""Recordings of a new twin: their paths in goldens, and the tolerance of the task."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from pytest_twin.errors import SpecError
 from pytest_twin.units import parse_quantity
 
 ROOT = "recordings"
-"""The name under ``roots:`` of the folder of recordings outside the twin's."""
+"""Name under ``roots:`` of the folder of recordings outside the twin."""
 
 _UNIT_OF = {"rad": "angle_max", "m": "position_max"}
 
 
 @dataclass(frozen=True, slots=True)
 class TaskTolerance:
-    """The largest difference between predicted and recorded joint positions that a task allows.
+    """Largest allowed difference between predicted and recorded joint positions.
 
     Attributes:
-        general: ``angle_max`` of hinges, ``position_max`` of slides -> quantity as it was written.
-        joints: joint -> the same, of that joint alone.
+        general: ``angle_max`` for hinges, ``position_max`` for slides -> quantity as written.
+        joints: joint -> the same for this joint.
     """
 
     general: Mapping[str, str] = field(default_factory=dict)
     joints: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able fields."""
+        """Return the fields as JSON-able values."""
         return {
             "general": dict(self.general),
             "joints": {joint: dict(own) for joint, own in self.joints.items()},
@@ -38,10 +38,10 @@ class TaskTolerance:
 
 
 def parse_tolerance(text: str) -> TaskTolerance:
-    """The tolerance in ``5mrad``, ``5mrad,0.2mm`` or ``5mrad,wrist=2mrad``.
+    """Parse a tolerance such as ``5mrad``, ``5mrad,0.2mm`` or ``5mrad,wrist=2mrad``.
 
     Raises:
-        SpecError: no quantity of rad or m, not above zero, or two for the same joints.
+        SpecError: not a quantity in rad or m, not positive, or two for the same joints.
     """
     general: dict[str, str] = {}
     joints: dict[str, dict[str, str]] = {}
@@ -64,13 +64,13 @@ def parse_tolerance(text: str) -> TaskTolerance:
 
 
 def place_recordings(recordings: Sequence[Path], folder: Path) -> tuple[list[str], Path | None]:
-    """How goldens name each recording, and the folder of those outside the twin's.
+    """Reference of each recording in a golden, and the common folder of those outside the twin.
 
-    Recordings stay where they are: inside the twin's folder they are named relative to it, all
-    others relative to the nearest folder that holds them.
+    Recordings are not copied. A recording inside the twin's folder is referred to relative to it,
+    any other relative to the common folder.
 
     Raises:
-        SpecError: one is missing, given twice, or they have no folder in common but the root.
+        SpecError: a recording does not exist or is given twice, or there is no common folder.
     """
     resolved = [path.resolve() for path in recordings]
     for given, path in zip(recordings, resolved, strict=True):

@@ -1,4 +1,4 @@
-"""``replay`` goldens for the recordings that ``init`` is given; runs in the child process."""
+"""First ``replay`` goldens for the recordings given to ``init``; runs in the child process."""
 
 from __future__ import annotations
 
@@ -17,22 +17,26 @@ from pytest_twin.trial.roles import refuse_final
 from pytest_twin.twin import load_twin
 
 # A data set may have hundreds of episodes, and each golden is a simulation of one.
-_MOST_EPISODES = 5
+_MAX_EPISODES = 5
 _KINDS = {"hinge": ("angle_max", "5 mrad"), "slide": ("position_max", "0.5 mm")}
 
 
 def first_replays(
     twin: str, recordings: Sequence[str], tolerance: Mapping[str, Any], progress: Any
 ) -> dict[str, Any]:
-    """First specs of kind ``replay``, and why where a recording gets none.
+    """Create first specs of kind ``replay``.
 
     Args:
-        twin: its ``twin.yaml``.
-        recordings: as goldens name them, relative to the twin's folder or one of its roots.
+        twin: path of ``twin.yaml``.
+        recordings: references to recordings, relative to the twin's folder or one of its roots.
         tolerance: fields of :class:`pytest_twin.setup.recordings.TaskTolerance`.
+        progress: called with the fraction that is done, 0 to 1.
+
+    Returns:
+        ``specs``, and ``silent``: recording -> why it has no spec.
 
     Raises:
-        SpecError: a tolerance for a joint that the model lacks, or in the unit of the other type.
+        SpecError: a tolerance for a joint that the model lacks, or with the wrong unit for it.
     """
     loaded = load_twin(Path(twin))
     first = loaded.first_realization
@@ -50,7 +54,7 @@ def first_replays(
         except TwinError as error:
             silent[recording] = str(error)
             continue
-        for number, read in enumerate(found[:_MOST_EPISODES]):
+        for number, read in enumerate(found[:_MAX_EPISODES]):
             episode = number if len(found) > 1 else None
             end = "" if episode is None else f" episode {episode}"
             try:
@@ -62,10 +66,10 @@ def first_replays(
             target = _target(recording, episode)
             name = f"{called}{end.replace(' ', '_')}"
             specs.append({"name": name, **_spec(realization, target, trials, tolerance)})
-        if len(found) > _MOST_EPISODES:
+        if len(found) > _MAX_EPISODES:
             silent[recording] = (
-                f"{len(found) - _MOST_EPISODES} of {len(found)} episodes, from "
-                f"{_MOST_EPISODES} to {len(found) - 1}; to test one of them too, copy a golden "
+                f"{len(found) - _MAX_EPISODES} of {len(found)} episodes, from "
+                f"{_MAX_EPISODES} to {len(found) - 1}; to test one of them too, copy a golden "
                 "and change its target.episode"
             )
         progress((done + 1) / len(recordings))
@@ -119,7 +123,7 @@ def _spec(
     if blank:
         notes.append(
             "To write: the largest difference between prediction and recording that the task "
-            "allows. Take it from the task, before you see a result; the golden fails until then."
+            "allows. Derive it from the task, before you see a result; the golden fails until then."
         )
     notes += [f"Of the recording: {note}" for note in trials[0].notes]
     notes += _variants(realization, trials[0])
@@ -136,12 +140,12 @@ def _spec(
 
 
 def _variants(realization: Realization, trial: Trial) -> list[str]:
-    """What the recording was made with, where ``twin.yaml`` does not say what that is."""
+    """Notes on a controller or payload of the recording that ``twin.yaml`` does not declare."""
     twin = realization.twin
     assert twin is not None
     return [
         f"The recording names the {kind} {named!r}; twin.yaml declares none under {kind}s:, so the "
-        "model is replayed as it is."
+        "nominal model is replayed."
         for kind, declared in (("controller", twin.controllers), ("payload", twin.payloads))
         if (named := trial.metadata.get(kind)) and not declared
     ]

@@ -1,4 +1,4 @@
-"""Write a twin around a robot: the asset, ``twin.yaml``, first goldens and the editors' schemas."""
+"""Write the files of a new twin: ``twin.yaml``, first goldens, schemas for editors, git files."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _SCHEMAS = "schemas"
 _GOLDEN = "golden"
 _IGNORED = ".gitignore"
 _ATTRIBUTES = ".gitattributes"
-_OWN = (FILE_NAME, ASSET, _SCHEMAS, _GOLDEN, ".twin", _IGNORED, _ATTRIBUTES)
+_WRITTEN_NAMES = (FILE_NAME, ASSET, _SCHEMAS, _GOLDEN, ".twin", _IGNORED, _ATTRIBUTES)
 _BYTE_EXACT = """\
 # Digests of goldens, traces, keys and releases are over bytes: git must not convert line endings.
 * -text
 """
 _RULES = """\
-# What no file shows. Change an id when the thing changes: the goldens that it affects are stale.
+# Dependencies that are in no file. Change an id when the part changes: its goldens become stale.
 # parts:
 #   firmware: {id: "3.10", affects: {kinds: [replay, step, frequency_response]}}
 #   table: {id: steel-2024, affects: {kinds: [contact]}}
@@ -42,7 +42,7 @@ _RULES = """\
 
 @contextmanager
 def all_or_nothing(folder: Path) -> Iterator[None]:
-    """Take back what was written of a twin in ``folder`` where the block does not end well."""
+    """Delete the written files of a twin in ``folder`` if the block raises an exception."""
     there = folder.is_dir()
     before = frozenset(_written(folder))
     try:
@@ -50,7 +50,7 @@ def all_or_nothing(folder: Path) -> Iterator[None]:
     except BaseException:
         for path in _written(folder):
             if path not in before:
-                with suppress(OSError):  # A folder that holds something of somebody else's.
+                with suppress(OSError):  # A folder with other files.
                     path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
         if not there:
             with suppress(OSError):
@@ -59,8 +59,8 @@ def all_or_nothing(folder: Path) -> Iterator[None]:
 
 
 def _written(folder: Path) -> Iterator[Path]:
-    """Everything at the places that this module writes to, what is inside before its folder."""
-    for name in _OWN:
+    """All files and folders at the paths that this module writes; contents before their folder."""
+    for name in _WRITTEN_NAMES:
         for here, folders, files in os.walk(folder / name, topdown=False):
             yield from (Path(here) / inner for inner in (*files, *folders))
         if (folder / name).exists():
@@ -69,17 +69,17 @@ def _written(folder: Path) -> Iterator[Path]:
 
 @dataclass(frozen=True, slots=True)
 class FirstTwin:
-    """What a first ``twin.yaml`` says.
+    """Content of a first ``twin.yaml``.
 
     Attributes:
-        name: of the twin.
-        model: file of the model.
-        source: files that the model was made from.
-        roots: name -> folder that references may lead into.
-        tcp: frame of the tool.
-        inertia_repairs: link -> inertia that replaces one which no body can have.
-        motors: actuator -> ``hinge`` or ``slide``, of a URDF, which states no controller.
-        reading: how recordings are read: ``topics``, ``joints``, ``clock`` and the like.
+        name: name of the twin.
+        model: the model file.
+        source: the supplier's files.
+        roots: name -> folder that may contain referenced files.
+        tcp: frame of the tool, or None.
+        inertia_repairs: link -> inertia (6,) [kg*m^2] that replaces an inconsistent one.
+        motors: actuator -> ``hinge`` or ``slide``, for a URDF, which states no controller.
+        reading: options of recordings, such as ``topics``, ``joints`` and ``clock``.
     """
 
     name: str
@@ -93,7 +93,7 @@ class FirstTwin:
 
 
 def write_twin_file(folder: Path, first: FirstTwin) -> Path:
-    """``twin.yaml``, readable; returns its path."""
+    """Write ``twin.yaml``, and return its path."""
     motors, inertia_repairs = first.motors, first.inertia_repairs
     content: dict[str, Any] = {
         "schema": 1,
@@ -107,7 +107,7 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
     if first.tcp is not None:
         content["tcp"] = first.tcp
     if inertia_repairs:
-        # Named and visible: the supplier states inertias that no body can have.
+        # Stated explicitly, because the supplier's inertias are not physically consistent.
         content["fit"] = {
             "id": "inertia-repair",
             "body": {
@@ -124,12 +124,12 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
 
 
 def _from(folder: Path, path: Path) -> str:
-    """A path as ``twin.yaml`` states it: relative to its folder where it lies inside."""
+    """Path as text for ``twin.yaml``: relative for a file inside the twin's folder."""
     return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
 
 
 def _servo_lines(motors: Mapping[str, str], *, with_fit: bool) -> str:
-    """Lines for servo gains as comments; they do not load before the gains are filled in."""
+    """Commented lines for servo gains, into which the user writes the gains."""
     head = (
         "# No controller: the motors take torques, and nothing holds a pose. To make servos of\n"
         "# them, take the # off these lines and put the controller's gains in place of the units:\n"
@@ -144,12 +144,12 @@ def _servo_lines(motors: Mapping[str, str], *, with_fit: bool) -> str:
 
 
 def write_specs(folder: Path, specs: Sequence[Mapping[str, Any]]) -> list[Path]:
-    """First goldens, ``golden/<kind>/<name>.yaml`` with names that every system can hold.
+    """Write first goldens to ``golden/<kind>/<name>.yaml``, with portable file names.
 
-    A spec's ``name`` is what it is about, such as a joint; ``notes`` become comments at its top.
+    The ``name`` of a spec is its subject, such as a joint; its ``notes`` become comments.
 
     Raises:
-        SpecError: there is one already.
+        SpecError: a golden exists already.
     """
     names: dict[str, list[str]] = {}
     for spec in specs:
@@ -168,7 +168,7 @@ def _write_spec(path: Path, spec: Mapping[str, Any]) -> Path:
     del body["name"]
     notes = body.pop("notes", [])
     if path.exists():
-        raise SpecError("the golden's place is taken", path=path, expected="a new folder")
+        raise SpecError("the golden exists already", path=path, expected="a new folder")
     path.parent.mkdir(parents=True, exist_ok=True)
     head = modeline(f"../../{_SCHEMAS}/golden.schema.json")
     comments = "".join(f"{line}\n" for note in notes for line in _comment(note))
@@ -188,7 +188,7 @@ def _comment(note: str) -> list[str]:
 
 
 def write_schemas(folder: Path) -> None:
-    """The schemas that editors check ``twin.yaml`` and goldens against, installed kinds and all."""
+    """Write the schemas of ``twin.yaml`` and of goldens of all installed kinds, for editors."""
     (folder / _SCHEMAS).mkdir(exist_ok=True)
     shipped = resources.files("pytest_twin") / "schemas" / "twin.schema.json"
     atomic.write_text(folder / _SCHEMAS / "twin.schema.json", shipped.read_text("utf-8"))
@@ -197,9 +197,9 @@ def write_schemas(folder: Path) -> None:
 
 
 def write_git_files(folder: Path) -> list[str]:
-    """Keep the gate's own files out of git, and all others byte for byte; returns notes.
+    """Write ``.gitignore`` and ``.gitattributes``, and return notes.
 
-    Digests of traces, assets and releases are over bytes: git must not convert line endings.
+    Digests of traces, assets and releases are of bytes, so that git must not convert line endings.
     """
     if not (folder / _IGNORED).exists():
         atomic.write_text(folder / _IGNORED, ".twin/\n")
@@ -211,13 +211,13 @@ def write_git_files(folder: Path) -> list[str]:
     if any(line.split() == ["*", "-text"] for line in lines):
         return []
     return [
-        f"{path} stays as it is: add the line '* -text', or line endings that git converts "
-        "will fail goldens and releases"
+        f"{path} is not changed: add the line '* -text', because goldens and releases fail if git "
+        "converts line endings"
     ]
 
 
 class _Dumper(yaml.SafeDumper):
-    """Short lists of plain values on one line, everything else as blocks."""
+    """Writes short lists of plain values on one line, and all others as blocks."""
 
     def represent_sequence(
         self, tag: str, sequence: Iterable[Any], flow_style: bool | None = None

@@ -1,6 +1,6 @@
-"""What property tests draw from: configurations, perturbed assets, whole random robots.
+"""Hypothesis strategies for property tests: configurations, perturbed assets, random robots.
 
-Needs hypothesis: ``pip install 'pytest-twin[properties]'``.
+They need hypothesis: ``pip install 'pytest-twin[properties]'``.
 """
 
 from __future__ import annotations

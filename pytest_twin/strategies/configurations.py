@@ -1,4 +1,4 @@
-"""Configurations of a robot, inside its limits, with every coupling holding."""
+"""Strategy for configurations of a robot within its limits and with all couplings satisfied."""
 
 from __future__ import annotations
 
@@ -22,28 +22,27 @@ _STEPS = 2**20
 def configurations(
     robot: Realization | Path | str | Any, joints: Mapping[str, float] | None = None
 ) -> st.SearchStrategy[dict[str, float]]:
-    """Draw joint values: every hinge (rad) and slide (m) of the robot.
+    """Draw values of all hinges (rad) and slides (m) of a robot.
 
-    Independent joints are drawn, within their limits and so that those that follow them (mimic,
-    polynomial couplings) keep theirs; a joint without limits is drawn within half a turn, or 1 m,
-    to each side of its reference. Followers follow, closed loops are closed, ball and free joints
-    stand at their reference.
+    Independent joints are drawn within their limits, and so that their followers (mimic, polynomial
+    couplings) stay within theirs. A joint without limits is drawn within pi rad, or 1 m, of its
+    reference. Followers and closed loops are computed; ball and free joints are at their reference.
 
     Args:
         robot: a realization, a ``mujoco.MjModel``, or the path of an MJCF, a URDF or a
             ``twin.yaml`` (its first realization).
-        joints: independent joints that are held, rad or m.
+        joints: independent joint -> fixed value, rad or m.
 
     Raises:
-        TwinError: a file that is no robot.
-        SpecError: ``joints`` names what is no independent joint.
+        TwinError: a file that is not a robot.
+        SpecError: a name in ``joints`` that is not an independent joint.
     """
     free = Configurations(_model(robot))
     held = dict(joints or {})
     for joint in held:
         if joint not in free.independent:
             raise SpecError(
-                "no independent joint",
+                "not an independent joint",
                 where="joints",
                 value=joint,
                 expected=", ".join(sorted(free.independent)) or "none: nothing moves",
@@ -54,14 +53,14 @@ def configurations(
             for joint, (lower, upper) in free.independent.items()
         }
     )
-    # What a closed loop does not reach is drawn again.
+    # A configuration in which a loop cannot close is drawn again.
     return drawn.map(free.complete).filter(lambda q: q is not None)  # type: ignore[return-value]
 
 
 def _between(lower: float, upper: float) -> st.SearchStrategy[float]:
-    """Values spread evenly, both ends among them; they shrink towards 0, or the end next to it.
+    """Uniform values including both ends; examples shrink towards 0, or the end closest to 0.
 
-    Plain floats would be drawn close to 0 most of the time, where many faults have no effect.
+    Hypothesis draws plain floats mostly near 0, where many faults have no effect.
     """
     rest = min(max(0.0, lower), upper)
     step = (upper - lower) / _STEPS
@@ -80,7 +79,7 @@ def _model(robot: Any) -> Any:
 
 
 def load_any(path: Path) -> Realization:
-    """An MJCF, a URDF, or the first realization of a ``twin.yaml``."""
+    """Load an MJCF, a URDF, or the first realization of a ``twin.yaml``."""
     from pytest_twin.realization import load
     from pytest_twin.twin import load_twin
 

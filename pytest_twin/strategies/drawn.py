@@ -1,4 +1,4 @@
-"""Links and joints of a drawn robot: what its URDF and its MJCF both say."""
+"""Links and joints of a random robot, from which its URDF and MJCF are written."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class DrawnShape:
     """A collision shape.
 
     Attributes:
-        kind: ``box``, ``sphere``, ``cylinder``, or ``mesh``: a wedge.
+        kind: ``box``, ``sphere``, ``cylinder``, or ``mesh`` (a wedge).
         size: full lengths of a box or wedge; radius; radius and length, m.
-        position, rpy: of the shape in the link, m and rad about fixed axes.
-        file: name of the mesh's file.
+        position, rpy: pose in the link, m, and rad about fixed axes.
+        file: name of the mesh file.
     """
 
     kind: Literal["box", "sphere", "cylinder", "mesh"]
@@ -33,9 +33,12 @@ class DrawnLink:
     """A rigid body.
 
     Attributes:
-        mass: kg, 0 for a frame without a body.
-        com: centre of mass in the link, m; rpy: of the principal axes in it, rad.
-        moments: principal moments about the centre of mass, kg*m^2.
+        name: its name.
+        mass: kg, 0 for a frame without mass.
+        com: (3,) centre of mass in the link, m.
+        rpy: (3,) orientation of the principal axes in the link, rad.
+        moments: (3,) principal moments about the centre of mass, kg*m^2.
+        shapes: collision shapes.
     """
 
     name: str
@@ -48,14 +51,19 @@ class DrawnLink:
 
 @dataclass(frozen=True, slots=True)
 class DrawnJoint:
-    """What ties a child link to its parent, as URDF has it.
+    """Joint between a parent and a child link, as in URDF.
 
     Attributes:
-        position, rpy: of the child in the parent, m and rad about fixed axes.
-        axis: unit vector in the child.
-        limits: rad or m; effort: N*m or N; velocity: rad/s or m/s; None where there is none.
-        damping: N*m*s/rad or N*s/m; friction: N*m or N.
-        mimic: (leader, multiplier, offset in rad or m).
+        name: its name.
+        kind: type of joint in URDF.
+        parent, child: names of the links.
+        position, rpy: pose of the child in the parent, m, and rad about fixed axes.
+        axis: (3,) unit vector in the child.
+        limits: (lower, upper), rad or m, or None.
+        effort, velocity: limits, N*m or N, rad/s or m/s, or None.
+        damping: N*m*s/rad or N*s/m.
+        friction: N*m or N.
+        mimic: (leader, multiplier, offset in rad or m), or None.
     """
 
     name: str
@@ -75,5 +83,5 @@ class DrawnJoint:
     def following(
         self, leader: str, multiplier: float, offset: float, limits: tuple[float, float]
     ) -> DrawnJoint:
-        """The same joint, tied to another."""
+        """The same joint as a mimic of ``leader``: ``multiplier * leader + offset``, rad or m."""
         return replace(self, mimic=(leader, multiplier, offset), limits=limits)

@@ -1,4 +1,4 @@
-"""A drawn robot, and its files."""
+"""A random robot, and its files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pytest_twin.strategies.drawn import DrawnJoint, DrawnLink
 
 @dataclass(frozen=True)
 class DrawnRobot:
-    """A robot that stands fixed: ``links[0]`` is its base."""
+    """A random robot with a fixed base, which is ``links[0]``."""
 
     name: str
     links: tuple[DrawnLink, ...]
@@ -23,17 +23,17 @@ class DrawnRobot:
 
     @cached_property
     def urdf(self) -> str:
-        """Its URDF; meshes are named relative to the file."""
+        """URDF of the robot; mesh files are relative to it."""
         return robot_text.urdf(self.name, self.links, self.joints)
 
     @cached_property
     def mjcf(self) -> str:
-        """Its MJCF: the same bodies, joints, motors bounded by the effort, mimic as equality."""
+        """MJCF of the robot: the same bodies and joints, limited motors, mimic as equality."""
         return robot_text.mjcf(self.name, self.links, self.joints)
 
     @property
     def meshes(self) -> Mapping[str, bytes]:
-        """File name -> STL."""
+        """File name -> content of the STL file."""
         return {
             shape.file: robot_text.wedge(shape.size)
             for link in self.links
@@ -42,7 +42,7 @@ class DrawnRobot:
         }
 
     def write(self, folder: Path, form: Literal["urdf", "mjcf"] = "urdf") -> Path:
-        """Write it with its meshes into an existing folder; returns the model's file."""
+        """Write the robot and its meshes into an existing folder; the path of the model file."""
         for name, data in self.meshes.items():
             atomic.write_bytes(folder / name, data)
         path = folder / f"{self.name}.{'urdf' if form == 'urdf' else 'xml'}"

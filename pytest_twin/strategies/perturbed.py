@@ -1,4 +1,4 @@
-"""The same asset with other numbers, as a second one from the line would have them."""
+"""Strategy for perturbed assets: parameters vary as between robots of one series."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Patches = Mapping[str, Mapping[str, Patch]]
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """How far each number may be off: shares of it, or lengths.
+    """Largest deviation of each parameter, as a fraction of its value or as a length.
 
     Attributes:
-        mass: of a body, its inertia with it; share.
-        com: of a body's centre of mass along each axis, m.
-        position: of a body in its parent along each axis, m.
-        damping, friction, armature: of a joint; share.
+        mass: mass and inertia of a body, fraction.
+        com: centre of mass of a body along each axis, m.
+        position: position of a body in its parent along each axis, m.
+        damping, friction, armature: of a joint, fraction.
     """
 
     mass: float = 0.05
@@ -43,10 +43,10 @@ class Perturbation:
     """A perturbed asset.
 
     Attributes:
-        patches: what is other, as the ``fit:`` of a ``twin.yaml`` states it: ``body`` and
-            ``joint`` -> element -> attribute -> value in SI units.
-        changes: the same in words, one for each number.
-        source: the asset as it stands.
+        patches: changed values in the form of ``fit:`` in ``twin.yaml``: ``body`` and ``joint`` ->
+            element -> attribute -> value in SI units.
+        changes: the same as text, one line for each parameter.
+        source: the nominal asset.
     """
 
     patches: Patches
@@ -55,13 +55,13 @@ class Perturbation:
 
     @cached_property
     def realization(self) -> Realization:
-        """The asset with these numbers, its Pinocchio reference too."""
+        """Realization with the changed values; they also apply to its Pinocchio reference."""
         return _with_patches(self.source, self.patches)
 
 
 @dataclass(frozen=True, slots=True)
 class _Number:
-    """One number, or three, that may be off."""
+    """A scalar or vector parameter that is perturbed."""
 
     family: str
     element: str
@@ -75,18 +75,17 @@ class _Number:
 def perturbed_assets(
     robot: Realization | Path | str, spread: Spread | None = None
 ) -> st.SearchStrategy[Perturbation]:
-    """Draw perturbed versions of a robot; examples shrink towards the robot as it stands.
+    """Draw perturbed versions of a robot; examples shrink towards the nominal robot.
 
-    A mass scales its body's inertia with it, so a perturbed inertia stays one that a body can
-    have.
+    The inertia of a body is scaled with its mass, so that it stays physically consistent.
 
     Args:
         robot: a realization, or the path of an MJCF, a URDF or a ``twin.yaml`` (its first
             realization).
-        spread: how far each number may be off.
+        spread: largest deviation of each parameter.
 
     Raises:
-        TwinError: a file that is no robot.
+        TwinError: a file that is not a robot.
     """
     realization = load_any(Path(robot)) if isinstance(robot, str | Path) else robot
     numbers = list(_numbers(realization, spread or Spread()))
@@ -160,11 +159,11 @@ def _scaled_inertia(realization: Realization, body: str, factor: float) -> tuple
     index, flat = model.body(body).id, np.empty(9)
     mujoco.mju_quat2Mat(flat, model.body_iquat[index])
     axes = flat.reshape(3, 3)
-    return inertia.six(factor * axes @ np.diag(model.body_inertia[index]) @ axes.T)
+    return inertia.six_components(factor * axes @ np.diag(model.body_inertia[index]) @ axes.T)
 
 
 def _with_patches(realization: Realization, patches: Patches) -> Realization:
-    """The realization with ``patches`` over what its twin's fit says already."""
+    """The realization with ``patches`` applied after the fit of its twin."""
     from pytest_twin.errors import SpecError
     from pytest_twin.realization import mjcf, patch
     from pytest_twin.realization.model import Realization as Made

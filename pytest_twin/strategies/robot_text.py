@@ -1,4 +1,4 @@
-"""Drawn robots as text."""
+"""Write random robots as URDF and MJCF."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _Element = Any
 
 
 def urdf(name: str, links: Sequence[DrawnLink], joints: Sequence[DrawnJoint]) -> str:
-    """URDF of a robot, with every number in full; ``links[0]`` is its base."""
+    """URDF of a robot with full precision; ``links[0]`` is its base."""
     root = etree.Element("robot", name=name)
     for link in links:
         _urdf_link(root, link)
@@ -29,7 +29,7 @@ def urdf(name: str, links: Sequence[DrawnLink], joints: Sequence[DrawnJoint]) ->
 
 
 def mjcf(name: str, links: Sequence[DrawnLink], joints: Sequence[DrawnJoint]) -> str:
-    """MJCF of a robot, with every number in full; ``links[0]`` is its base."""
+    """MJCF of a robot with full precision; ``links[0]`` is its base."""
     root = etree.Element("mujoco", model=name)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     asset = etree.SubElement(root, "asset")
@@ -67,12 +67,12 @@ def mjcf(name: str, links: Sequence[DrawnLink], joints: Sequence[DrawnJoint]) ->
 
 
 def wedge(size: tuple[float, ...]) -> bytes:
-    """Binary STL of a wedge: a box of ``size`` (3,) m with one edge cut to a corner."""
+    """Binary STL of a wedge: a box of ``size`` (3,) [m] with one edge cut off."""
     x, y, z = (value / 2 for value in size)
     points = np.array(
         [(-x, -y, -z), (x, -y, -z), (x, y, -z), (-x, y, -z), (-x, -y, z), (-x, y, z / 2)]
     )
-    # Counter-clockwise from outside, so that the normals point out.
+    # Counter-clockwise seen from outside, so that the normals point outwards.
     faces = ((0, 2, 1), (0, 3, 2), (0, 1, 4), (1, 2, 5), (1, 5, 4), (2, 3, 5), (0, 4, 5), (0, 5, 3))
     data = bytearray(80) + struct.pack("<I", len(faces))
     for face in faces:

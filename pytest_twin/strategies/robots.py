@@ -1,4 +1,4 @@
-"""Whole random robots, each as URDF and as MJCF."""
+"""Strategy for random robots, each as URDF and as MJCF."""
 
 from __future__ import annotations
 
@@ -37,26 +37,26 @@ def robots(
 ) -> st.SearchStrategy[DrawnRobot]:
     """Draw robots with a fixed base and a single tree.
 
-    Every link that moves has a mass and an inertia that a solid body can have; frame links behind
-    fixed joints may have none. Shapes are boxes, spheres, cylinders and small meshes.
+    Each moving link has a mass and a consistent inertia; a link of a fixed joint may have none.
+    Shapes are boxes, spheres, cylinders and small meshes.
 
     Args:
-        links: least and greatest number of links, 2 or more.
-        kinds: of joints, as URDF names them.
+        links: smallest and largest number of links, 2 or more.
+        kinds: types of joints in URDF.
         mimics: whether joints may follow others.
-        meshes: whether collision shapes may be meshes (files beside the model).
-        branching: True: any link may carry several; False: a serial chain; None: either.
+        meshes: whether collision shapes may be meshes (files next to the model).
+        branching: True: a link may have several children; False: a serial chain; None: either.
     """
     return _robots(links=links, kinds=kinds, mimics=mimics, meshes=meshes, branching=branching)
 
 
 def urdf_robots(**options: object) -> st.SearchStrategy[str]:
-    """The URDF text of random robots, without mesh files; options as :func:`robots` takes them."""
+    """Draw the URDF text of random robots without mesh files; options as for :func:`robots`."""
     return robots(**{**options, "meshes": False}).map(lambda robot: robot.urdf)  # type: ignore[arg-type]
 
 
 def mjcf_robots(**options: object) -> st.SearchStrategy[str]:
-    """The MJCF text of random robots, without mesh files; options as :func:`robots` takes them."""
+    """Draw the MJCF text of random robots without mesh files; options as for :func:`robots`."""
     return robots(**{**options, "meshes": False}).map(lambda robot: robot.mjcf)  # type: ignore[arg-type]
 
 
@@ -75,7 +75,7 @@ def _robots(
     joints: list[DrawnJoint] = []
     for i in range(1, count):
         parent = draw(st.integers(0, i - 1)) if spread else i - 1
-        # The first joint moves, so that the robot does.
+        # The first joint is movable, so that the robot moves.
         choice = [kind for kind in kinds if kind in MOVING] if i == 1 else list(kinds)
         kind = draw(st.sampled_from(choice or list(kinds)))
         joints.append(draw(_joint(i, parent, kind)))
@@ -89,7 +89,7 @@ def _robots(
 
 
 def _number(low: float, high: float) -> st.SearchStrategy[float]:
-    """Spread evenly (plain floats would be 0 or next to it most of the time), and readable."""
+    """Uniform and short decimal numbers; Hypothesis draws plain floats mostly near 0."""
     scale = 10**6 if high - low < 16 else 10**4
     return st.integers(round(low * scale), round(high * scale)).map(lambda number: number / scale)
 
@@ -132,7 +132,7 @@ def _joint(draw: st.DrawFn, child: int, parent: int, kind: JointKind) -> DrawnJo
 
 @st.composite
 def _with_mimics(draw: st.DrawFn, joints: list[DrawnJoint]) -> list[DrawnJoint]:
-    """Some joints follow an earlier one; their limits hold all that the leader lets them do."""
+    """Let some joints follow an earlier one; their limits contain the range of the leader."""
     made: list[DrawnJoint] = []
     for joint in joints:
         leaders = [other for other in made if other.limits and other.mimic is None]
@@ -153,7 +153,7 @@ def _link(draw: st.DrawFn, name: str, *, heavy: bool, meshes: bool) -> DrawnLink
         return DrawnLink(name, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     mass = draw(_number(0.05, 10.0))
     a, b, c = (draw(_number(0.01, 0.15)) for _ in range(3))
-    # A solid ellipsoid: moments that a body can have, with room to each triangle inequality.
+    # Moments of a solid ellipsoid, which satisfy the triangle inequality with a margin.
     moments = (
         mass / 5 * (b * b + c * c),
         mass / 5 * (a * a + c * c),

@@ -1,4 +1,4 @@
-"""A recording made usable: one clock, the model's joints, every doubt written down."""
+"""Convert recordings to trials: one clock, the model's joint names, doubtful samples marked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One clock for states and commands: header stamps or the recorder's log times."""
+"""Choose one clock for states and commands: header stamps or log times of the recorder."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from pytest_twin.recording_options import Clock
 Stamps = NDArray[np.int64]
 
 LATCHED_SECONDS = 1.0
-"""A command this long before the first state still holds: a latched one."""
-# Stamps that go back by more than this many usual intervals are a step of the clock, if they stay
-# back: what arrives in another order goes back by one or two.
+"""s. A command up to this long before the first state is used, such as a latched one."""
+# Median intervals. Stamps that go back further and stay back are a step of the clock; messages in
+# another order go back by one or two intervals.
 _STEP_INTERVALS = 4.0
-# Messages on either side of a step over which the clock's offset is compared.
-_AROUND = 20
-# Log times are usable if their usual interval is the stamps' own within this factor, ...
+# Number of messages on either side of a step over which the offset of the clock is compared.
+_MESSAGES_AROUND_STEP = 20
+# Log times are usable if their median interval equals that of the stamps within this factor.
 _LOG_RATE = 2.0
-# ... and do not give a robot's time if its clock runs faster or slower by this share.
+# Log times are converted if the rate of the two clocks differs by more than this fraction.
 _SAME_RATE = 0.01
-_MOST_STEPS = 1000
+_MAX_STEPS = 1000
 # Fewer messages than this do not determine a rate.
-_FEWEST = 20
+_MIN_MESSAGES = 20
 _NS = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Timed:
-    """Messages of one topic with the time that counts.
+    """Messages of one topic with the chosen times.
 
     Attributes:
-        series: of the topic.
+        series: series of the topic.
         stamp: (n,) ns, in the order of the file.
-        rows: (n,) messages of the series.
+        rows: (n,) indices of the messages in the series.
     """
 
     series: JointSeries
@@ -46,7 +46,7 @@ class Timed:
     rows: NDArray[np.int64]
 
     def part(self, first: int, end: int) -> Timed:
-        """Messages ``first`` to ``end``."""
+        """Messages from ``first`` to before ``end``."""
         return Timed(self.series, self.stamp[first:end], self.rows[first:end])
 
 
@@ -55,8 +55,8 @@ class Clocked:
     """States and commands on one clock.
 
     Attributes:
-        pieces: (states, commands) between steps of the clock; one where it does not step.
-        notes: what was decided, one line each.
+        pieces: (states, commands) between steps of the clock; one piece without a step.
+        notes: decisions, one line each.
     """
 
     pieces: tuple[tuple[Timed, Timed], ...]
@@ -68,18 +68,18 @@ def on_one_clock(
 ) -> Clocked:
     """Choose the times of two topics.
 
-    Header stamps count if both topics have them and they overlap. Log times count where one topic
-    has no stamps, where stamps do not overlap but log times do, and where the clock of the stamps
-    steps while log times go on. Without usable log times the recording is split at a step.
+    Header stamps are used if both topics have them and they overlap. Log times are used if one
+    topic has no stamps, if only log times overlap, or if the clock of the stamps steps and log
+    times do not. Without usable log times the recording is split at a step.
 
     Args:
         states, commands: the topics.
-        asked: the clock that a user chose.
-        path: of the recording, for errors.
+        asked: the clock that a user chose, or None.
+        path: path of the recording, for errors.
 
     Raises:
-        RecordingError: the topics do not overlap in time on any clock; stamps were asked for and
-            there are none; a clock that steps in one topic alone.
+        RecordingError: the topics do not overlap on any clock; stamps were chosen and there are
+            none; a clock steps in one topic only.
     """
     topics = (states, commands)
     unset = [_unset(one) for one in topics]
@@ -126,7 +126,7 @@ def on_one_clock(
 
 
 def _unset(series: JointSeries) -> NDArray[np.bool_]:
-    """(n,) which messages have no stamp. A simulation's time may begin with one stamp 0."""
+    """(n,) which messages have no stamp; the time of a simulation may begin with one stamp 0."""
     if not series.stamped:
         return np.ones(len(series.stamp), dtype=bool)
     none: NDArray[np.bool_] = series.stamp == 0
@@ -138,7 +138,7 @@ def _unset(series: JointSeries) -> NDArray[np.bool_]:
 
 
 def _is_log(series: JointSeries) -> bool:
-    """Whether a reader gave log times to messages that have no stamps."""
+    """Whether the reader used log times as stamps, because the messages have none."""
     return bool((series.stamp == series.log_time).all())
 
 
@@ -172,9 +172,11 @@ def _without_stamps(
 
 
 def _rate(series: JointSeries) -> tuple[float, float] | None:
-    """(stamp per log time, ns at the first log time) where they differ, as of a simulation that
-    runs slower than real time; None where they do not."""
-    if len(series.stamp) < _FEWEST:
+    """Rate of stamps relative to log times, and offset (ns); None where the rates are equal.
+
+    They differ for a simulation that does not run in real time.
+    """
+    if len(series.stamp) < _MIN_MESSAGES:
         return None
     log = (series.log_time - series.log_time[0]).astype(np.float64)
     stamp = (series.stamp - series.stamp[0]).astype(np.float64)
@@ -193,13 +195,13 @@ def _overlap(states: Stamps, commands: Stamps) -> bool:
     latched = int(LATCHED_SECONDS / _NS)
     first, last = int(states.min()), int(states.max())
     if len(states) == 1:
-        # One state: everything that was commanded after it is predicted.
+        # With one state, the motion is predicted for all later commands.
         return bool(commands.max() >= first - latched)
     return bool(commands.min() <= last and commands.max() >= first - latched)
 
 
 def _log_times(topics: tuple[JointSeries, JointSeries]) -> bool:
-    """Whether log times are those of a recorder, and not of whoever wrote the file later."""
+    """Whether log times are those of the recorder, and not of a later conversion of the file."""
     for one in topics:
         if len(one.stamp) < 3:
             continue
@@ -229,7 +231,7 @@ def _no_overlap(timed: list[Timed], path: Path, log_overlap: bool) -> RecordingE
 
 
 def _stepping(timed: list[Timed], notes: list[str], by_log: bool, path: Path) -> Clocked:
-    """Deal with a clock that steps while the recording goes on."""
+    """Use log times, or split the recording, if the clock of the stamps steps."""
     states, commands = timed
     back = [_steps(t, backward=True) for t in timed]
     forward = [_steps(t, backward=False) if by_log else [] for t in timed]
@@ -268,20 +270,23 @@ def _stepping(timed: list[Timed], notes: list[str], by_log: bool, path: Path) ->
 
 
 def _steps(timed: Timed, *, backward: bool) -> list[int]:
-    """Messages before which the clock of the stamps stepped."""
+    """Indices of the messages before which the clock of the stamps stepped."""
     stamp, log = timed.stamp, timed.series.log_time[timed.rows]
     if len(stamp) < 3:
         return []
     step, logged = np.diff(stamp), np.diff(log)
     usual = float(np.median(np.abs(step)))
     bound = _STEP_INTERVALS * max(usual, 1.0)
-    # Forward, a step shows only against log times that go on as usual.
+    # A forward step is detected only in comparison with log times.
     jumps = step < -bound if backward else (step > bound) & (logged < 2.0 * np.median(logged))
     offset = stamp - (usual * np.arange(len(stamp)) if backward else log)
     found: list[int] = []
-    # A clock that steps more often than this is none.
-    for k in (np.flatnonzero(jumps)[:_MOST_STEPS] + 1).tolist():
-        before, after = offset[max(0, k - _AROUND) : k], offset[k : k + _AROUND]
+    # Larger numbers of steps are not evaluated, because such stamps are not a clock.
+    for k in (np.flatnonzero(jumps)[:_MAX_STEPS] + 1).tolist():
+        before, after = (
+            offset[max(0, k - _MESSAGES_AROUND_STEP) : k],
+            offset[k : k + _MESSAGES_AROUND_STEP],
+        )
         moved = float(np.median(after)) - float(np.median(before))
         if abs(moved) >= 0.5 * abs(float(step[k - 1])) and (moved < 0) == backward:
             found.append(k)

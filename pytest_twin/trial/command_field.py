@@ -1,4 +1,4 @@
-"""Which field of a command message counts, joint by joint."""
+"""Choose the field of command messages that is the command, for each joint."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ _ACTUATORS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Commanded:
-    """The commands that count.
+    """Commands of the chosen fields.
 
     Attributes:
-        joints: that are commanded.
-        modes: (j,) which field counts.
-        table: (n, j) NaN where a message does not carry the joint.
-        never: joints that the topic names and no message commands.
-        notes: what was not used, one line each.
+        joints: (j,) commanded joints.
+        modes: (j,) chosen fields.
+        table: (n, j) commands, rad, rad/s or N*m (m, m/s or N); NaN where a message does not
+            contain the joint.
+        never: joints that the topic names but no message commands.
+        notes: fields that are not used, one line each.
     """
 
     joints: tuple[str, ...]
@@ -47,20 +48,20 @@ def commanded_fields(
     options: RecordingOptions,
     path: Path,
 ) -> Commanded:
-    """Choose the field that counts for each joint.
+    """Choose the command field of each joint.
 
-    What ``command_mode`` says counts; else the one field that is filled; of several, the one that
-    the model's actuator of the joint takes; else the one that is not zero throughout.
+    The choice is the declared ``command_mode``, or the only filled field. Of several filled fields,
+    it is the one that the model's actuator takes as input, or the only one that is not always zero.
 
     Args:
-        series: of the command topic, joints as the model names them.
-        inputs: joint -> what the model's actuators of it take; None without a model.
-        options: what a user declared.
-        path: of the recording, for errors.
+        series: series of the command topic, with the model's joint names.
+        inputs: joint -> command modes of its actuators in the model; None without a model.
+        options: options that a user declared.
+        path: path of the recording, for errors.
 
     Raises:
-        RecordingError: no field is filled, or several and nothing decides; a declared field that is
-            empty; a declared joint that is not commanded.
+        RecordingError: no field is filled, or several and none can be chosen; a declared field is
+            empty; a declared joint is not commanded.
     """
     joints: list[str] = []
     modes: list[CommandMode] = []
@@ -74,7 +75,7 @@ def commanded_fields(
                     "command_mode names a joint that is not commanded",
                     path=path, where=series.topic, value=joint, expected=listed(series.names),
                 )  # fmt: skip
-    unfit = _unfit(series, inputs or {}, options)
+    unfit = _fields_without_actuator(series, inputs or {}, options)
     for column, joint in enumerate(series.names):
         filled = _filled(series, column)
         asked = options.mode_of(joint)
@@ -95,7 +96,7 @@ def commanded_fields(
             continue
         mode, why = (asked, "as declared") if asked else _chosen(series, column, filled, takes)
         if mode is None:
-            raise _several(series.topic, joint, filled, takes, path)
+            raise _ambiguous_field(series.topic, joint, filled, takes, path)
         table = getattr(series, mode)
         joints.append(joint)
         modes.append(mode)
@@ -134,13 +135,13 @@ def _filled(series: JointSeries, column: int) -> tuple[CommandMode, ...]:
     )
 
 
-def _unfit(
+def _fields_without_actuator(
     series: JointSeries, inputs: Mapping[str, Sequence[str]], options: RecordingOptions
 ) -> dict[str, tuple[CommandMode, ...]]:
-    """Joint -> fields of its commands, where its actuators take none of them.
+    """Joint -> filled command fields, where the joint's actuators take none of them.
 
-    None where that is so of every joint: then the model as a whole has other actuators, and whoever
-    steps it says so.
+    The result is empty if that is so for all joints: then the model has other actuators, which is
+    reported when it is simulated.
     """
     found: dict[str, tuple[CommandMode, ...]] = {}
     others = 0
@@ -158,29 +159,29 @@ def _unfit(
 def _chosen(
     series: JointSeries, column: int, filled: tuple[CommandMode, ...], takes: Sequence[str]
 ) -> tuple[CommandMode | None, str]:
-    """The field, and why; None where nothing decides."""
+    """The chosen field and the reason; None if none can be chosen."""
     if len(filled) == 1:
         return filled[0], ""
     fitting = [name for name in filled if name in takes]
     if fitting:
-        # A servo with a velocity input beside its position input follows the position.
+        # A servo with inputs for position and velocity follows the position.
         return fitting[0], f"the model has {_ACTUATORS[fitting[0]]} there"
-    if not takes and "effort" in filled and _moves(series, "effort", column):
-        others = [n for n in filled if n != "effort" and _moves(series, n, column)]
+    if not takes and "effort" in filled and _is_nonzero(series, "effort", column):
+        others = [n for n in filled if n != "effort" and _is_nonzero(series, n, column)]
         if not others:
             return "effort", "the others are zero"
-    moving = [name for name in filled if _moves(series, name, column)]
+    moving = [name for name in filled if _is_nonzero(series, name, column)]
     if len(moving) == 1:
         return moving[0], "the others are zero"
     return None, ""
 
 
-def _moves(series: JointSeries, field: str, column: int) -> bool:
+def _is_nonzero(series: JointSeries, field: str, column: int) -> bool:
     table: FloatArray = getattr(series, field)
     return bool(np.nan_to_num(table[:, column]).any())
 
 
-def _several(
+def _ambiguous_field(
     topic: str, joint: str, filled: Sequence[str], takes: Sequence[str], path: Path
 ) -> RecordingError:
     has = f"its actuators take {' and '.join(takes)}" if takes else "no actuator of it says which"

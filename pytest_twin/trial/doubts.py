@@ -1,4 +1,4 @@
-"""Marks for what is doubtful in a recording, and errors for what no robot of the model sends."""
+"""Mark doubtful samples of a recording, and refuse recordings that contradict the model."""
 
 from __future__ import annotations
 
@@ -21,30 +21,31 @@ _UNITS: Mapping[str, tuple[str, str]] = {
     "velocity": ("rad/s", "m/s"),
     "effort": ("N*m", "N"),
 }
-# A sample this many robust deviations off the line between its neighbours, and beyond them both.
+# Robust standard deviations. An outlier is further from the line between its neighbours.
 _OUTLIER_DEVIATIONS = 12.0
-# An encoder that repeats one value for this long while its command spans this much, rad or m.
+# An encoder is stuck if it repeats one value for this time, s, while its command changes by this
+# amount, rad or m.
 _STUCK_SECONDS = 1.0
 _STUCK_SPAN = 0.2
-# Positions this far beyond the joint's range are in another unit: a degree is 1/57 rad.
+# Multiple of the joint's range beyond which positions are in another unit: a degree is 1/57 rad.
 _BEYOND_RANGE = 10.0
-_NARROW = 0.1
-"""rad: a range of a few degrees is often one that MJCF took for degrees."""
-# More doubts of one kind than this are one mark.
-_MOST_MARKS = 200
-# Two sources that take turns: samples are this many times as far from their neighbours as from the
-# ones after these, and at least this far, rad or m.
-_TURNS, _TURNS_SPAN, _TURNS_SAMPLES = 10.0, 0.02, 40
-# Share of stamps that stand twice from which a topic has two publishers.
-_TWICE = 0.25
+_SMALL_RANGE = 0.1
+"""rad. A smaller range is often an error of unit: MuJoCo read rad as degrees."""
+# Larger numbers of marks of one kind are combined into one mark.
+_MAX_MARKS = 200
+# Two publishers alternate if the distance to the next sample is this many times that to the second
+# next one, and at least this distance, rad or m. The third number is the least number of samples.
+_ALTERNATION, _ALTERNATION_SPAN, _ALTERNATION_SAMPLES = 10.0, 0.02, 40
+# Fraction of repeated stamps above which a topic has two publishers.
+_REPEATED_SHARE = 0.25
 
 
 class Doubts:
     """Collects the marks of one recording.
 
     Args:
-        path: of the recording, for errors.
-        structure: of the model, for ranges and units; None to go without.
+        path: path of the recording, for errors.
+        structure: structure of the model, for ranges and units; None without a model.
     """
 
     def __init__(self, path: Path, structure: Structure | None) -> None:
@@ -52,7 +53,7 @@ class Doubts:
         self.marks: list[Mark] = []
 
     def error(self, problem: str, where: str, **details: Any) -> RecordingError:
-        """An error of the recording, to be raised."""
+        """Return an error of the recording."""
         return RecordingError(problem, path=self.path, where=where, **details)
 
     def unit(self, joint: str, field: str) -> str:
@@ -75,11 +76,11 @@ class Doubts:
         samples: NDArray[np.int64],
         text: str,
     ) -> None:
-        """Add one mark for each run of neighbouring samples."""
+        """Add one mark for each run of consecutive samples."""
         if not samples.size:
             return
         ends = np.flatnonzero(np.diff(samples) > 1) + 1
-        if len(ends) >= _MOST_MARKS:
+        if len(ends) >= _MAX_MARKS:
             said = f"{text} in {len(samples)} messages, at {len(ends) + 1} places"
             self.mark(kind, topic, joint, time[samples].min(), time[samples].max(), said)
             return
@@ -90,7 +91,11 @@ class Doubts:
     def refuse_infinite(
         self, field: str, table: FloatArray, joints: tuple[str, ...], time: FloatArray, topic: str
     ) -> None:
-        """Raise where a value is infinite."""
+        """Check that no value is infinite.
+
+        Raises:
+            RecordingError: a value is infinite.
+        """
         bad = np.argwhere(np.isinf(table))
         if not bad.size:
             return
@@ -106,7 +111,7 @@ class Doubts:
     def note_gaps(self, time: FloatArray, topic: str) -> None:
         """Mark intervals without messages."""
         found = gaps(time)
-        if len(found) > _MOST_MARKS:
+        if len(found) > _MAX_MARKS:
             longest = max(float(time[at + 1] - time[at]) for at, _ in found)
             self.mark(
                 "gap", topic, None, time[found[0][0]], time[found[-1][0] + 1],
@@ -121,7 +126,11 @@ class Doubts:
             )  # fmt: skip
 
     def within_range(self, joint: str, values: FloatArray, time: FloatArray, topic: str) -> None:
-        """Mark positions outside the joint's range; raise where they are in another unit."""
+        """Mark positions outside the joint's range.
+
+        Raises:
+            RecordingError: the positions are so far outside that they have another unit.
+        """
         limits = None if self.structure is None else self.structure.joint_range.get(joint)
         if limits is None or not len(values):
             return
@@ -135,7 +144,7 @@ class Doubts:
             if unit == "rad":
                 degrees = largest * np.pi / 180.0 <= 2.0 * reach
                 guess = ", as if in degrees" if degrees else ", as if in encoder counts"
-                if reach < _NARROW:
+                if reach < _SMALL_RANGE:
                     guess += ", or the model's range is in another unit (compiler angle)"
             elif largest * 1e-3 <= 2.0 * reach:
                 guess = ", as if in mm"
@@ -150,7 +159,7 @@ class Doubts:
         self.mark_runs("beyond_range", topic, joint, time, beyond, f"outside {said}")
 
     def note_outliers(self, joint: str, position: FloatArray, time: FloatArray, topic: str) -> None:
-        """Mark single samples that are far off the line between their neighbours."""
+        """Mark single samples that are far from the line between their neighbours."""
         steps = np.diff(position)
         moved = np.abs(steps[steps != 0.0])
         if len(steps) < 8 or not moved.size:
@@ -166,12 +175,16 @@ class Doubts:
         )
 
     def refuse_two_sources(self, joint: str, position: FloatArray, topic: str) -> None:
-        """Raise where two publishers take turns in sending different positions of one joint."""
-        if len(position) < _TURNS_SAMPLES:
+        """Check that two publishers do not alternate with different positions of one joint.
+
+        Raises:
+            RecordingError: they do.
+        """
+        if len(position) < _ALTERNATION_SAMPLES:
             return
         to_next = float(np.median(np.abs(np.diff(position))))
         after = float(np.median(np.abs(position[2:] - position[:-2])))
-        if to_next > max(_TURNS_SPAN, _TURNS * after):
+        if to_next > max(_ALTERNATION_SPAN, _ALTERNATION * after):
             raise self.error(
                 "two publishers send different positions of one joint",
                 f"{topic} joint '{joint}'",
@@ -184,12 +197,16 @@ class Doubts:
     def refuse_contradictions(
         self, joint: str, position: FloatArray, time: FloatArray, topic: str
     ) -> None:
-        """Raise where two publishers send different positions of one joint at the same stamps."""
+        """Check that two publishers do not send different positions of one joint at one stamp.
+
+        Raises:
+            RecordingError: they do.
+        """
         same = np.diff(time) == 0.0
-        if len(position) < _TURNS_SAMPLES or np.mean(same) < _TWICE:
+        if len(position) < _ALTERNATION_SAMPLES or np.mean(same) < _REPEATED_SHARE:
             return
         apart = float(np.median(np.abs(np.diff(position)[same])))
-        if apart > _TURNS_SPAN:
+        if apart > _ALTERNATION_SPAN:
             raise self.error(
                 "two publishers send different positions of one joint at the same stamps",
                 f"{topic} joint '{joint}'",
@@ -209,9 +226,9 @@ class Doubts:
         mode: CommandMode,
         topic: str,
     ) -> None:
-        """Mark an encoder that stands still under a moving setpoint.
+        """Mark an encoder that does not change while the setpoint moves.
 
-        An effort leaves a joint at rest for good reasons.
+        Effort commands are ignored, because a joint may rest under a changing effort.
         """
         if mode == "effort":
             return

@@ -1,4 +1,4 @@
-"""Joints of a recording under the names that the model gives them."""
+"""Rename the joints of a recording to the names of the model."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.recording_options import JointNames
 
-# Names in a message, before "and n more".
+# Largest number of names in a message, before "and n more".
 _LISTED = 8
 
 
 def in_model_names(
     series: JointSeries, names: JointNames, joints: Collection[str] | None, path: Path
 ) -> tuple[JointSeries, list[str]]:
-    """Rename a topic's joints as the model has them and leave out those that it lacks.
+    """Rename the joints of a topic to the names of the model, and remove joints that it lacks.
 
     Args:
-        series: of one topic.
-        names: how recorded names relate to the model's.
-        joints: of the model; None to keep every joint.
-        path: of the recording, for errors.
+        series: series of one topic.
+        names: mapping from recorded names to the model's.
+        joints: joints of the model; None to keep all joints.
+        path: path of the recording, for errors.
 
     Returns:
-        The series, and a note where joints were left out.
+        The series, and a note on removed joints.
 
     Raises:
-        RecordingError: two recorded joints with one name in the model, or no joint of the model.
+        RecordingError: two recorded joints get one name, or none is a joint of the model.
     """
     renamed = [names.in_model(name, joints or ()) for name in series.names]
     twice = [name for name, count in Counter(renamed).items() if count > 1]
@@ -71,15 +71,15 @@ def in_model_names(
 def named_by_actuators(
     series: JointSeries, names: JointNames, actuator_joints: Mapping[str, Sequence[str]]
 ) -> tuple[JointSeries, list[str]]:
-    """Name the values of a topic without joint names as the model orders its actuators.
+    """Name the values of a topic without joint names by the order of the model's actuators.
 
     Args:
-        series: of one topic; without names its joints are 0, 1, 2, ...
-        names: joints that a user has mapped are left alone.
-        actuator_joints: actuator -> joints that it drives, in the model's order.
+        series: series of one topic; without names its joints are 0, 1, 2, ...
+        names: mapping of a user; with one, the series is not changed.
+        actuator_joints: actuator -> joints that it drives, in the order of the model.
 
     Returns:
-        The series, and a note where joints were named.
+        The series, and a note on the assumed names.
     """
     places = tuple(str(place) for place in range(len(series.names)))
     driven = [joints[0] for joints in actuator_joints.values() if len(joints) == 1]
@@ -93,7 +93,7 @@ def named_by_actuators(
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names with commas, the first few of many."""
+    """Names separated by commas; the first eight of many."""
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return ", ".join(names[:_LISTED]) + more
 
@@ -118,8 +118,10 @@ def _no_such_joint(
 
 
 def suggested(names: Sequence[str], joints: Collection[str]) -> list[str]:
-    """``prefix: left_`` or ``suffix: _joint`` that would give the names of the model, the one that
-    maps most joints first."""
+    """Prefixes or suffixes that would map names to the model's, such as ``prefix: left_``.
+
+    The one that maps most joints is the first.
+    """
     found: Counter[str] = Counter()
     for longs, shorts in ((names, joints), (list(joints), names)):
         for long in longs:

@@ -1,4 +1,4 @@
-"""From a recording to trials: names, clock, one table, the field that counts, holes."""
+"""Convert a recording to trials: joint names, clock, table, command fields, missing data."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from pytest_twin.trial.table import (
 )
 from pytest_twin.trial.trial import Mark, Trial, busiest
 
-# What readers say of stamps.
-_OF_STAMPS = ("stamps go back", "stamps stand twice", "header.stamp")
+# Texts of readers about stamps.
+_STAMP_TEXTS = ("stamps go back", "stamps stand twice", "header.stamp")
 # A joint that is in fewer of a topic's messages than this share comes in messages of its own.
-_SEPARATE = 0.8
+_SEPARATE_SHARE = 0.8
 
 
 def make_trials(
@@ -44,16 +44,16 @@ def make_trials(
     structure: Structure | None = None,
     options: RecordingOptions = NO_OPTIONS,
 ) -> list[Trial]:
-    """The trials of a recording: one, or one for each stretch between holes.
+    """Convert a recording to trials: one, or one for each part between gaps of both topics.
 
     Args:
-        recording: as read from the file.
-        structure: of the model, for its joints, ranges and actuators; None to go without.
-        options: what a user declared of the recording.
+        recording: content of the file.
+        structure: structure of the model, for joints, ranges and actuators; None without a model.
+        options: options that a user declared.
 
     Raises:
-        RecordingError: no states or commands, no positions, a value that is infinite, no field of a
-            command that counts, no overlap in time, no joint of the model, or positions in another
+        RecordingError: no states or commands, no positions, an infinite value, no command field
+            that can be chosen, no overlap in time, no joint of the model, or positions in another
             unit than the model's.
     """
     return [part for trial in _whole(recording, structure, options) for part in stretches(trial)]
@@ -64,10 +64,10 @@ def make_trial(
     structure: Structure | None = None,
     options: RecordingOptions = NO_OPTIONS,
 ) -> Trial:
-    """A recording as one trial, holes and all; :func:`make_trials` cuts it there.
+    """Convert a recording to one trial, which may contain gaps; :func:`make_trials` splits there.
 
     Raises:
-        RecordingError: as :func:`make_trials`, or a clock that steps back and splits it.
+        RecordingError: as :func:`make_trials`, or the clock steps back and splits the recording.
     """
     trials = _whole(recording, structure, options)
     if len(trials) > 1:
@@ -140,7 +140,7 @@ def _series(recording: Recording, role: str) -> JointSeries:
 
 
 def _between(recording: Recording, options: RecordingOptions) -> tuple[CommandBetween, str]:
-    """What a command does between two stamps, and where that is said."""
+    """Course of a command between two stamps, and the source of this information."""
     if options.command_between is not None:
         return options.command_between, "option"
     said = recording.metadata.get("command_between")
@@ -161,7 +161,7 @@ def _between(recording: Recording, options: RecordingOptions) -> tuple[CommandBe
 
 
 class _Maker:
-    """Reads states and commands of one clock into one trial."""
+    """Converts states and commands on one clock to one trial."""
 
     def __init__(
         self, recording: Recording, structure: Structure | None, commanded: Commanded
@@ -172,13 +172,13 @@ class _Maker:
         self.doubts.marks += [
             Mark("damage", None, None, 0.0, 0.0, str(item))
             for item in recording.damage
-            # The trial's own marks and notes say what is wrong with stamps, and what is done.
-            if item.place not in topics or not any(said in item.lost for said in _OF_STAMPS)
+            # Problems of stamps are reported by other marks and notes of the trial.
+            if item.place not in topics or not any(said in item.lost for said in _STAMP_TEXTS)
         ]
         self.notes: list[str] = []
 
     def trial(self, states: Timed, commands: Timed) -> Trial:
-        """One trial, not cut."""
+        """Build one trial, without splitting it."""
         topic = states.series.topic
         rows, joints = self.states(states)
         start = int(rows.stamp[0])
@@ -194,7 +194,7 @@ class _Maker:
         self.doubts.note_gaps(busiest(command_time, own), commands.series.topic)
         commanded = self.commanded
         for column, joint in enumerate(joints):
-            self.look_at(joint, position[:, column], time, topic)
+            self.mark_positions(joint, position[:, column], time, topic)
             if joint in commanded.joints:
                 at = commanded.joints.index(joint)
                 seen = np.isfinite(position[:, column])
@@ -228,7 +228,7 @@ class _Maker:
         )
 
     def states(self, timed: Timed) -> tuple[StateRows, tuple[str, ...]]:
-        """States by stamp, from the first by which every joint was measured."""
+        """States sorted by stamp, from the first at which all joints have been measured."""
         series = timed.series
         order = sorted_rows(timed.stamp)
         stamp, picked = timed.stamp[order], timed.rows[order]
@@ -260,12 +260,12 @@ class _Maker:
             stamp[some], {n: None if t is None else t[some] for n, t in fields.items()},
             carried[some],
         )  # fmt: skip
-        return self.begun(rows, joints, series.topic, int((~some).sum())), joints
+        return self.from_first_complete(rows, joints, series.topic, int((~some).sum())), joints
 
-    def begun(
+    def from_first_complete(
         self, rows: StateRows, joints: tuple[str, ...], topic: str, without: int
     ) -> StateRows:
-        """The rows from the first complete state on, which is made of the latest positions."""
+        """Rows from the first complete state, which consists of the latest positions."""
         position = rows.fields["position"]
         assert position is not None
         carried = np.isfinite(position)
@@ -285,7 +285,7 @@ class _Maker:
         if rows.merged:
             self.notes.append(f"{topic}: {_messages(rows.merged)} of different joints and one "
                               "stamp taken together")  # fmt: skip
-        if counts.min() < _SEPARATE * len(carried):
+        if counts.min() < _SEPARATE_SHARE * len(carried):
             said = ", ".join(f"{n} in {c}" for n, c in zip(joints, counts.tolist(), strict=True))
             self.notes.append(
                 f"{topic}: joints come in separate messages ({said} of {len(carried)}); each is "
@@ -301,13 +301,13 @@ class _Maker:
         if not first and carried[0].all():
             return rows
         fields = {n: None if t is None else t[first:].copy() for n, t in rows.fields.items()}
-        _complete(rows, fields, first, known[first])
+        _fill_first_row(rows, fields, first, known[first])
         return StateRows(rows.stamp[first:], fields, rows.merged)
 
     def commands(
         self, timed: Timed, start: int
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_] | None]:
-        """(m,) s, (m, j) commands, and which of them each message carries; None for all."""
+        """(m,) times, s; (m, j) commands; (m, j) whether a message contains them, None for all."""
         topic, joints = timed.series.topic, self.commanded.joints
         order = sorted_rows(timed.stamp)
         table = self.commanded.table[timed.rows[order]]
@@ -331,7 +331,7 @@ class _Maker:
                 "out"
             )
         counts = own.sum(axis=0)
-        if counts.min() < _SEPARATE * len(own):
+        if counts.min() < _SEPARATE_SHARE * len(own):
             said = ", ".join(f"{n} in {c}" for n, c in zip(joints, counts.tolist(), strict=True))
             self.notes.append(
                 f"{topic}: joints come in separate messages ({said} of {len(own)}); a joint keeps "
@@ -345,8 +345,10 @@ class _Maker:
                 )  # fmt: skip
         return time, kept_commands(table), None if own.all() else own
 
-    def look_at(self, joint: str, position: FloatArray, time: FloatArray, topic: str) -> None:
-        """Mark what is doubtful in one joint's positions."""
+    def mark_positions(
+        self, joint: str, position: FloatArray, time: FloatArray, topic: str
+    ) -> None:
+        """Mark doubtful positions of one joint."""
         seen = np.isfinite(position)
         position, time = position[seen], time[seen]
         self.doubts.within_range(joint, position, time, topic)
@@ -370,7 +372,7 @@ class _Maker:
     def optional(
         self, field: str, rows: StateRows, joints: tuple[str, ...], time: FloatArray, topic: str
     ) -> FloatArray | None:
-        """A field that need not be filled; NaN is where it was not."""
+        """An optional field of the states; NaN where it is not filled, None if it never is."""
         table, position = rows.fields[field], rows.fields["position"]
         if table is None or position is None:
             return None
@@ -383,10 +385,10 @@ class _Maker:
         return None if np.isnan(table).all() else table
 
 
-def _complete(
+def _fill_first_row(
     rows: StateRows, fields: dict[str, FloatArray | None], first: int, known: FloatArray
 ) -> None:
-    """Fill the first row with the latest position of each joint, moved on by its velocity."""
+    """Fill the first row with the latest position of each joint, extrapolated by its velocity."""
     position, velocity = fields["position"], fields["velocity"]
     before, speed = rows.fields["position"], rows.fields["velocity"]
     assert position is not None

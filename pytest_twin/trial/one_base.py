@@ -1,4 +1,4 @@
-"""States of joints that come in separate messages, at the stamps of one of them."""
+"""Resample joints from separate messages to the stamps of one joint."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pytest_twin.trial.trial import Trial
 
 
 def on_one_base(trial: Trial) -> Trial:
-    """The trial with every joint at the stamps of the joint that is sent least often.
+    """Resample all joints to the stamps of the joint with the fewest samples.
 
-    Other joints are interpolated there (cubic through both neighbours, with slopes from theirs; of
-    order interval^4), unless they have a sample of that very stamp; a note says so. Stamps at which
-    one of them has no neighbour within its usual interval are left out.
+    Other joints are interpolated by a cubic Hermite spline (error of order interval^4), unless they
+    have a sample at the stamp; a note states this. Stamps at which a joint has no neighbouring
+    sample within its usual interval are left out.
     """
     if trial.is_dense:
         return trial

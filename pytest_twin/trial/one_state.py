@@ -1,4 +1,4 @@
-"""A trial with one state: it is predicted at the stamps of its commands."""
+"""Trials with one state, which are predicted at the stamps of the commands."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from pytest_twin.trial.trial import Trial
 
 
 def at_command_stamps(trial: Trial) -> Trial:
-    """The trial with a row for its state, then one for each later command, where nothing was
-    measured."""
+    """The trial with one row for its state and one NaN row for each later command."""
     later = np.unique(trial.command_time[trial.command_time > 0.0])
     count = 1 + len(later)
 
@@ -35,8 +34,10 @@ def at_command_stamps(trial: Trial) -> Trial:
 
 
 def predicted_rows(trial: Trial) -> NDArray[np.bool_]:
-    """(n,) rows that a prediction is written for: all states; of :func:`at_command_stamps` the
-    commands alone."""
+    """(n,) rows for which a prediction is written.
+
+    These are all states, or the commands of a trial from :func:`at_command_stamps`.
+    """
     keep = np.ones(len(trial.time), dtype=bool)
     if len(trial.time) > 1 and not np.isfinite(trial.position[1:]).any():
         keep[0] = bool((trial.command_time == 0.0).any())

@@ -1,4 +1,4 @@
-"""Recordings as a user declared them."""
+"""Read recordings with the options that a user declared."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 def recordings_at(
     path: Path, topics: Mapping[str, str], options: RecordingOptions = NO_OPTIONS
 ) -> list[Recording]:
-    """The recordings of a file or folder of any kind: one, or each episode of a data set.
+    """Read the recordings of a file or folder: one, or all episodes of a data set.
 
     Args:
-        path: the file or folder.
+        path: file or folder.
         topics: role -> topic.
-        options: what is declared about it.
+        options: declared options.
 
     Raises:
         TwinError: it cannot be read.
@@ -33,13 +33,13 @@ def recording_at(
     options: RecordingOptions = NO_OPTIONS,
     episode: int | None = None,
 ) -> Recording:
-    """The only recording of a file or folder, or one episode of a data set.
+    """Read the only recording of a file or folder, or one episode of a data set.
 
     Args:
-        path: the file or folder.
+        path: file or folder.
         topics: role -> topic.
-        options: what is declared about it.
-        episode: which episode, from 0.
+        options: declared options.
+        episode: number of the episode, from 0.
 
     Raises:
         FormatError: a data set of several episodes and none is chosen, or no such episode.

@@ -1,4 +1,4 @@
-"""Roles that a recording's metadata give it."""
+"""Roles of recordings, from their metadata."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pathlib import Path
 from pytest_twin.errors import RecordingError
 
 FIT, HELD_OUT, FINAL = "fit", "held_out", "final"
-"""Parameters are fitted on it; it is predicted to judge the fit; it judges the result, once, and
-guides nothing."""
+"""``fit``: parameters are estimated from it. ``held_out``: its prediction validates the fit.
+``final``: it tests the result once, and is used for nothing else."""
 
 
 def refuse_final(metadata: Mapping[str, str], path: Path, use: str) -> None:
-    """Refuse a recording with the role ``final`` for anything but the check of ranges.
+    """Refuse a recording with the role ``final`` for any use but the test of ranges.
 
     Args:
-        metadata: of the recording.
-        path: the recording.
-        use: what it would guide, as a noun phrase.
+        metadata: metadata of the recording.
+        path: path of the recording.
+        use: the intended use, as a noun phrase.
 
     Raises:
         RecordingError: its role is ``final``.

@@ -1,4 +1,4 @@
-"""What was commanded at every moment, between the stamps too."""
+"""Setpoint as a function of time, also between the stamps of commands."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from pytest_twin.recording_options import CommandBetween
 
 @dataclass(frozen=True)
 class Setpoint:
-    """Commands as a function of time: steps, or lines between corners. Constant beyond both ends.
+    """Setpoint of joints as a function of time, piecewise constant or linear.
+
+    It is constant before the first and after the last time.
 
     Attributes:
         time: (k,) s, not decreasing.
-        value: (k, j).
-        linear: whether the value moves in a straight line from one time to the next, or stays until
-            it and steps there.
+        value: (k, j) rad, rad/s or N*m (m, m/s or N).
+        linear: whether the value is linear between two times, or constant with steps.
     """
 
     time: FloatArray
@@ -29,7 +30,7 @@ class Setpoint:
     linear: bool
 
     def at(self, time: FloatArray) -> FloatArray:
-        """(n, j) at each time."""
+        """(n, j) setpoint at each time (s)."""
         if not self.linear:
             held = np.searchsorted(self.time, time, side="right") - 1
             table: FloatArray = self.value[np.maximum(held, 0)]
@@ -37,7 +38,7 @@ class Setpoint:
         return np.stack([np.interp(time, self.time, v) for v in self.value.T], axis=1)
 
     def integral(self, time: FloatArray) -> FloatArray:
-        """(n, j) integral from the first corner to each time, exact."""
+        """(n, j) exact integral of the setpoint from ``time[0]`` to each time (s)."""
         index = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 1)
         since = time - self.time[index]
         start = self.value[index]
@@ -51,7 +52,7 @@ class Setpoint:
 
     @cached_property
     def _area(self) -> FloatArray:
-        """(k, j) integral up to each corner."""
+        """(k, j) integral up to each of ``time``."""
         steps = np.diff(self.time)[:, None]
         between = 0.5 * (self.value[:-1] + self.value[1:]) if self.linear else self.value[:-1]
         return np.concatenate([np.zeros((1, self.value.shape[1])), np.cumsum(steps * between, 0)])
@@ -63,19 +64,19 @@ def setpoint(
     between: CommandBetween,
     own: NDArray[np.bool_] | None = None,
 ) -> Setpoint:
-    """What commands ask for at every moment.
+    """Build the setpoint from commands.
 
     Args:
-        time: (m,) s, stamps, not decreasing; of commands with one stamp the last counts.
-        command: (m, j) as sent; a joint that a message does not carry has its last command.
-        between: what a command does between two stamps.
-        own: (m, j) which joints each message carries; None where it is all of them.
+        time: (m,) stamps, s, not decreasing; of commands with the same stamp the last is used.
+        command: (m, j) commands; a joint that a message does not contain has its last command.
+        between: course of a command between two stamps.
+        own: (m, j) which joints each message contains; None for all.
     """
     if between == "held":
         return Setpoint(time, command, linear=False)
     last = np.append(np.diff(time) > 0.0, True)
     if own is not None and not own.all():
-        # A joint's command in a message counts for the stamp, in whichever of its messages.
+        # A stamp contains a joint if any message with this stamp does.
         groups = np.cumsum(np.append(0, last[:-1].astype(np.int64)))
         together = np.zeros((int(groups[-1]) + 1, own.shape[1]), dtype=bool)
         np.logical_or.at(together, groups, own)
@@ -87,13 +88,13 @@ def setpoint(
         _corners(time[mine], values[mine], between)
         for values, mine in zip(command.T, own.T, strict=True)
     ]
-    return _together(columns)
+    return _combined(columns)
 
 
 def _corners(
     time: FloatArray, command: FloatArray, between: CommandBetween
 ) -> tuple[FloatArray, FloatArray]:
-    """Corners of one joint's setpoint."""
+    """Times (s) and values of the piecewise linear setpoint of one joint."""
     if between == "interpolated" or len(time) < 2:
         return time, command
     period = float(np.median(np.diff(time)))
@@ -107,7 +108,7 @@ def _corners(
         end = begun + period
         target = float(command[k])
         if k + 1 < len(time) and time[k + 1] < end:
-            # The next command comes before this one is reached.
+            # The next command arrives before the setpoint reaches this one.
             end = float(time[k + 1])
             target = reached + (target - reached) * (end - begun) / period
         corners.append(end)
@@ -116,8 +117,8 @@ def _corners(
     return np.array(corners), np.array(values)
 
 
-def _together(columns: Sequence[tuple[FloatArray, FloatArray]]) -> Setpoint:
-    """One setpoint of several joints, with the corners of all of them."""
+def _combined(columns: Sequence[tuple[FloatArray, FloatArray]]) -> Setpoint:
+    """Combine the setpoints of several joints, at the times of all of them."""
     first = columns[0][0]
     if all(np.array_equal(time, first) for time, _ in columns):
         return Setpoint(first, np.stack([v for _, v in columns], axis=1), linear=True)

@@ -1,4 +1,4 @@
-"""Where a recorder lost messages, and the stretches between such holes."""
+"""Find times in which a recorder lost messages, and split trials there."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.trial.trial import Mark, Trial
 
 GAP_INTERVALS = 4.0
-"""An interval this many times the usual one is a gap: three messages are missing."""
-# In a topic of even rate one missing message shows: an interval of this many usual ones.
+"""Median intervals. A longer interval is a gap: at least three messages are missing."""
+# Median intervals. In a topic with a regular rate, a longer interval shows one missing message.
 _MISSING_INTERVALS = 1.75
-# A rate is even if this share of the intervals is within a quarter of the usual one.
+# A rate is regular if this fraction of the intervals is within this fraction of the median.
 _EVEN_SHARE, _EVEN = 0.9, 0.25
-# Both topics stop and go on together if it is within this many of the longer usual interval.
+# Both topics stop at the same time if their stamps agree within this many median intervals.
 _TOGETHER = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """A time in which a recorder kept no message of either topic.
+    """A time in which the recorder lost the messages of both topics.
 
     Attributes:
         start, end: stamps of the last state before it and the first after it, s.
@@ -36,32 +36,34 @@ class Hole:
 
 
 def gaps(time: FloatArray) -> list[tuple[int, float]]:
-    """(sample before it, usual interval) of every interval that is far longer than usual."""
+    """(index of the sample before, median interval in s) of all gaps."""
     steps = np.diff(time)
-    usual = _usual(steps)
+    usual = _median_interval(steps)
     if len(steps) < 2 or usual <= 0.0:
         return []
     return [(int(at), usual) for at in np.flatnonzero(steps > GAP_INTERVALS * usual)]
 
 
 def holes(time: FloatArray, command_time: FloatArray) -> list[Hole]:
-    """Where states and commands stop and go on together: the recorder lost them.
+    """Times in which states and commands are missing together, because the recorder lost them.
 
-    A hole in the states alone leaves the commands known. A hole in the commands alone is what the
-    robot saw: its last command stayed.
+    A gap in the states alone is not included, because the commands are known. Neither is a gap in
+    the commands alone, because the robot kept its last command.
 
     Args:
-        time, command_time: stamps, s, not decreasing.
+        time, command_time: stamps of states and commands, s, not decreasing.
     """
     states, commands = np.unique(time), np.unique(command_time)
     steps, sent = np.diff(states), np.diff(commands)
-    usual, usual_sent = _usual(steps), _usual(sent)
+    usual, usual_sent = _median_interval(steps), _median_interval(sent)
     if min(len(steps), len(sent)) < 3 or min(usual, usual_sent) <= 0.0:
         return []
     near = _TOGETHER * max(usual, usual_sent)
-    least = _MISSING_INTERVALS * usual if _even(steps, usual) else GAP_INTERVALS * usual
+    least = _MISSING_INTERVALS * usual if _is_regular(steps, usual) else GAP_INTERVALS * usual
     least_sent = (
-        _MISSING_INTERVALS * usual_sent if _even(sent, usual_sent) else GAP_INTERVALS * usual_sent
+        _MISSING_INTERVALS * usual_sent
+        if _is_regular(sent, usual_sent)
+        else GAP_INTERVALS * usual_sent
     )
     found = []
     for at in np.flatnonzero(steps > least).tolist():
@@ -78,13 +80,13 @@ def holes(time: FloatArray, command_time: FloatArray) -> list[Hole]:
 
 
 def stretches(trial: Trial) -> list[Trial]:
-    """A trial cut at its holes: each part starts from its own first state.
+    """Split a trial where states and commands are missing; each part has its own first state.
 
-    What was commanded in a hole is in no recording, so that nothing after it can be predicted from
-    before it.
+    The commands in such a gap are unknown, so that the motion after it cannot be predicted from the
+    state before it.
 
     Returns:
-        The trial itself where there is no hole.
+        The parts, or the trial itself without such a gap.
     """
     found = [
         hole
@@ -144,12 +146,12 @@ def _part(
         command=trial.command[command_rows],
         own_commands=None if trial.own_commands is None else trial.own_commands[command_rows],
         marks=tuple(
-            _moved(mark, first)
+            _shifted(mark, first)
             for mark in trial.marks
             if mark.kind != "gap" and mark.start <= stop and (mark.end >= first or not first)
         )
         + tuple(
-            _moved(mark, first)
+            _shifted(mark, first)
             for mark in trial.marks
             if mark.kind == "gap" and mark.start >= first and mark.end <= stop
         ),
@@ -159,25 +161,25 @@ def _part(
 
 
 def _first_known(position: FloatArray) -> FloatArray:
-    """(j,) the first position of each joint."""
+    """(j,) first known position of each joint."""
     first = np.argmax(np.isfinite(position), axis=0)
     row: FloatArray = position[first, np.arange(position.shape[1])]
     return row
 
 
 def _empty(time: FloatArray, start: float, end: float) -> bool:
-    """Whether no message of any joint lies between two stamps."""
+    """Whether there is no message between two stamps."""
     after, before = np.searchsorted(time, start, side="right"), np.searchsorted(time, end)
     return bool(after >= before)
 
 
-def _moved(mark: Mark, by: float) -> Mark:
+def _shifted(mark: Mark, by: float) -> Mark:
     return replace(mark, start=mark.start - by, end=mark.end - by)
 
 
-def _usual(steps: FloatArray) -> float:
+def _median_interval(steps: FloatArray) -> float:
     return float(np.median(steps)) if len(steps) else 0.0
 
 
-def _even(steps: FloatArray, usual: float) -> bool:
+def _is_regular(steps: FloatArray, usual: float) -> bool:
     return bool(np.mean(np.abs(steps - usual) <= _EVEN * usual) >= _EVEN_SHARE)

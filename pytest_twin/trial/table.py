@@ -1,4 +1,4 @@
-"""Messages of one topic as one table: sorted, those of one stamp together, joint by joint."""
+"""Convert the messages of a topic to a table, sorted by stamp and merged per stamp."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pytest_twin.arrays import FloatArray
 
 
 def sorted_rows(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(n,) the stable order by stamp."""
+    """(n,) indices of the messages in stable order of their stamps."""
     return np.argsort(stamp, kind="stable")
 
 
 @dataclass(frozen=True, slots=True)
 class StateRows:
-    """States by stamp.
+    """Table of states.
 
     Attributes:
         stamp: (n,) ns.
         fields: ``position``, ``velocity``, ``effort`` -> (n, j), or None.
-        merged: messages that were taken together with others of their stamp.
+        merged: number of messages that were merged with others of the same stamp.
     """
 
     stamp: NDArray[np.int64]
@@ -33,20 +33,21 @@ class StateRows:
 def merged_states(
     stamp: NDArray[np.int64], fields: dict[str, FloatArray | None], carried: NDArray[np.bool_]
 ) -> StateRows:
-    """Take messages of one stamp together where they carry different joints.
+    """Merge messages with one stamp and different joints.
 
-    Messages that carry the same joint stay apart.
+    Messages that contain the same joint are not merged.
 
     Args:
         stamp: (n,) ns, not decreasing.
-        fields: (n, j) each, or None.
-        carried: (n, j) which joints a message has a position of.
+        fields: each (n, j), or None.
+        carried: (n, j) whether a message contains the position of a joint.
     """
     if not len(stamp) or carried.all():
         return StateRows(stamp, fields, 0)
     first = np.flatnonzero(np.append(True, np.diff(stamp) > 0))
     owner = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(stamp))))
-    # Of each joint the first message of a stamp goes into the stamp's row, the next into one more.
+    # The first message of a joint at a stamp goes into the first row of the stamp, the second into
+    # a second row, and so on.
     counts = np.cumsum(carried, axis=0)
     before: NDArray[np.int64] = counts[first] - carried[first]
     level = ((counts - before[owner]) * carried).max(axis=1) - 1
@@ -72,7 +73,7 @@ def merged_states(
 
 
 def last_known(table: FloatArray) -> FloatArray:
-    """(n, j) the latest value of each joint at or before each row; NaN before its first."""
+    """(n, j) latest value of each joint at or before each row; NaN before its first value."""
     rows = np.where(np.isnan(table), -1, np.arange(len(table))[:, None])
     at = np.maximum.accumulate(rows, axis=0)
     known: FloatArray = np.where(
@@ -82,8 +83,11 @@ def last_known(table: FloatArray) -> FloatArray:
 
 
 def kept_commands(table: FloatArray) -> FloatArray:
-    """(n, j) commands that hold after each message: a joint that a message does not carry keeps its
-    last one, and before its first the first."""
+    """(n, j) commands in effect after each message.
+
+    A joint that a message does not contain keeps its last command; before its first command, it has
+    the first.
+    """
     known = last_known(table)
     missing = np.isnan(known)
     if missing.any():

@@ -1,4 +1,4 @@
-"""What a recording is to everything after the reader: one clock, one table, every doubt marked."""
+"""A trial: a recording on one clock as one table, with doubtful samples marked."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ MarkKind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A doubt about a stretch of a recording. The samples are kept.
+    """Mark of doubtful samples; the samples are kept.
 
     Attributes:
-        kind: ``gap`` (samples missing), ``duplicate_stamp``, ``unordered_stamp`` (sorted by stamp),
-            ``outlier`` (one sample off the line of its neighbours), ``stuck`` (an encoder that
-            does not move under a moving command), ``unavailable`` (a field that was not
-            filled), ``beyond_range`` (outside the joint's range), ``damage`` (the file itself).
-        topic: where; None for the file.
-        joint: which, None for all.
+        kind: ``gap`` (missing samples), ``duplicate_stamp``, ``unordered_stamp`` (sorted by stamp),
+            ``outlier`` (one sample far from the line between its neighbours), ``stuck`` (an encoder
+            that does not change while its command moves), ``unavailable`` (an empty field),
+            ``beyond_range`` (outside the joint's range), ``damage`` (of the file).
+        topic: the topic, None for the file.
+        joint: the joint, None for all.
         start, end: s from the first state.
-        text: in words.
+        text: description.
     """
 
     kind: MarkKind
@@ -44,8 +44,11 @@ class Mark:
 
 
 def busiest(time: FloatArray, carried: NDArray[np.bool_] | None) -> FloatArray:
-    """(k,) times of the joint that most messages carry: where joints come in messages of their own,
-    the time between two messages is no interval of any joint."""
+    """(k,) times of the joint with the most samples.
+
+    Where joints come in separate messages, the time between two messages is not the sampling
+    interval of a joint.
+    """
     if carried is None or carried.all():
         return time
     times: FloatArray = time[carried[:, int(np.argmax(carried.sum(axis=0)))]]
@@ -54,30 +57,30 @@ def busiest(time: FloatArray, carried: NDArray[np.bool_] | None) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One recording, or one stretch of it, ready to replay.
+    """A recording, or a part of it without gaps, ready for replay.
 
     Attributes:
         path: the recording.
         start: absolute stamp of the first state, ns.
-        joints: of the states, as the model names them.
+        joints: (j,) joints of the states, with the names of the model.
         time: (n,) state stamps, s from the first state, not decreasing.
-        position: (n, j) rad or m, as measured; NaN where the message of this stamp does not carry
-            the joint. The first row is complete.
-        velocity: (n, j) rad/s or m/s, or None; NaN where it was not filled.
-        effort: (n, j) N*m or N, likewise.
-        command_joints: joints that were commanded.
-        command_time: (m,) command stamps on the same clock, not decreasing; may be negative.
-        command: (m, j_c) in the units of ``command_modes``; a joint that a message does not carry
-            keeps its last command.
-        command_modes: (j_c,) which field counts for each joint.
-        metadata: of the record ``trial``: role, payload, controller, temperature, any IDs.
-        marks: doubts, in the order of time.
-        command_between: what a command does between two stamps.
-        between_source: where that is said: ``option``, ``metadata``, ``twin.yaml`` or ``assumed``.
-        own_commands: (m, j_c) which joints each message carries; None where it is all of them.
+        position: (n, j) measured positions, rad or m; NaN where the message does not contain the
+            joint. The first row is complete.
+        velocity: (n, j) rad/s or m/s, NaN where it is not filled; or None.
+        effort: (n, j) N*m or N, NaN where it is not filled; or None.
+        command_joints: (j_c,) commanded joints.
+        command_time: (m,) command stamps on the same clock, s, not decreasing; may be negative.
+        command: (m, j_c) commands in the units of ``command_modes``; a joint that a message does
+            not contain keeps its last command.
+        command_modes: (j_c,) command field of each joint.
+        metadata: the record ``trial``: role, payload, controller, temperature, IDs.
+        marks: marks of doubtful samples, ordered by time.
+        command_between: course of a command between two stamps.
+        between_source: its source: ``option``, ``metadata``, ``twin.yaml`` or ``assumed``.
+        own_commands: (m, j_c) which joints each message contains; None for all.
         notes: rules that were applied while reading, one line each.
-        offset: s from the recording's first state to this trial's.
-        parts: stretches that the recording was cut into.
+        offset: time from the recording's first state to that of this trial, s.
+        parts: number of parts into which the recording was split.
     """
 
     path: Path
@@ -102,24 +105,24 @@ class Trial:
 
     @property
     def command_mode(self) -> CommandMode | Literal["mixed"]:
-        """The field that counts for every commanded joint, or ``mixed``."""
+        """The command field of all commanded joints, or ``mixed``."""
         modes = set(self.command_modes)
         return modes.pop() if len(modes) == 1 else "mixed"
 
     @property
     def hardest_mode(self) -> CommandMode:
-        """Of the joints' modes the one under which errors grow most: effort, velocity, position."""
+        """Mode of the joints with the fastest growth of errors: effort, velocity, position."""
         return max(self.command_modes, key=COMMAND_MODES.index)
 
     @property
     def name(self) -> str:
-        """The file's name; of a stretch, with its place in the recording."""
+        """Name of the file; for a part also its start time in the recording."""
         where = f" from {self.offset:.4g} s" if self.parts > 1 else ""
         return f"{self.path.name}{where}"
 
     @property
     def conditions(self) -> Mapping[str, str]:
-        """What the recording says of itself: its metadata without the role."""
+        """Conditions of the recording: its metadata without the role."""
         return {key: value for key, value in self.metadata.items() if key != "role"}
 
     @property
@@ -129,7 +132,7 @@ class Trial:
 
     @property
     def duration(self) -> float:
-        """From the first state to the last, s."""
+        """Time from the first to the last state, s."""
         return float(self.time[-1])
 
     @property
@@ -138,7 +141,7 @@ class Trial:
         return bool(np.isfinite(self.position).all())
 
     def until(self, end: float) -> Trial:
-        """The same with the states up to ``end``, s; all commands stay."""
+        """The trial with the states up to ``end`` (s) and all commands."""
         rows = slice(int(np.searchsorted(self.time, end, side="right")))
         return replace(
             self,
@@ -149,34 +152,34 @@ class Trial:
         )
 
     def mode_of(self, joint: str) -> CommandMode | None:
-        """The field that counts for a joint; None where it is not commanded."""
+        """Command field of a joint; None if it is not commanded."""
         if joint not in self.command_joints:
             return None
         return self.command_modes[self.command_joints.index(joint)]
 
     @property
     def state_times(self) -> FloatArray:
-        """(k,) stamps of the joint that is measured most often, s."""
+        """(k,) stamps of the joint with the most samples, s."""
         return busiest(self.time, np.isfinite(self.position))
 
     @property
     def command_times(self) -> FloatArray:
-        """(k,) stamps of the joint that is commanded most often, s."""
+        """(k,) stamps of the joint with the most commands, s."""
         return busiest(self.command_time, self.own_commands)
 
     @property
     def setpoint(self) -> Setpoint:
-        """What was commanded at every moment."""
+        """Setpoint as a function of time."""
         return setpoint(self.command_time, self.command, self.command_between, self.own_commands)
 
     def commands_before(self, time: FloatArray) -> FloatArray:
-        """(n, j_c) the last command at or before each time; before the first, the first."""
+        """(n, j_c) last command at or before each time (s); before the first command, the first."""
         at = np.searchsorted(self.command_time, time, side="right") - 1
         table: FloatArray = self.command[np.maximum(at, 0)]
         return table
 
     def marked(self, joint: str, kinds: Iterable[MarkKind]) -> NDArray[np.bool_]:
-        """(n,) which states of a joint lie under a mark of these kinds."""
+        """(n,) whether each state of a joint has a mark of these kinds."""
         wanted = set(kinds)
         found = np.zeros(len(self.time), dtype=bool)
         for mark in self.marks:

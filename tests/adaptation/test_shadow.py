@@ -160,7 +160,7 @@ def test_a_residual_is_promoted_then_released_and_later_changes_are_reported(pla
     declare_residual(place, "onnx", "spring.onnx")
     asset = (twin / "model.xml").read_bytes()
     (problem,) = unpromoted(load_twin(twin / "twin.yaml"))
-    assert "residual 'spring-1': no shadow run vouches for it" in problem
+    assert "residual 'spring-1': no valid record of a shadow run" in problem
     assert run_gate(twin, "--twin-release") != 0
     run_shadow(place, 0, "--promote")
     assert run_gate(twin, "--twin-release") == 0

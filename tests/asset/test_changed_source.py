@@ -10,7 +10,7 @@ import pytest
 from asset_robots import write_arm
 
 from pytest_twin.cli import main
-from pytest_twin.gate.parts import look_around
+from pytest_twin.gate.parts import collect_dependencies
 from pytest_twin.gate.source import changed_sources
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.twin import load_twin
@@ -78,7 +78,7 @@ def test_a_changed_source_is_reported_and_refused_by_release_and_realize(
     assert f"the source asset has changed since intake: {words}" in lines[0]
     # The gate refuses a release while there are problems.
     with Sandbox() as sandbox:
-        problems = look_around(load_twin(asset.parent / "twin.yaml"), [], sandbox).problems
+        problems = collect_dependencies(load_twin(asset.parent / "twin.yaml"), [], sandbox).problems
     assert lines[0] in problems
     capsys.readouterr()
     arguments = ["realize", str(asset / "source/urdf/arm.urdf"), "--out", str(asset)]

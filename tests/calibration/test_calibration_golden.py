@@ -23,7 +23,7 @@ from pytest_twin.gate.specs import load_golden
 from pytest_twin.gate.why import why_lines
 from pytest_twin.golden import Golden
 from pytest_twin.realization import load
-from pytest_twin.staleness import Baseline, Model, Stock, Surroundings, staleness, take_stock
+from pytest_twin.staleness import Baseline, DependencyMap, Lookups, Model, dependency_map, staleness
 from pytest_twin.twin import Twin, load_twin
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "kinds" / "calibration.md"
@@ -195,15 +195,15 @@ def test_the_documented_example_loads(cell: Path) -> None:
 # -- goldens that become stale
 
 
-def stock_of(root: Path) -> Stock:
+def dependency_map_of(root: Path) -> DependencyMap:
     twin = load_twin(root / "twin.yaml")
     goldens = [load_golden(path, twin) for path in sorted((root / "golden").iterdir())]
     realization = load(root / "fr3.urdf", twin=twin)
     models = {"mujoco": Model(realization.parts, realization.structure)}
-    return take_stock(twin, goldens, models, _surroundings(twin))
+    return dependency_map(twin, goldens, models, _surroundings(twin))
 
 
-def _surroundings(twin: Twin) -> Surroundings:
+def _surroundings(twin: Twin) -> Lookups:
     def digest(golden: Golden | None, reference: str) -> str | None:
         try:
             return file_sha256(
@@ -212,7 +212,7 @@ def _surroundings(twin: Twin) -> Surroundings:
         except TwinError:
             return None
 
-    return Surroundings(check_of, installed_version, digest)
+    return Lookups(check_of, installed_version, digest)
 
 
 def change_mount(root: Path) -> None:
@@ -257,10 +257,10 @@ CHANGES: list[tuple[Callable[[Path], None], set[str], str]] = [
 def test_a_change_makes_only_the_dependent_goldens_stale(
     cell: Path, change: Callable[[Path], None], stale: set[str], words: str
 ) -> None:
-    before = stock_of(cell)
-    release = Baseline(1, before.parts, dict.fromkeys(before.rests_on, True), before.rests_on)
+    before = dependency_map_of(cell)
+    release = Baseline(1, before.parts, dict.fromkeys(before.depends_on, True), before.depends_on)
     change(cell)
-    reasons = staleness(stock_of(cell), release)
+    reasons = staleness(dependency_map_of(cell), release)
     found = {key.split("/")[1].split("@")[0]: why for key, why in reasons.items() if why}
     assert found.keys() == stale
     assert not words or any(str(reason).startswith(words) for reason in found["hand_eye"])
@@ -271,17 +271,17 @@ def test_a_change_makes_only_the_dependent_goldens_stale(
 
 def record_lines(root: Path, change: Callable[[Path], None]) -> list[str]:
     """Lines of ``--twin-why`` about records after a change to a released twin."""
-    before = stock_of(root)
-    release = Baseline(1, before.parts, dict.fromkeys(before.rests_on, True), before.rests_on)
+    before = dependency_map_of(root)
+    release = Baseline(1, before.parts, dict.fromkeys(before.depends_on, True), before.depends_on)
     change(root)
-    now = stock_of(root)
+    now = dependency_map_of(root)
     twin = load_twin(root / "twin.yaml")
     tasks = {}
     for path in sorted((root / "golden").iterdir()):
         golden = load_golden(path, twin)
         key = f"{golden.id}@mujoco"
         reasons = staleness(now, release)[key]
-        tasks[key] = Task(golden, "mujoco", tuple(now.rests_on[key]), reasons, None)
+        tasks[key] = Task(golden, "mujoco", tuple(now.depends_on[key]), reasons, None)
     return [
         line
         for line in why_lines(Plan(tasks, now.parts))

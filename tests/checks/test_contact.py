@@ -457,8 +457,8 @@ def test_contact_force_and_normal_act_on_the_first_body_of_the_pair(tmp_path: Pa
     data = mujoco.MjData(robot.model)
     mujoco.mj_forward(robot.model, data)
     ball, floor = (scene.geoms_of(robot.model, name, False) for name in ("ball", "floor"))
-    upper = scene.touch(robot.model, data, ball, floor)
-    lower = scene.touch(robot.model, data, floor, ball)
+    upper = scene.pair_contact(robot.model, data, ball, floor)
+    lower = scene.pair_contact(robot.model, data, floor, ball)
     assert upper.normal == pytest.approx([0.0, 0.0, 1.0])
     assert upper.force[2] > 0.0
     assert upper.normal_force == pytest.approx(upper.force[2])

@@ -191,7 +191,7 @@ def test_a_pose_that_cannot_close_the_loop_is_refused(tmp_path: Path) -> None:
         ({"joints": {"lift": "3 mm"}}, r"unit 'mm' does not fit .*got '3 mm'; expected .*rad"),
         ({"joints": {"left": "3 deg"}}, r"unit 'deg' does not fit"),
         ({"joints": {"left": float("nan")}}, r"not a finite number"),
-        ({"joints": {"left": "five"}}, r"no quantity with a unit"),
+        ({"joints": {"left": "five"}}, r"not a quantity with a unit"),
     ],
 )
 def test_invalid_poses_are_refused_with_the_expected_form(

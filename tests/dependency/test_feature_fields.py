@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pytest_twin.realization.features.fields import (
-    CLAIMED,
     DERIVED,
+    FIELDS_OF_LAYER,
     VISUAL,
     layer_of,
     model_fields,
@@ -140,8 +140,8 @@ def digests(model: mujoco.MjModel) -> dict[str, str]:
 def test_every_field_of_the_mujoco_model_is_classified(model: mujoco.MjModel) -> None:
     fields = model_fields(model)
     assert len(fields) > 500
-    claimed = {name for names in CLAIMED.values() for name in names}
-    assert len(claimed) == sum(len(names) for names in CLAIMED.values()), (
+    claimed = {name for names in FIELDS_OF_LAYER.values() for name in names}
+    assert len(claimed) == sum(len(names) for names in FIELDS_OF_LAYER.values()), (
         "a field belongs to two parts"
     )
     assert not claimed & (DERIVED | VISUAL)
@@ -168,7 +168,7 @@ def test_an_unknown_field_is_classified_as_other(model: mujoco.MjModel) -> None:
 def test_all_classified_fields_have_values_in_the_test_model(model: mujoco.MjModel) -> None:
     empty = {
         name
-        for names in CLAIMED.values()
+        for names in FIELDS_OF_LAYER.values()
         for name in names
         if isinstance(array := getattr(model, name), np.ndarray) and not array.size
     }
@@ -177,7 +177,7 @@ def test_all_classified_fields_have_values_in_the_test_model(model: mujoco.MjMod
 
 ARRAYS = sorted(
     (layer, name)
-    for layer, names in CLAIMED.items()
+    for layer, names in FIELDS_OF_LAYER.items()
     for name in names - ABSENT - {"opt", "stat", "nconmax", "njmax", "narena", "text_data"}
 )
 

@@ -11,49 +11,51 @@ from hypothesis import strategies as st
 
 from pytest_twin.dependency import Part, canonical
 from pytest_twin.outcome import Reason
-from pytest_twin.staleness import Baseline, Stock, changes, staleness
+from pytest_twin.staleness import Baseline, DependencyMap, changes, staleness
 
 KEY = "golden/a@mujoco"
 
 
-def stock(**parts: float) -> Stock:
+def dependencies(**parts: float) -> DependencyMap:
     found = {name: Part(name, {"value": value}) for name, value in parts.items()}
-    return Stock(found, {KEY: frozenset(found)})
+    return DependencyMap(found, {KEY: frozenset(found)})
 
 
-def baseline(of: Stock, *, passed: bool = True) -> Baseline:
-    return Baseline(3, of.parts, dict.fromkeys(of.rests_on, passed), of.rests_on)
+def baseline(of: DependencyMap, *, passed: bool = True) -> Baseline:
+    return Baseline(3, of.parts, dict.fromkeys(of.depends_on, passed), of.depends_on)
 
 
-def why(today: Stock, before: Baseline | None) -> list[str]:
+def why(today: DependencyMap, before: Baseline | None) -> list[str]:
     return [str(reason) for reason in staleness(today, before)[KEY]]
 
 
 def test_a_golden_with_unchanged_parts_is_fresh() -> None:
-    assert why(stock(a=1, b=2), baseline(stock(a=1, b=2))) == []
-    assert why(stock(a=0.1 + 0.2), baseline(stock(a=0.3))) == []
+    assert why(dependencies(a=1, b=2), baseline(dependencies(a=1, b=2))) == []
+    assert why(dependencies(a=0.1 + 0.2), baseline(dependencies(a=0.3))) == []
 
 
 def test_each_reason_for_staleness_has_its_own_message() -> None:
-    before = baseline(stock(a=1, b=2))
-    assert why(stock(a=1, b=2), None) == ["no release yet"]
-    assert why(stock(a=1, b=3), before) == ["b: value 2 -> 3"]
-    assert why(stock(a=1), before) == ["b: dependency set changed: removed"]
-    assert why(stock(a=1, b=2, c=0), before) == ["c: dependency set changed: added"]
-    assert why(stock(a=1, b=2), baseline(stock(a=1, b=2), passed=False)) == ["failed in release 3"]
+    before = baseline(dependencies(a=1, b=2))
+    assert why(dependencies(a=1, b=2), None) == ["no release yet"]
+    assert why(dependencies(a=1, b=3), before) == ["b: value 2 -> 3"]
+    assert why(dependencies(a=1), before) == ["b: dependency set changed: removed"]
+    assert why(dependencies(a=1, b=2, c=0), before) == ["c: dependency set changed: added"]
+    assert why(dependencies(a=1, b=2), baseline(dependencies(a=1, b=2), passed=False)) == [
+        "failed in release 3"
+    ]
     other = Baseline(3, before.parts, {}, {})
-    assert why(stock(a=1), other) == ["not in release 3"]
+    assert why(dependencies(a=1), other) == ["not in release 3"]
 
 
 def test_a_golden_that_depends_on_a_missing_part_is_always_stale() -> None:
-    today = Stock({}, {KEY: frozenset({"mujoco/frame:gone"})})
+    today = DependencyMap({}, {KEY: frozenset({"mujoco/frame:gone"})})
     assert why(today, baseline(today)) == ["mujoco/frame:gone: is missing"]
 
 
 def test_a_golden_is_stale_if_the_release_lacks_one_of_its_parts() -> None:
-    before = baseline(stock(a=1, b=2))
-    torn = Baseline(3, {"a": before.parts["a"]}, before.passed, before.rested_on)
-    assert staleness(stock(a=1, b=2), torn)[KEY] != ()
+    before = baseline(dependencies(a=1, b=2))
+    torn = Baseline(3, {"a": before.parts["a"]}, before.passed, before.depended_on)
+    assert staleness(dependencies(a=1, b=2), torn)[KEY] != ()
 
 
 DIFFERENCES = [
@@ -100,8 +102,8 @@ contents = st.dictionaries(st.text(max_size=3), values, max_size=4)
 
 @given(contents, contents)
 def test_a_golden_is_stale_exactly_if_the_content_of_a_part_differs(old: dict, new: dict) -> None:  # type: ignore[type-arg]
-    today = Stock({"p": Part("p", new)}, {KEY: frozenset({"p"})})
-    before = Baseline(1, {"p": Part("p", old)}, {KEY: True}, today.rests_on)
+    today = DependencyMap({"p": Part("p", new)}, {KEY: frozenset({"p"})})
+    before = Baseline(1, {"p": Part("p", old)}, {KEY: True}, today.depends_on)
     assert bool(staleness(today, before)[KEY]) == (canonical(old) != canonical(new))
 
 
@@ -120,11 +122,11 @@ def test_the_cost_of_staleness_is_linear_in_the_number_of_goldens() -> None:
     def calls(count: int) -> int:
         parts = {f"p{i}": Part(f"p{i}", {"v": i}) for i in range(200 + count)}
         shared = {f"p{i}" for i in range(200)}
-        rests_on = {f"g{i}@m": frozenset(shared | {f"p{200 + i}"}) for i in range(count)}
-        before = Baseline(1, dict(parts), dict.fromkeys(rests_on, True), rests_on)
+        depends_on = {f"g{i}@m": frozenset(shared | {f"p{200 + i}"}) for i in range(count)}
+        before = Baseline(1, dict(parts), dict.fromkeys(depends_on, True), depends_on)
         parts["p0"] = Part("p0", {"v": -1})
         profile = cProfile.Profile()
-        found = profile.runcall(staleness, Stock(parts, rests_on), before)
+        found = profile.runcall(staleness, DependencyMap(parts, depends_on), before)
         assert all(found.values())
         return int(pstats.Stats(profile).total_calls)
 

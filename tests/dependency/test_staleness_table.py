@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from stock_of import proven, stock_of
+from dependency_map_of import dependency_map_of, proven
 
 from pytest_twin.staleness import staleness
 
@@ -401,7 +401,7 @@ FILES: list[tuple[str, Edit, frozenset[str] | set[str]]] = [
 
 @pytest.fixture(scope="module")
 def before(template: Path) -> object:
-    return proven(stock_of(template))
+    return proven(dependency_map_of(template))
 
 
 @pytest.mark.parametrize(("edit", "expected"), [c[1:] for c in FILES], ids=[c[0] for c in FILES])
@@ -411,7 +411,7 @@ def test_a_change_makes_exactly_the_expected_goldens_stale(
     root = tmp_path / "arm"
     shutil.copytree(template, root)
     edit(root)
-    reasons = staleness(stock_of(root), before)  # type: ignore[arg-type]
+    reasons = staleness(dependency_map_of(root), before)  # type: ignore[arg-type]
     stale = {key.split("/")[1].split("@")[0]: why for key, why in reasons.items() if why}
     assert set(stale) == expected, {
         "missed": expected - stale.keys(),
@@ -431,17 +431,17 @@ VERSIONS = [
 def test_a_changed_library_version_makes_exactly_the_expected_goldens_stale(
     template: Path, before: object, name: str, expected: set[str]
 ) -> None:
-    reasons = staleness(stock_of(template, {name: "99"}), before)  # type: ignore[arg-type]
+    reasons = staleness(dependency_map_of(template, {name: "99"}), before)  # type: ignore[arg-type]
     assert {key.split("/")[1].split("@")[0] for key, why in reasons.items() if why} == expected
     assert all(r.new == "99" for why in reasons.values() for r in why)
 
 
 def test_an_unchanged_twin_has_no_stale_golden(template: Path, before: object) -> None:
-    assert not any(staleness(stock_of(template), before).values())  # type: ignore[arg-type]
+    assert not any(staleness(dependency_map_of(template), before).values())  # type: ignore[arg-type]
 
 
 def test_without_a_release_all_goldens_are_stale(template: Path) -> None:
-    reasons = staleness(stock_of(template), None)
+    reasons = staleness(dependency_map_of(template), None)
     assert {str(r) for why in reasons.values() for r in why} == {"no release yet"}
 
 
@@ -495,5 +495,5 @@ def test_the_reason_for_staleness_names_part_field_and_values(
     root = tmp_path / "arm"
     shutil.copytree(template, root)
     edit(root)
-    reasons = staleness(stock_of(root), before)  # type: ignore[arg-type]
+    reasons = staleness(dependency_map_of(root), before)  # type: ignore[arg-type]
     assert words in {str(reason) for why in reasons.values() for reason in why}

@@ -94,7 +94,7 @@ def test_specs_are_yaml_files_below_golden_outside_releases_and_inner_twins(twin
         (
             "position: 0.5 mm",
             "position: -1 mm",
-            "home.yaml:7: tolerance.position: a tolerance below zero lets nothing pass",
+            "home.yaml:7: tolerance.position: the tolerance is negative",
         ),
         (
             "schema: 1",

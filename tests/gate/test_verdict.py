@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_twin.gate.verdict import Facts, Holds, Refused, SessionFacts, Signed, judge
+from pytest_twin.gate.verdict import Facts, Refused, Releasable, SessionFacts, StillValid, judge
 from pytest_twin.outcome import Measure, Outcome
 
 FINE = Measure("position", "tcp", 0.0, 0.0, 1e-5, 1e-4, "m")
@@ -31,25 +31,25 @@ def refusals(found: Facts) -> tuple[str, ...]:
 
 
 def test_a_run_with_all_goldens_passed_is_signed() -> None:
-    assert judge(facts()) == Signed()
+    assert judge(facts()) == Releasable()
 
 
 def test_the_last_release_holds_if_no_golden_had_to_run() -> None:
-    assert judge(facts(outcomes={}, proven={KEY: outcome()}, baseline=3)) == Holds(3)
+    assert judge(facts(outcomes={}, proven={KEY: outcome()}, baseline=3)) == StillValid(3)
 
 
 def test_a_repeated_advisory_failure_needs_no_new_release() -> None:
     failed = outcome("failed", replace(FINE, error=1.0), "advisory")
     found = facts(criticality={KEY: "advisory"}, outcomes={KEY: failed}, baseline=3)
-    assert judge(found) == Signed()
-    assert judge(replace(found, repeated=frozenset({KEY}))) == Holds(3)
+    assert judge(found) == Releasable()
+    assert judge(replace(found, repeated=frozenset({KEY}))) == StillValid(3)
 
 
 def test_a_retired_golden_requires_a_new_release() -> None:
     found = facts(
         outcomes={}, proven={KEY: outcome()}, baseline=3, dropped=("golden/fk/old@mujoco",)
     )
-    assert judge(found) == Signed()
+    assert judge(found) == Releasable()
 
 
 def test_carried_over_and_new_results_are_signed_together() -> None:
@@ -57,14 +57,14 @@ def test_carried_over_and_new_results_are_signed_together() -> None:
     found = facts(
         criticality={KEY: "critical", other: "critical"}, proven={other: outcome()}, baseline=1
     )
-    assert judge(found) == Signed()
+    assert judge(found) == Releasable()
 
 
 @pytest.mark.parametrize("criticality", ["critical", "advisory"])
 def test_only_critical_failures_block_a_release(criticality: str) -> None:
     failed = outcome("failed", replace(FINE, error=1.0), criticality)
     verdict = judge(facts(criticality={KEY: criticality}, outcomes={KEY: failed}))
-    assert isinstance(verdict, Signed) == (criticality == "advisory")
+    assert isinstance(verdict, Releasable) == (criticality == "advisory")
 
 
 def test_a_carried_over_result_is_judged_by_the_current_criticality() -> None:

@@ -29,7 +29,7 @@ from pytest_twin.gate.specs import load_golden
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import load
 from pytest_twin.report.identification import encoder_rows, render, signal_rows
-from pytest_twin.staleness import Baseline, Model, Stock, Surroundings, staleness, take_stock
+from pytest_twin.staleness import Baseline, DependencyMap, Lookups, Model, dependency_map, staleness
 from pytest_twin.twin import load_twin
 
 SPEC = """\
@@ -86,7 +86,7 @@ def measures_of(root: Path) -> list[Measure]:
     return check.compare(golden, check.observe(golden, robot, lambda fraction: None), None)
 
 
-def stock_of(root: Path) -> Stock:
+def dependency_map_of(root: Path) -> DependencyMap:
     twin = load_twin(root / "twin.yaml")
     goldens = [load_golden(path, twin) for path in sorted((root / "golden").glob("*.yaml"))]
     robot = load(root / "model.xml", twin=twin)
@@ -95,13 +95,13 @@ def stock_of(root: Path) -> Stock:
         found = root / reference if golden is None else find_file(golden, "target", reference, twin)
         return file_sha256(found)
 
-    surroundings = Surroundings(check_of, installed_version, digest)
-    return take_stock(twin, goldens, {"mujoco": Model(robot.parts, robot.structure)}, surroundings)
+    lookups = Lookups(check_of, installed_version, digest)
+    return dependency_map(twin, goldens, {"mujoco": Model(robot.parts, robot.structure)}, lookups)
 
 
-def stale_goldens(before: Stock, after: Stock) -> set[str]:
-    passed = dict.fromkeys(before.rests_on, True)
-    release = Baseline(1, before.parts, passed, before.rests_on)
+def stale_goldens(before: DependencyMap, after: DependencyMap) -> set[str]:
+    passed = dict.fromkeys(before.depends_on, True)
+    release = Baseline(1, before.parts, passed, before.depends_on)
     return {key for key, why in staleness(after, release).items() if why}
 
 
@@ -205,14 +205,14 @@ def test_a_golden_with_a_changed_recording_is_refused(cell: Path) -> None:
 
 
 def test_a_changed_record_makes_only_the_goldens_stale_that_depend_on_it(cell: Path) -> None:
-    before = stock_of(cell)
+    before = dependency_map_of(cell)
     document = json.loads((cell / "record.json").read_text())
     document["fit"]["joint"]["elbow"]["damping"] += 0.01
     (cell / "record.json").write_text(json.dumps(document))
-    assert stale_goldens(before, stock_of(cell)) == {"golden/effort@mujoco"}
+    assert stale_goldens(before, dependency_map_of(cell)) == {"golden/effort@mujoco"}
     document["parameters"]["elbow.viscous_friction"]["value"] += 0.01
     (cell / "record.json").write_text(json.dumps(document))
-    assert stale_goldens(before, stock_of(cell)) == {"golden/effort@mujoco"}
+    assert stale_goldens(before, dependency_map_of(cell)) == {"golden/effort@mujoco"}
 
 
 def write_twin_with_errors(folder: Path, bias: float, late: float, payload: str) -> Path:
@@ -293,8 +293,11 @@ def test_a_calibration_replaces_an_identified_encoder_correction(
 
 
 def test_a_golden_depends_on_the_identified_encoder_correction(twin_with_errors: Path) -> None:
-    assert "calibration:shoulder" in stock_of(twin_with_errors).parts
-    assert "calibration:shoulder" in stock_of(twin_with_errors).rests_on["golden/effort@mujoco"]
+    assert "calibration:shoulder" in dependency_map_of(twin_with_errors).parts
+    assert (
+        "calibration:shoulder"
+        in dependency_map_of(twin_with_errors).depends_on["golden/effort@mujoco"]
+    )
 
 
 def test_a_second_record_keeps_the_encoder_correction_of_the_first_one(

@@ -193,7 +193,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a negative tolerance",
         golden("0.1 mm", "-0.1 mm"),
-        "ARM/golden/home.yaml:8: tolerance.position: a tolerance below zero lets nothing pass"
+        "ARM/golden/home.yaml:8: tolerance.position: the tolerance is negative"
         " (got '-0.1 mm'; expected zero or more)",
     ),
     (
@@ -262,7 +262,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a quantity without number",
         lambda root: parse_quantity("mm", ("m",)),
-        "no quantity with a unit (got 'mm'; expected a number and a unit, such as '1 m' or '1"
+        "not a quantity with a unit (got 'mm'; expected a number and a unit, such as '1 m' or '1"
         " mm' or '1 um')",
     ),
     (

@@ -28,7 +28,7 @@ THEIRS = EntryPoint("theirs", "pathlib:Path", "")
         ),
         (
             checks,
-            (installed.points_by_name, checks.check_of),
+            (installed.entry_points_by_name, checks.check_of),
             lambda file: checks.check_of("fk"),
             "pytest_twin.checks",
         ),
@@ -48,7 +48,7 @@ def test_an_outdated_installation_is_reported_with_the_command_to_run(
     file = tmp_path / "log.csv"
     file.write_text("time,a.position\n0.0,1\n")
     if module is recordings:
-        monkeypatch.setattr(recordings, "brought", lambda point, noun: NoReader())
+        monkeypatch.setattr(recordings, "load_plugin", lambda point, noun: NoReader())
     asked = installed if module is checks else module
     monkeypatch.setattr(asked, "entry_points", lambda group: registered)
     clear_caches(kept)

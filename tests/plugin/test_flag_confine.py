@@ -14,7 +14,7 @@ import yaml
 from pytest_twin.realization import confinement
 
 needs_landlock = pytest.mark.skipif(
-    confinement.obstacle() is not None, reason=str(confinement.obstacle())
+    confinement.why_not_confined() is not None, reason=str(confinement.why_not_confined())
 )
 
 TRY = """\
@@ -116,7 +116,7 @@ def test_a_confined_golden_cannot_read_tokens_in_environment_variables(
 
 
 def test_no_golden_runs_if_confinement_is_not_possible(recorded, monkeypatch) -> None:
-    monkeypatch.setattr(confinement, "obstacle", lambda: "no Landlock here")
+    monkeypatch.setattr(confinement, "why_not_confined", lambda: "no Landlock here")
     result = recorded.run("--twin-confine")
     assert result.ret == pytest.ExitCode.INTERRUPTED
     assert "--twin-confine: no Landlock here" in result.stdout.lines
@@ -129,11 +129,14 @@ def test_no_golden_runs_if_confinement_is_not_possible(recorded, monkeypatch) ->
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "landlock", None)
-    assert confinement.obstacle() == (
+    assert confinement.why_not_confined() == (
         "confinement needs the package landlock: pip install 'pytest-twin[confine]'"
     )
 
 
 def test_on_other_systems_the_message_says_that_confinement_needs_linux(monkeypatch) -> None:
     monkeypatch.setattr("sys.platform", "darwin")
-    assert confinement.obstacle() == "confinement needs Linux; run without it, or in a container"
+    assert (
+        confinement.why_not_confined()
+        == "confinement needs Linux; run without it, or in a container"
+    )

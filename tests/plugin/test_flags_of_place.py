@@ -74,7 +74,7 @@ def test_only_the_golden_that_exceeds_the_timeout_fails(recorded) -> None:
     result = recorded.run("--twin-timeout", "8")
     assert time.monotonic() - start < 30
     result.assert_outcomes(passed=2, failed=1)
-    result.stdout.fnmatch_lines(["*ran past its bound of time and was killed*at most 8 s*"])
+    result.stdout.fnmatch_lines(["*exceeded its time limit and was killed*at most 8 s*"])
 
 
 @pytest.mark.parametrize("value", ["0", "soon", "nan", "-1"])

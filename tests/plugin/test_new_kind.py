@@ -108,8 +108,8 @@ def test_a_kind_defined_by_two_packages_is_refused(with_kind) -> None:
     result = with_kind.run_apart("--collect-only")
     result.stdout.fnmatch_lines(
         [
-            "*/golden/box.yaml:2: kind: package 'box*' * and package 'box*' * both bring this kind "
-            "(got 'box_rest'; expected one of them; uninstall the other)"
+            "*/golden/box.yaml:2: kind: package 'box*' * and package 'box*' * both provide this "
+            "kind (got 'box_rest'; expected one of them; uninstall the other)"
         ]
     )
 

@@ -95,7 +95,7 @@ def test_no_process_and_no_pipe_remains() -> None:
         time.sleep(0.2)
         in_forks([partial(_squared, i) for i in range(2)], 2)
         time.sleep(0.2)
-        forks_of_the_process._bury()
+        forks_of_the_process._reap_ended()
         with pytest.raises(ChildProcessError):
             os.waitpid(-1, os.WNOHANG)
     gc.collect()

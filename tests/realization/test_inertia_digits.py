@@ -30,7 +30,9 @@ def test_a_repaired_inertia_rounded_to_nine_digits_still_compiles() -> None:
     for _ in range(300):
         axes, _ = np.linalg.qr(random.normal(size=(3, 3)))
         broken = axes @ np.diag(random.uniform(1e-4, 1e-3, 3) * [1, 1, 5]) @ axes.T
-        stated = [float(f"{value:.9g}") for value in inertia.six(inertia.consistent(broken))]
+        stated = [
+            float(f"{value:.9g}") for value in inertia.six_components(inertia.consistent(broken))
+        ]
         spec = mujoco.MjSpec()
         body = spec.worldbody.add_body()
         body.add_joint()

@@ -59,7 +59,7 @@ def test_meshes_in_the_usual_ros_layout_are_found_without_options(tmp_path: Path
     assert located.root.folder == tmp_path / "ws/arm"
     assert load(path).notes[0] == (
         f"root of the model: {tmp_path}/ws/arm "
-        "(the nearest folder that holds every file that it names)"
+        "(the nearest folder with all files that it refers to)"
     )
 
 
@@ -99,7 +99,7 @@ def test_a_renamed_package_without_manifest_is_found_by_its_contents(tmp_path: P
     assert located.packages.found["arm_description"].folder == tmp_path / "arm-main"
     assert located.root is not None
     assert located.root.folder == tmp_path / "arm-main"
-    assert located.root.why == "the nearest folder that holds every file that it names"
+    assert located.root.why == "the nearest folder with all files that it refers to"
 
 
 def test_ros_environment_variables_are_searched_last(

@@ -165,7 +165,7 @@ def test_cyclic_model_attachments_are_refused(tmp_path: Path) -> None:
         (model_with(head="<default><joint damping='-1'/></default>"), "joint.damping: negative"),
         (model_with("<geom size='.1' density='-5'/>"), "geom.density: negative"),
         (model_with(head="<extension><plugin plugin='x'/></extension>"), "native code"),
-        (model_with("<site file='a.png'/>"), "no file may stand here"),
+        (model_with("<site file='a.png'/>"), "no file is allowed here"),
         (model_with(asset="<mesh name='m' file='a.blend'/>"), "no such file"),
         ("<sdf/>", "not a robot model"),
     ],

@@ -78,7 +78,7 @@ def test_an_impossible_inertia_is_refused_without_balanceinertia(tmp_path: Path)
 def test_corrected_inertias_and_ignored_options_are_noted(tmp_path: Path) -> None:
     notes = load(robot(tmp_path, f"<compiler {BALANCE} settotalmass='3'/>", 0.05)).notes
     assert any("link 'a' has the mass and inertia that <mujoco><compiler>" in n for n in notes)
-    assert any("<compiler settotalmass> is not honoured" in n for n in notes)
+    assert any("<compiler settotalmass> is not applied" in n for n in notes)
 
 
 def test_simulation_options_are_the_same_as_in_mujoco(tmp_path: Path) -> None:

@@ -110,8 +110,8 @@ def test_a_floating_joint_on_the_world_becomes_a_free_joint(tmp_path: Path) -> N
     [
         ('<mass value="2"/>', '<mass value="-2"/>', 6, "link 'upper' has a negative mass"),
         ('<mass value="2"/>', '<mass value="nan"/>', 6, "mass.value: not a finite number"),
-        ('<mass value="2"/>', '<mass value="1e300"/>', 6, "mass.value: out of all proportion"),
-        ('ixx="0.02"', 'ixx="1e308"', 7, "inertia.ixx: out of all proportion"),
+        ('<mass value="2"/>', '<mass value="1e300"/>', 6, "mass.value: too large"),
+        ('ixx="0.02"', 'ixx="1e308"', 7, "inertia.ixx: too large"),
         ('<mass value="2"/>', "<mass/>", 6, "mass.value: missing"),
         ('ixx="0.02"', 'ixx="0.2"', 4, "link 'upper' has an inertia that no body can have"),
         ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', 22, "axis without direction"),

@@ -27,7 +27,7 @@ from pytest_twin.errors import ReleaseError
 from pytest_twin.release import canonical_json, folder, keys, names, statement
 from pytest_twin.release.envelope import PAYLOAD_TYPE, open_envelope, seal
 from pytest_twin.release.limits import ReleaseLimits
-from pytest_twin.release.verify import Found, verify
+from pytest_twin.release.verify import FolderEntry, verify
 
 
 def problems(path: Path, now: datetime = NOW, **options: Any) -> list[tuple[str, str]]:
@@ -684,9 +684,9 @@ def test_verification_works_on_file_facts_without_disk_access(root: Path, first:
     trusted = keys.load_trusted(root / "keys")
     read = release.check(first, now=NOW).release
     assert read is not None
-    facts = {entry.name: Found("file", entry.sha256, entry.size) for entry in read.files}
+    facts = {entry.name: FolderEntry("file", entry.sha256, entry.size) for entry in read.files}
     for name in ("files", "files/meshes", "files/golden", "files/golden/fk"):
-        facts[name] = Found("folder")
+        facts[name] = FolderEntry("folder")
     assert verify(data, facts, trusted, now=NOW).holds
     mesh = facts["files/meshes/link.stl"]
     for wrong in (

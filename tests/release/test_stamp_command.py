@@ -341,7 +341,9 @@ def test_a_parse_error_in_the_child_process_keeps_its_message(tmp_path: Path) ->
         carrier.read()
 
 
-@pytest.mark.skipif(confinement.obstacle() is not None, reason=str(confinement.obstacle()))
+@pytest.mark.skipif(
+    confinement.why_not_confined() is not None, reason=str(confinement.why_not_confined())
+)
 def test_the_child_that_opens_a_stamped_file_reaches_no_file_outside_the_data(
     tmp_path: Path,
 ) -> None:

@@ -85,8 +85,8 @@ def test_a_bare_model_is_replayed_with_topics_from_the_option(
                  str(arm / "o.mcap"), "--topics", "state=/js,command=/jc"]  # fmt: skip
     assert cli.main(arguments) == 0
     assert (
-        "note: moves.mcap names controller 'soft', and no twin.yaml says what that is: the model "
-        "was stepped as it stands"
+        "note: moves.mcap names controller 'soft', which no twin.yaml declares: the nominal model "
+        "was stepped"
     ) in capsys.readouterr().out
 
 

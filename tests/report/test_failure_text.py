@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_twin.outcome import Measure, Outcome, Reason, use_of_tolerance
+from pytest_twin.outcome import Measure, Outcome, Reason, tolerance_ratio
 from pytest_twin.report.failure import failure_text, headline, measure_table
 from pytest_twin.report.text import printable, use
 
@@ -125,7 +125,7 @@ def test_the_used_fraction_of_a_tolerance_is_in_percent_or_multiples(
 ) -> None:
     measure = Measure("a", "b", 0.0, 0.0, error, tolerance, "m")
     assert use(measure) == expected
-    assert measure.passed == (use_of_tolerance(measure) <= 1.0)
+    assert measure.passed == (tolerance_ratio(measure) <= 1.0)
 
 
 def test_an_outcome_survives_conversion_to_json_and_back() -> None:

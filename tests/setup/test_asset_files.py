@@ -87,5 +87,5 @@ def test_special_characters_in_the_name_of_a_root_are_replaced(tmp_path: Path) -
 
 def test_an_existing_asset_is_not_overwritten(arm: RobotFiles, tmp_path: Path) -> None:
     bring_in(arm, tmp_path / "twin")
-    with pytest.raises(SpecError, match="the asset's place is taken"):
+    with pytest.raises(SpecError, match="the folder for the asset exists"):
         bring_in(arm, tmp_path / "twin")

@@ -104,7 +104,7 @@ def test_an_existing_spec_is_not_overwritten(tmp_path: Path) -> None:
     made = run("pytest-twin", "init", "robot.xml", cwd=folder)
     assert made.returncode == 2
     assert made.stderr == (
-        f"pytest-twin init: {mine}: the golden's place is taken (expected a new folder)\n"
+        f"pytest-twin init: {mine}: the golden exists already (expected a new folder)\n"
     )
     assert mine.read_text() == "# mine\n"
     assert sorted(path.name for path in folder.iterdir()) == ["golden", "robot.xml"]

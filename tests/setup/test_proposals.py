@@ -166,11 +166,15 @@ def test_for_a_urdf_with_several_limbs_a_note_says_that_its_base_is_fixed(tmp_pa
     )
     (tmp_path / "dog.urdf").write_text(f"<robot name='dog'>{trunk}{limbs}</robot>")
     note_text = "trunk is fixed to the world: a URDF does not say whether a base floats."
-    assert any(note_text in note for note in inspection.look(str(tmp_path / "dog.urdf"))["notes"])
+    assert any(
+        note_text in note for note in inspection.inspect_model(str(tmp_path / "dog.urdf"))["notes"]
+    )
     spec = proposed_specs("settling", load(tmp_path / "dog.urdf"))["gravity"]
     assert any(note_text in note for note in spec["notes"])
     robot = arm(tmp_path)
-    assert not any("fixed to the world" in n for n in inspection.look(str(robot.path))["notes"])
+    assert not any(
+        "fixed to the world" in n for n in inspection.inspect_model(str(robot.path))["notes"]
+    )
 
 
 def test_without_servos_no_title_mentions_servos(tmp_path: Path) -> None:
@@ -270,7 +274,7 @@ def test_the_commented_servo_lines_of_twin_yaml_are_valid_once_gains_are_filled_
     tmp_path: Path,
 ) -> None:
     robot = arm(tmp_path)
-    look = inspection.look(str(robot.path))
+    look = inspection.inspect_model(str(robot.path))
     first_twin = FirstTwin(
         name="arm", model=robot.path, source=[robot.path], roots={}, tcp=None,
         inertia_repairs={}, motors=look["motors"], reading={},
@@ -278,7 +282,9 @@ def test_the_commented_servo_lines_of_twin_yaml_are_valid_once_gains_are_filled_
     written = write_twin_file(tmp_path, first_twin)
     lines = written.read_text().splitlines()
     begin = lines.index("# fit:")
-    end = next(i for i, line in enumerate(lines) if line.startswith("# What no file shows"))
+    end = next(
+        i for i, line in enumerate(lines) if line.startswith("# Dependencies that are in no file")
+    )
     gains = [line.removeprefix("# ") for line in lines[begin:end]]
     written.write_text("\n".join([*lines[:begin], *gains, *lines[end:]]))
     with pytest.raises(SpecError, match=r"fit\.actuator\.joint0\.kp"):
@@ -287,7 +293,7 @@ def test_the_commented_servo_lines_of_twin_yaml_are_valid_once_gains_are_filled_
     written.write_text(text)
     twin = load_twin(written)
     realization = load(twin.realizations["mujoco"].file, twin=twin)
-    assert inspection.look(str(robot.path))["motors"] == dict.fromkeys(
+    assert inspection.inspect_model(str(robot.path))["motors"] == dict.fromkeys(
         ["joint0", "joint1", "joint2"], "hinge"
     )
     assert proposed_specs("settling", realization)["gravity"]["title"] == (

@@ -170,7 +170,7 @@ def test_a_joint_value_can_be_fixed_but_not_that_of_a_mimic(tmp_path: Path) -> N
     q = find(configurations(path, {"left": 0.03}), lambda q: True)
     assert (q["left"], q["right"]) == (0.03, pytest.approx(0.005))
     with pytest.raises(
-        SpecError, match=r"joints: no independent joint \(got 'right'; expected left, turn"
+        SpecError, match=r"joints: not an independent joint \(got 'right'; expected left, turn"
     ):
         configurations(path, {"right": 0.0})
 

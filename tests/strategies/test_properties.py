@@ -142,28 +142,29 @@ FAULTS: list[tuple[str, str, str, str, str]] = [
         '<axis xyz="0 1 0"/>',
         '<axis xyz="0 -1 0"/>',
         "MuJoCo",
-        "joint 'shoulder': moves the other way round by 3.142 rad .*, MuJoCo against URDF",
+        "joint 'shoulder': moves in the opposite direction by 3.142 rad .*, MuJoCo against URDF",
     ),
     (
         "forward_kinematics",
         'xyz="0.2 0 0" rpy="0 0 1"',
         'xyz="0.2 0 0.0005" rpy="0 0 1"',
         "Pinocchio",
-        r"frame '\w+': stands elsewhere by 0.0005 m \(tolerance 1e-06 m\), Pinocchio against URDF",
+        r"frame '\w+': has another position by 0.0005 m \(tolerance 1e-06 m\), Pinocchio against "
+        "URDF",
     ),
     (
         "mass_matrix",
         'ixx="0.01" iyy="0.012"',
         'ixx="0.01" iyy="0.013"',
         "Pinocchio",
-        "joint 'shoulder': feels another inertia by 0.00.* kg[*]m",
+        "joint 'shoulder': has another inertia by 0.00.* kg[*]m",
     ),
     (
         "gravity_torque",
         'xyz="0.05 0.01 0"',
         'xyz="0.06 0.01 0"',
         "Pinocchio",
-        "is loaded otherwise by gravity by .* N[*]m",
+        "has another gravity torque by .* N[*]m",
     ),
     (
         "center_of_mass",
@@ -333,8 +334,10 @@ def test_mirrored_and_rerooted_properties_detect_a_wrong_transformation(
 ) -> None:
     # A new asset, because imported forms are cached.
     asset = asset_of(tmp_path)
-    monkeypatch.setattr(f"pytest_twin.properties.other_clothes.trees.{name}", broken)
-    with pytest.raises(PropertyError, match=r"frame '\w+': .*(mirrored|held by 'tool'), is turned"):
+    monkeypatch.setattr(f"pytest_twin.properties.transformed.trees.{name}", broken)
+    with pytest.raises(
+        PropertyError, match=r"frame '\w+': .*(mirrored|with root 'tool'), has another orientation"
+    ):
         PROPERTIES[name].hold(asset)
 
 
@@ -393,7 +396,9 @@ def test_a_failed_property_states_element_difference_and_pose(pytester: pytest.P
     result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-W", "ignore")
     text = result.stdout.str()
     assert "pair: forward kinematics does not hold" in text
-    assert "frame 'jaw': stands elsewhere by 0.001 m (tolerance 1e-06 m), two against one" in text
+    assert (
+        "frame 'jaw': has another position by 0.001 m (tolerance 1e-06 m), two against one" in text
+    )
     # All other joints are zero; the offset of the mimic coupling moves the jaw.
     assert "at grip 0.1 (rad, m)" in text
     outcomes = result.parseoutcomes()

@@ -16,7 +16,7 @@ from pathlib import Path
 from pytest_twin.errors import FormatError, PathError
 from pytest_twin.formats.recording import TOPICS, Recording
 from pytest_twin.formats.recordings.base import Asked, Reader
-from pytest_twin.installed import brought, is_own, refuse_stale
+from pytest_twin.installed import is_own, load_plugin, refuse_stale_installation
 
 __all__ = ["Asked", "Reader", "read_one", "read_recordings", "reader_of", "readers"]
 
@@ -100,7 +100,7 @@ def reader_of(path: Path) -> Reader:
     for reader in readers():
         if reader.reads(path):
             return reader
-    refuse_stale(entry_points(group=_GROUP), _GROUP)
+    refuse_stale_installation(entry_points(group=_GROUP), _GROUP)
     raise FormatError("no recording that can be read", path=path, expected=KINDS)
 
 
@@ -112,4 +112,4 @@ def readers() -> Sequence[Reader]:
         SpecError: a reader cannot be loaded.
     """
     points = sorted(entry_points(group=_GROUP), key=lambda point: (is_own(point), point.name))
-    return tuple(brought(point, "recording reader") for point in points)
+    return tuple(load_plugin(point, "recording reader") for point in points)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.realization import Realization
-from pytest_twin.realization.free_body import FreeBody, varied
+from pytest_twin.realization.free_body import FreeBody, copy_of_model
 
 FRICTION, STIFFNESS, DAMPING, OFFSET = (
     "contact_friction", "contact_stiffness", "contact_damping", "contact_offset",
@@ -119,7 +119,7 @@ class ContactModel:
 
     def with_options(self, change: Mapping[str, Any]) -> ContactModel:
         """Return the contact model with other simulation options (``timestep``, ``cone``, ...)."""
-        model = varied(self.model)
+        model = copy_of_model(self.model)
         for name, value in change.items():
             setattr(model.opt, name, value)
         return replace(self, model=model)
@@ -164,7 +164,7 @@ def direct(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
 
 def written(model: mujoco.MjModel, body: FreeBody, values: Mapping[str, float]) -> mujoco.MjModel:
     """Return a copy of a model with contact parameters on its free body."""
-    found = varied(model)
+    found = copy_of_model(model)
     first = 1 + max((int(model.geom_priority[g]) for g in body.others), default=0)
     for geom in body.geoms:
         patch = geom_patch(model, geom, values)

@@ -22,7 +22,7 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.serialized import Integers
 from pytest_twin.realization import Realization
-from pytest_twin.realization.sensed import turns_at
+from pytest_twin.realization.sensed import orientations_at
 from pytest_twin.sensors.camera import CameraTiming, frames_of
 from pytest_twin.sensors.linear import in_blocks
 
@@ -95,7 +95,7 @@ def frames_seen(
             "too few frames while the joints were recorded", path=path, value=len(at),
             expected=f"at least {_FEWEST}",
         )  # fmt: skip
-    turns = Rotation.from_matrix(turns_at(realization, frame, tuple(names), position))
+    turns = Rotation.from_matrix(orientations_at(realization, frame, tuple(names), position))
     return CameraTrial(path, at, Rotation.from_quat(poses[order, 3:]), Slerp(time, turns))
 
 

@@ -22,14 +22,14 @@ from pytest_twin.twin import Twin
 
 def encoders_of(twin: Twin | None) -> dict[str, Encoder]:
     """Return joint -> quantization of its encoder, from the valid records."""
-    records = () if twin is None else twin.holding_fits
+    records = () if twin is None else twin.fits_in_use
     steps = {joint: step for one in records for joint, step in one.encoder_steps.items()}
     return {joint: Encoder(step) for joint, step in steps.items()}
 
 
 def sensors_of(twin: Twin | None) -> dict[str, SensorFields]:
     """Return name -> sensor, from the valid records; later records take precedence."""
-    records = () if twin is None else twin.holding_fits
+    records = () if twin is None else twin.fits_in_use
     return {one.name: one for record in records for one in record.sensors}
 
 

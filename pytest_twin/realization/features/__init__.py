@@ -1,5 +1,5 @@
-"""What checks can feel of a compiled model: parts by name, and how they hang together.
+"""Parts and structure of a compiled model, for the dependency map.
 
-Everything is read from the compiled model, so that comments, default classes, includes, the way
-an angle is written, and what is only seen change nothing.
+All values are read from the compiled model. Comments, default classes, includes, the notation of
+angles, and visual properties therefore change no part.
 """

@@ -1,4 +1,4 @@
-"""Drives: what they pull on, by which law, within which bounds."""
+"""Content of actuator parts: transmission, law and limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pytest_twin.realization.features.sensors import site
 
 
 def actuator(elements: Elements, actuator: int) -> dict[str, Any]:
-    """A drive: what it pulls on, its law, its bounds."""
+    """Transmission, law and limits of an actuator."""
     model, trn = elements.model, mujoco.mjtTrn
     kind = int(model.actuator_trntype[actuator])
     targets = {

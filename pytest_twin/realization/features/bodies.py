@@ -1,4 +1,4 @@
-"""Bodies and joints: where they stand, what they weigh, what resists them."""
+"""Content of parts of bodies and joints: pose, inertia, passive forces, limits."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pytest_twin.realization.features.canonical import (
     listed,
     number,
     one_or_listed,
-    placed,
     rotation_of,
+    rounded,
     tensor_of,
     with_unit,
 )
@@ -21,7 +21,7 @@ from pytest_twin.realization.features.surfaces import shape
 
 
 def kinematics(elements: Elements, body: int) -> dict[str, Any]:
-    """How a body and its joints stand in its parent."""
+    """Pose of a body in its parent, and anchor, axis and reference of its joints."""
     model = elements.model
     joints = []
     first = int(model.body_jntadr[body])
@@ -32,14 +32,14 @@ def kinematics(elements: Elements, body: int) -> dict[str, Any]:
             {
                 "name": elements.joint[joint],
                 "type": kind,
-                "anchor [m]": placed(model.jnt_pos[joint]),
-                "axis": placed(model.jnt_axis[joint]),
-                "reference": placed(model.qpos0[at : at + QPOS[kind]]),
+                "anchor [m]": rounded(model.jnt_pos[joint]),
+                "axis": rounded(model.jnt_axis[joint]),
+                "reference": rounded(model.qpos0[at : at + QPOS[kind]]),
             }
         )
     return {
         "parent": elements.body[int(model.body_parentid[body])],
-        "position [m]": placed(model.body_pos[body]),
+        "position [m]": rounded(model.body_pos[body]),
         "quaternion": rotation_of(model.body_quat[body]),
         "mocap": bool(model.body_mocapid[body] >= 0),
         "joints": joints,
@@ -47,11 +47,11 @@ def kinematics(elements: Elements, body: int) -> dict[str, Any]:
 
 
 def inertia(elements: Elements, body: int) -> dict[str, Any]:
-    """What a body weighs, and what a fluid does to it."""
+    """Mass, centre of mass and inertia of a body, and its fluid interaction."""
     model = elements.model
     content: dict[str, Any] = {
         "mass [kg]": float(model.body_mass[body]),
-        "centre of mass [m]": placed(model.body_ipos[body]),
+        "centre of mass [m]": rounded(model.body_ipos[body]),
         "inertia [kg*m^2]": tensor_of(model.body_iquat[body], model.body_inertia[body]),
         "gravity compensation": float(model.body_gravcomp[body]),
     }
@@ -67,7 +67,7 @@ def inertia(elements: Elements, body: int) -> dict[str, Any]:
 
 
 def joint(elements: Elements, joint: int) -> dict[str, Any]:
-    """What resists a joint, drives and limits aside."""
+    """Passive forces of a joint (damping, friction, spring), armature and solver parameters."""
     model = elements.model
     kind = elements.joint_type[joint]
     dof, at = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
@@ -86,7 +86,7 @@ def joint(elements: Elements, joint: int) -> dict[str, Any]:
         "friction solimp": listed(model.dof_solimp[dofs]),
         with_unit("stiffness", spring): float(model.jnt_stiffness[joint]),
         "stiffness polynomial": listed(model.jnt_stiffnesspoly[joint]),
-        "spring reference": placed(model.qpos_spring[at : at + QPOS[kind]]),
+        "spring reference": rounded(model.qpos_spring[at : at + QPOS[kind]]),
         "spring yield": number(model.jnt_springyield[joint]),
         "limit solref": listed(model.jnt_solref[joint]),
         "limit solimp": listed(model.jnt_solimp[joint]),
@@ -99,13 +99,13 @@ def joint(elements: Elements, joint: int) -> dict[str, Any]:
 
 
 def limit(elements: Elements, joint: int, velocity_limit: Mapping[str, float]) -> dict[str, Any]:
-    """How far, and how fast where the source says so, a joint may move."""
+    """Range of a joint, and its velocity limit where the source states one."""
     model = elements.model
     slide = elements.joint_type[joint] == "slide"
     limited = bool(model.jnt_limited[joint])
     unit = "m" if slide else "rad"
     content: dict[str, Any] = {
-        f"range [{unit}]": placed(model.jnt_range[joint]) if limited else None
+        f"range [{unit}]": rounded(model.jnt_range[joint]) if limited else None
     }
     speed = velocity_limit.get(elements.joint[joint])
     if speed is not None:
@@ -114,7 +114,7 @@ def limit(elements: Elements, joint: int, velocity_limit: Mapping[str, float]) -
 
 
 def tree(elements: Elements, tree: int) -> dict[str, Any]:
-    """The order of the bodies, by which the solver meets contacts and limits."""
+    """Order of the bodies in a tree, which determines the order of constraints in the solver."""
     model = elements.model
     start = int(model.tree_bodyadr[tree])
     bodies = range(start, start + int(model.tree_bodynum[tree]))

@@ -1,7 +1,7 @@
-"""What was read of a realization, kept between runs, so that an unchanged twin loads no simulator.
+"""Cache of the parts and structure of a realization, so that an unchanged twin loads no simulator.
 
-An entry holds as long as every byte that went into it is the same. It saves time and proves
-nothing: whoever signs a release reads the model itself.
+An entry is valid as long as all files behind it are unchanged. The cache only saves time: before a
+release is signed, the model is read again.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _SCHEMA = 1
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """What the dependency map knows of a realization.
+    """Parts, structure and files of a realization.
 
     Attributes:
         parts: part id -> part.
-        structure: how it hangs together.
-        files: every file that the model was read from.
+        structure: kinematic tree, actuators and couplings.
+        files: all files that the model was read from.
     """
 
     parts: Mapping[str, Part]
@@ -40,7 +40,7 @@ class Features:
     files: tuple[Path, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able fields."""
+        """Return the fields as JSON-able values."""
         return {
             "structure": self.structure.to_json(),
             "parts": {ident: part.content for ident, part in self.parts.items()},
@@ -49,7 +49,7 @@ class Features:
 
     @classmethod
     def from_json(cls, data: object) -> Features:
-        """The inverse of ``to_json``.
+        """Build features from what :meth:`to_json` returned.
 
         Raises:
             ValueError: fields missing or of another shape.
@@ -79,23 +79,23 @@ def features_of(
     *,
     fresh: bool = False,
 ) -> Features:
-    """Features of a realization: from the cache where every byte behind them is unchanged.
+    """Features of a realization, from the cache if all files behind them are unchanged.
 
     Args:
         twin: the twin.
-        realization: a name in it.
-        read: reads them from the model itself (in a child process), as ``Features.to_json``.
-        versions: of the distributions that read a model, MuJoCo's among them.
-        fresh: read them whatever the cache says.
+        realization: name of the realization.
+        read: reads the features from the model in a child process; returns ``Features.to_json``.
+        versions: Python distribution that reads models, such as MuJoCo -> version.
+        fresh: whether to ignore the cache.
 
     Raises:
-        TwinError: what ``read`` raises.
-        ValueError: ``read`` returned something else.
+        TwinError: an error of ``read``.
+        ValueError: ``read`` returned another structure.
     """
     path = twin.root / FOLDER / f"{realization}.json"
-    # The place too: a copied folder brings along an entry that speaks of the files it came from.
+    # The path is part of the key: the cache in a copied folder refers to the original files.
     place = str(twin.path)
-    # A list of effects that came beside the model since is in no digest of the entry.
+    # An effects file that was added later is not among the digests of the entry.
     beside = twin.realizations[realization].effects is not None
     key = {
         "schema": _SCHEMA,
@@ -104,31 +104,31 @@ def features_of(
         "twin": place,
         "effects": beside,
     }
-    found = None if fresh else _stored(path, key, realization)
+    found = None if fresh else _read_entry(path, key, realization)
     if found is not None:
         return found
-    before = _digests((*_described(twin), twin.realizations[realization].file))
+    before = _digests((*_twin_files(twin), twin.realizations[realization].file))
     features = Features.from_json(read())
-    after = _digests((*_described(twin), *features.files))
-    # A file that changed while it was read is in nobody's digest.
+    after = _digests((*_twin_files(twin), *features.files))
+    # The entry is stored only if no file changed while it was read.
     if before is not None and after is not None and before.items() <= after.items():
         entry = {"key": key, "digests": after, "features": features.to_json()}
         text = json.dumps(entry, allow_nan=False, separators=(",", ":"))
-        _store(path, {"sha256": bytes_sha256(text.encode()), "entry": text})
+        _write_entry(path, {"sha256": bytes_sha256(text.encode()), "entry": text})
     return features
 
 
-def _described(twin: Twin) -> tuple[Path, ...]:
-    """Files that say how a model is to be read."""
+def _twin_files(twin: Twin) -> tuple[Path, ...]:
+    """Files of a twin that determine how its models are loaded."""
     fit = () if twin.fit is None else (twin.fit.path,)
     return (twin.path, *fit, *(entry.record.path for entry in twin.fits))
 
 
-def _stored(path: Path, key: Mapping[str, Any], realization: str) -> Features | None:
+def _read_entry(path: Path, key: Mapping[str, Any], realization: str) -> Features | None:
     try:
         envelope = json.loads(read_bytes(path, _MAX_BYTES))
         text = envelope["entry"]
-        # Not against forgery: against a half-written or damaged file.
+        # The digest detects a damaged file, not a forged one.
         if bytes_sha256(text.encode()) != envelope["sha256"]:
             return None
         entry = json.loads(text)
@@ -142,13 +142,13 @@ def _stored(path: Path, key: Mapping[str, Any], realization: str) -> Features | 
     return features if features.structure.realization == realization and not unread else None
 
 
-def _store(path: Path, envelope: Mapping[str, Any]) -> None:
+def _write_entry(path: Path, envelope: Mapping[str, Any]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.parent.is_symlink() and not path.parent.parent.is_symlink():
             atomic.write_text(path, json.dumps(envelope))
     except (OSError, TwinError):
-        # A twin that may not be written to is read each time.
+        # Without write access, the model is read at each run.
         return
 
 
@@ -160,7 +160,7 @@ def _digests(paths: Iterable[Path]) -> dict[str, str] | None:
 
 
 def reader_files() -> tuple[Path, ...]:
-    """The code that reads a model: its change is a change of every entry."""
+    """Source files that read a model; a change of one invalidates all entries."""
     realization = Path(__file__).parents[1]
     return (*sorted(realization.rglob("*.py")), realization.parent / "dependency.py")
 

@@ -1,4 +1,4 @@
-"""Values that are the same wherever they mean the same, however they were written."""
+"""Convert values of a model to canonical form, so that equal models give equal content."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 
 def with_unit(name: str, unit: str | None) -> str:
-    """``name [unit]``, where there is a unit."""
+    """Return ``name [unit]``, or ``name`` without a unit."""
     return name if unit is None else f"{name} [{unit}]"
 
 
 def number(value: Any) -> float | str:
-    """JSON knows no infinity."""
+    """Return a finite number as float, and any other as text, because JSON has no infinity."""
     number = float(value)
     return number if math.isfinite(number) else str(number)
 
@@ -31,25 +31,25 @@ def listed(array: Any) -> Any:
 
 
 def one_or_listed(array: Any) -> Any:
-    """The number itself where there is one."""
+    """A single number, or a list of several numbers."""
     values = listed(array)
     return values[0] if len(values) == 1 else values
 
 
-def placed(array: Any) -> Any:
-    """Positions in m, axes, joint values: what is under 1e-12 comes from how it was written."""
+def rounded(array: Any) -> Any:
+    """Positions (m), axes and joint values, rounded to 1e-12; smaller digits depend on notation."""
     return listed(np.round(np.asarray(array, dtype=np.float64), 12) + 0.0)
 
 
 def rotation_of(quaternion: NDArray[np.float64]) -> Any:
-    """One of the two quaternions of a rotation."""
+    """The quaternion of a rotation whose first non-zero component is positive, rounded to 1e-12."""
     rounded = np.round(quaternion, 12)
     first = rounded[np.flatnonzero(rounded)[:1]]
     return listed(rounded * (-1.0 if first.size and first[0] < 0 else 1.0) + 0.0)
 
 
 def tensor_of(quaternion: NDArray[np.float64], diagonal: NDArray[np.float64]) -> Any:
-    """xx yy zz xy xz yz in the body's axes: principal axes may be written in many ways."""
+    """Inertia xx yy zz xy xz yz in body axes; principal axes are not unique."""
     flat = np.empty(9)
     mujoco.mju_quat2Mat(flat, quaternion)
     rotation = flat.reshape(3, 3)
@@ -59,21 +59,21 @@ def tensor_of(quaternion: NDArray[np.float64], diagonal: NDArray[np.float64]) ->
     return listed((np.round(values / scale, 10) + 0.0) * scale)
 
 
-def stretch_of(
+def rows_of_element(
     array: NDArray[Any], starts: NDArray[Any], counts: NDArray[Any], index: int
 ) -> NDArray[Any]:
-    """The rows of one element, of all elements' rows in one array."""
+    """Rows of one element in an array with the rows of all elements."""
     start = int(starts[index])
     return np.asarray(array[start : start + int(counts[index])])
 
 
 def digest_of(array: Any) -> str:
-    """Of the bytes of an array."""
+    """SHA-256 of the bytes of an array, hex."""
     return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
 def value_of(value: Any) -> Any:
-    """Any field: short ones as they are, long ones as their digest."""
+    """JSON-able value of any field of a model; a long array is given by its digest."""
     if isinstance(value, bytes | str):
         data = value.encode() if isinstance(value, str) else value
         return hashlib.sha256(data).hexdigest()

@@ -1,4 +1,4 @@
-"""What ties joints and bodies to each other."""
+"""Content of coupling parts: equality constraints and tendons."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import mujoco
 
 from pytest_twin.realization.features.canonical import (
     listed,
-    placed,
+    rounded,
     value_of,
 )
 from pytest_twin.realization.features.elements import OBJ, Elements
@@ -18,7 +18,7 @@ from pytest_twin.realization.features.surfaces import shape
 
 
 def couplings(elements: Elements) -> Iterable[tuple[str, dict[str, Any]]]:
-    """(name, content) of every equality and tendon."""
+    """Yield (name, content) of each equality and tendon."""
     model = elements.model
     for eq in range(model.neq):
         obj, ends = elements.equality_ends(eq)
@@ -40,7 +40,7 @@ def couplings(elements: Elements) -> Iterable[tuple[str, dict[str, Any]]]:
 
 
 def tendon(elements: Elements, tendon: int) -> dict[str, Any]:
-    """The path of a tendon, and how it pulls."""
+    """Path of a tendon, its limits and its passive forces."""
     model, wrap = elements.model, mujoco.mjtWrap
     path = []
     start = int(model.tendon_adr[tendon])
@@ -68,7 +68,7 @@ def tendon(elements: Elements, tendon: int) -> dict[str, Any]:
         "tendon type": int(model.tendon_type[tendon]),
         "range": listed(model.tendon_range[tendon]) if limited else None,
         "actuator force range": listed(model.tendon_actfrcrange[tendon]) if forces else None,
-        "spring length": placed(model.tendon_lengthspring[tendon]),
+        "spring length": rounded(model.tendon_lengthspring[tendon]),
         **{
             name: value_of(getattr(model, f"tendon_{name}")[tendon])
             for name in (

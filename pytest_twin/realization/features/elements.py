@@ -1,4 +1,4 @@
-"""Names and owners of what a model is made of."""
+"""Names of the elements of a compiled model, and the bodies to which they belong."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
 
 
 class Names:
-    """Names of all elements of one type; those without one are known by their place."""
+    """Names of all elements of one type; an unnamed element gets a name from its position."""
 
     def __init__(self, model: mujoco.MjModel, obj: mujoco.mjtObj, places: Sequence[str]) -> None:
         given = [mujoco.mj_id2name(model, obj, i) or "" for i in range(len(places))]
@@ -38,8 +38,8 @@ class Names:
         return self.all[index]
 
 
-def counted(owners: Iterable[str]) -> list[str]:
-    """``owner#0``, ``owner#1``, ...: the place of each element among those of its owner."""
+def indexed_names(owners: Iterable[str]) -> list[str]:
+    """Names ``owner#0``, ``owner#1``, ... by the position among the elements of an owner."""
     count: dict[str, int] = {}
     places = []
     for owner in owners:
@@ -49,7 +49,7 @@ def counted(owners: Iterable[str]) -> list[str]:
 
 
 class Elements:
-    """Names and owners of a model's elements."""
+    """Names of a model's elements, and the bodies to which they belong."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
@@ -57,20 +57,20 @@ class Elements:
         for i in range(model.nbody):
             parent = bodies[model.body_parentid[i]] if i else ""
             bodies.append(mujoco.mj_id2name(model, OBJ.mjOBJ_BODY, i) or f"{parent}/#")
-        self.body = Names(model, OBJ.mjOBJ_BODY, counted(bodies))
+        self.body = Names(model, OBJ.mjOBJ_BODY, indexed_names(bodies))
         self.joint = self._of_bodies(OBJ.mjOBJ_JOINT, model.jnt_bodyid)
         self.site = self._of_bodies(OBJ.mjOBJ_SITE, model.site_bodyid)
         self.camera = self._of_bodies(OBJ.mjOBJ_CAMERA, model.cam_bodyid)
-        self.felt = felt_geoms(model)
+        self.can_collide = colliding_geoms(model)
         self._geoms: dict[int, list[int]] = {}
-        for geom in np.flatnonzero(self.felt):
+        for geom in np.flatnonzero(self.can_collide):
             self._geoms.setdefault(int(model.geom_bodyid[geom]), []).append(int(geom))
-        # Only those that can be felt are counted: one that is only seen moves no place.
+        # Visual geoms are indexed_names apart, so that they do not change the names of the others.
         owners = [
-            f"{self.body[b]}" if felt else f"{self.body[b]}~"
-            for b, felt in zip(model.geom_bodyid, self.felt, strict=True)
+            f"{self.body[b]}" if can_collide else f"{self.body[b]}~"
+            for b, can_collide in zip(model.geom_bodyid, self.can_collide, strict=True)
         ]
-        self.geom = Names(model, OBJ.mjOBJ_GEOM, counted(owners))
+        self.geom = Names(model, OBJ.mjOBJ_GEOM, indexed_names(owners))
         self.mesh = self._plain(OBJ.mjOBJ_MESH, model.nmesh)
         self.hfield = self._plain(OBJ.mjOBJ_HFIELD, model.nhfield)
         self.tendon = self._plain(OBJ.mjOBJ_TENDON, model.ntendon, "tendon")
@@ -82,13 +82,13 @@ class Elements:
         self.joint_type = [_JOINT_TYPES[int(kind)] for kind in model.jnt_type]
 
     def _of_bodies(self, obj: mujoco.mjtObj, owner: NDArray[np.int32]) -> Names:
-        return Names(self.model, obj, counted(self.body[b] for b in owner))
+        return Names(self.model, obj, indexed_names(self.body[b] for b in owner))
 
     def _plain(self, obj: mujoco.mjtObj, count: int, prefix: str = "") -> Names:
-        return Names(self.model, obj, counted([prefix] * count))
+        return Names(self.model, obj, indexed_names([prefix] * count))
 
     def object(self, obj: int, index: int) -> str | None:
-        """Name of any element that an equality, a sensor or an actuator may point at."""
+        """Name of an element by MuJoCo's object type and index; None for a negative index."""
         names = {
             int(OBJ.mjOBJ_BODY): self.body,
             int(OBJ.mjOBJ_XBODY): self.body,
@@ -109,11 +109,14 @@ class Elements:
         return str(index) if names is None else names[index]
 
     def geoms_of(self, body: int) -> list[int]:
-        """Geoms of a body that can be felt."""
+        """Indices of the geoms of a body that can be in a contact."""
         return self._geoms.get(body, [])
 
     def equality_ends(self, equality: int) -> tuple[int, list[int]]:
-        """(object type, indices) of what an equality ties; MuJoCo states the type for some only."""
+        """(object type, indices) of the elements that an equality connects.
+
+        MuJoCo states the object type only for some equalities.
+        """
         model, kinds = self.model, mujoco.mjtEq
         kind = int(model.eq_type[equality])
         stated = {
@@ -128,7 +131,7 @@ class Elements:
         return int(stated.get(kind, model.eq_objtype[equality])), ends
 
     def body_of(self, obj: int, index: int) -> list[int]:
-        """Bodies that an element touches; all of them where it is of a type not known here."""
+        """Bodies to which an element belongs; all bodies for an unknown type of element."""
         model = self.model
         if index < 0:
             return []
@@ -147,7 +150,7 @@ class Elements:
         return list(range(model.nbody))
 
     def tendon_joints(self, tendon: int) -> list[int]:
-        """Joints of a fixed tendon, and joints of the bodies that a spatial one runs over."""
+        """Joints of a fixed tendon, or joints that move the bodies of a spatial tendon."""
         model = self.model
         found = []
         for kind, index in self.wraps(tendon):
@@ -169,7 +172,7 @@ class Elements:
         ]
 
     def tendon_bodies(self, tendon: int) -> list[int]:
-        """Bodies that a tendon touches."""
+        """Bodies on which a tendon acts."""
         model, wrap = self.model, mujoco.mjtWrap
         owner = {
             int(wrap.mjWRAP_JOINT): model.jnt_bodyid,
@@ -180,12 +183,12 @@ class Elements:
         return [int(owner[kind][i]) for kind, i in self.wraps(tendon) if kind in owner]
 
     def flex_bodies(self) -> list[int]:
-        """Bodies that carry flexible things."""
+        """Bodies to which flexible elements are attached."""
         model = self.model
         return sorted({int(b) for b in (*model.flex_vertbodyid, *model.flex_nodebodyid) if b >= 0})
 
     def actuator_reach(self, actuator: int) -> tuple[list[int], list[int]]:
-        """(joints, bodies) that an actuator drives."""
+        """Indices of the joints and bodies on which an actuator acts."""
         model, trn = self.model, mujoco.mjtTrn
         kind = int(model.actuator_trntype[actuator])
         first, second = (int(i) for i in model.actuator_trnid[actuator])
@@ -198,7 +201,7 @@ class Elements:
         elif kind in (int(trn.mjTRN_SITE), int(trn.mjTRN_SLIDERCRANK)):
             bodies = [int(model.site_bodyid[s]) for s in (first, second) if s >= 0]
         elif model.nbody and kind != int(trn.mjTRN_UNDEFINED):
-            # A transmission that is not known here may pull on anything.
+            # An unknown type of transmission may act on any body.
             bodies = list(range(model.nbody))
         else:
             bodies = []
@@ -206,16 +209,16 @@ class Elements:
         return [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in above], bodies
 
 
-def felt_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """(ngeom,) whether a geom can be in a contact: by its masks or in an explicit pair."""
-    felt: NDArray[np.bool_] = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    felt[model.pair_geom1] = True
-    felt[model.pair_geom2] = True
-    return felt
+    can_collide: NDArray[np.bool_] = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    can_collide[model.pair_geom1] = True
+    can_collide[model.pair_geom2] = True
+    return can_collide
 
 
 def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
-    """A body and all that carry it, up to the world."""
+    """A body and its ancestors up to the world."""
     found = [body]
     while body:
         body = int(model.body_parentid[body])

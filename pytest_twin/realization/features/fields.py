@@ -1,8 +1,7 @@
-"""Which layer of the dependency map claims which field of MuJoCo's model.
+"""Layer of the dependency map for each field of MuJoCo's model.
 
-Every field is claimed by a layer, or derived from claimed ones, or seen and not felt. A field that
-is in none of the tables, such as one of a newer MuJoCo, goes to the part ``other``, on which every
-golden rests.
+Each field belongs to a layer, is derived from such fields, or is visual. A field in none of the
+tables, such as one of a newer MuJoCo, belongs to the part ``other``, on which every golden depends.
 """
 
 from __future__ import annotations
@@ -290,7 +289,7 @@ CUSTOM = frozenset(
 )
 OPTION = frozenset({"opt", "stat", "nconmax", "njmax", "narena"})
 
-CLAIMED: dict[str, frozenset[str]] = {
+FIELDS_OF_LAYER: dict[str, frozenset[str]] = {
     "kinematics": KINEMATICS,
     "inertia": INERTIA,
     "joint": JOINT,
@@ -308,11 +307,11 @@ CLAIMED: dict[str, frozenset[str]] = {
     "custom": CUSTOM,
     "option": OPTION,
 }
-"""Layer -> fields of ``mjModel`` that its parts are made of."""
+"""Layer -> fields of ``mjModel`` in its parts."""
 
 DERIVED = frozenset(
     {
-        # recomputed by the compiler from claimed fields
+        # computed by the compiler from fields of the layers
         "body_rootid",
         "body_weldid",
         "body_treeid",
@@ -380,7 +379,7 @@ DERIVED = frozenset(
         # hash of the model's own layout
         "signature",
         "names_map",
-        # addresses and counts of what is claimed by content
+        # addresses and counts of elements whose content is in a layer
         *(f"body_{end}" for end in ("jntnum", "jntadr", "dofnum", "dofadr", "geomnum", "geomadr")),
         *("body_bvhadr", "body_bvhnum", "flex_bvhadr", "flex_bvhnum"),
         *("jnt_qposadr", "jnt_dofadr", "jnt_plasticadr", "dof_Madr"),
@@ -397,7 +396,7 @@ DERIVED = frozenset(
         *("mesh_polymapadr", "mesh_polymapnum"),
     }
 )
-"""Fields that follow from claimed ones."""
+"""Fields that are determined by fields of the layers."""
 
 VISUAL = frozenset(
     {
@@ -434,7 +433,7 @@ VISUAL = frozenset(
         "skin_pathadr",
     }
 )
-"""Fields that are seen and not felt."""
+"""Fields that change the rendering only."""
 
 _VISUAL_FAMILIES = ("cam_", "light_", "mat_", "tex_", "skin_")
 _ADDRESS_FAMILIES = ("name_",)
@@ -450,15 +449,15 @@ def model_fields(model: Any) -> tuple[str, ...]:
 
 
 def layer_of(field: str, model: Any) -> str | None:
-    """The layer that claims a field of ``model``; ``other`` if none; None if it is not felt."""
-    for layer, names in CLAIMED.items():
+    """Layer of a field of ``model``; ``other`` for an unknown field, None without effect."""
+    for layer, names in FIELDS_OF_LAYER.items():
         if field in names:
             return layer
     if field in DERIVED or field in VISUAL:
         return None
     if field.startswith((*_VISUAL_FAMILIES, *_ADDRESS_FAMILIES)):
         return None
-    # Counts follow from what they count.
+    # Counts are determined by the indexed_names elements.
     if field.startswith("n") and isinstance(getattr(model, field), int):
         return None
     return "other"

@@ -1,4 +1,4 @@
-"""States that a model gives a name."""
+"""Content of keyframe parts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pytest_twin.realization.features.elements import DOFS, QPOS, Elements
 
 
 def keyframe(elements: Elements, key: int) -> dict[str, Any]:
-    """State and commands by the names of joints and drives."""
+    """State and controls of a keyframe, by the names of joints and actuators."""
     model = elements.model
     positions, velocities = {}, {}
     for joint in range(model.njnt):

@@ -1,4 +1,4 @@
-"""The parts of a model, layer by layer."""
+"""All parts of a compiled model, by layer."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from pytest_twin.realization.features.fields import FLEX
 
 
 def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[str, dict[str, Any]]:
-    """Part id, without a realization's name, -> what it holds.
+    """Part id without the name of the realization -> content.
 
     Args:
-        model: compiled.
+        model: a compiled model.
         velocity_limit: joint -> rad/s or m/s, where the source states it.
     """
     elements = Elements(model)
@@ -36,7 +36,7 @@ def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[s
     found.update(_bodies(elements, velocity_limit))
     found.update(_surfaces(elements))
     for coupling, value in couplings.couplings(elements):
-        # An equality and a tendon may bear one name.
+        # An equality and a tendon may have the same name.
         found.setdefault(f"coupling:{coupling}", {}).update(value)
     if model.nflex:
         found["flex:all"] = {name: value_of(getattr(model, name)) for name in sorted(FLEX)}
@@ -70,16 +70,16 @@ def _surfaces(elements: Elements) -> dict[str, dict[str, Any]]:
     for body in range(model.nbody):
         if elements.geoms_of(body):
             found[f"collision:{elements.body[body]}"] = surfaces.collision(elements, body)
-    for mesh in sorted(surfaces.felt_data(elements, {"mesh", "sdf"})):
+    for mesh in sorted(surfaces.collision_assets(elements, {"mesh", "sdf"})):
         found[f"mesh:{elements.mesh[mesh]}"] = surfaces.mesh(elements, mesh)
-    for hfield in sorted(surfaces.felt_data(elements, {"hfield"})):
+    for hfield in sorted(surfaces.collision_assets(elements, {"hfield"})):
         found[f"hfield:{elements.hfield[hfield]}"] = surfaces.hfield(elements, hfield)
     for geom in range(model.ngeom):
         name = mujoco.mj_id2name(model, OBJ.mjOBJ_GEOM, geom)
-        if name and not elements.felt[geom]:
-            found[f"geom:{name}"] = surfaces.seen(elements, geom)
+        if name and not elements.can_collide[geom]:
+            found[f"geom:{name}"] = surfaces.visual(elements, geom)
     found["contact:pairs"] = surfaces.pairs(elements)
-    found["contact:filter"] = surfaces.filtered(elements)
+    found["contact:filter"] = surfaces.weld_groups(elements)
     return found
 
 

@@ -1,4 +1,4 @@
-"""The parts of a realization and how they hang together."""
+"""Parts and structure of a realization."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pytest_twin.realization.named_model import NamedModel
 
 
 def parts(realization: NamedModel) -> dict[str, Part]:
-    """Part id -> part of a realization, ids with the realization's name in front."""
+    """Part id -> part of a realization; each id begins with the name of the realization."""
     found = model_parts(realization.model, realization.name, realization.velocity_limit)
     more = {"additions": additions(realization.spec)}
     if realization.simulator != "mujoco":
@@ -34,7 +34,7 @@ def model_parts(
 
     Args:
         model: the model.
-        name: the realization's name, in front of every id.
+        name: name of the realization, the prefix of all ids.
         velocity_limit: joint -> rad/s or m/s, where the source states it.
     """
     content = layers(model, velocity_limit or {})
@@ -42,14 +42,14 @@ def model_parts(
 
 
 def model_structure(model: mujoco.MjModel, name: str, part_ids: Iterable[str]) -> Structure:
-    """How a compiled model hangs together; ``part_ids`` as :func:`model_parts` gives them."""
+    """Structure of a compiled model; ``part_ids`` are the keys of :func:`model_parts`."""
     return structure_of(model, name, frozenset(part_ids))
 
 
 def additions(spec: mujoco.MjSpec) -> dict[str, Any]:
-    """What a body that is added to a scene, or a payload, would get from this model's file.
+    """Defaults of the model for bodies and payloads that are added to it.
 
-    The main default class and the compiler's bounds leave no trace in what is compiled already.
+    The main default class and the compiler's limits are not visible in the compiled model.
     """
     probe = spec.copy()
     geom = probe.worldbody.add_body().add_geom()

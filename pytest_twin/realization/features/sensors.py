@@ -1,4 +1,4 @@
-"""Frames and what is measured in them."""
+"""Content of parts of sites and sensors."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 import mujoco
 
 from pytest_twin.realization.features.canonical import (
-    placed,
     rotation_of,
+    rounded,
     value_of,
 )
 from pytest_twin.realization.features.elements import OBJ, Elements
@@ -16,17 +16,17 @@ from pytest_twin.realization.features.surfaces import shape
 
 
 def site(elements: Elements, site: int) -> dict[str, Any]:
-    """Where a frame stands in its body."""
+    """Pose of a site in its body."""
     model = elements.model
     return {
         "body": elements.body[int(model.site_bodyid[site])],
-        "position [m]": placed(model.site_pos[site]),
+        "position [m]": rounded(model.site_pos[site]),
         "quaternion": rotation_of(model.site_quat[site]),
     }
 
 
 def sensor(elements: Elements, sensor: int) -> dict[str, Any]:
-    """What is measured, of what, in which frame, how well."""
+    """Measured quantity, object, reference frame and accuracy of a sensor."""
     model = elements.model
     obj, index = int(model.sensor_objtype[sensor]), int(model.sensor_objid[sensor])
     ref, other = int(model.sensor_reftype[sensor]), int(model.sensor_refid[sensor])
@@ -52,13 +52,13 @@ def sensor(elements: Elements, sensor: int) -> dict[str, Any]:
     }
     for target, at in ((obj, index), (ref, other)):
         if target == int(OBJ.mjOBJ_SITE) and at >= 0:
-            drawn = [int(model.site_type[at]), placed(model.site_size[at])]
+            drawn = [int(model.site_type[at]), rounded(model.site_size[at])]
             content.setdefault("sites", []).append([site(elements, at), drawn])
             content["site meshes"] = [int(model.site_dataid[at])]
         if target == int(OBJ.mjOBJ_GEOM) and at >= 0:
             content.setdefault("geoms", []).append(shape(elements, at))
     if kind == int(mujoco.mjtSensor.mjSENS_RANGEFINDER):
-        # A ray meets what is only seen, too.
+        # A range finder also detects visual geoms.
         shapes = [value_of(model.geom_type), value_of(model.geom_dataid), value_of(model.mesh_vert)]
         places = [value_of(model.geom_pos), value_of(model.geom_quat), value_of(model.geom_size)]
         content["all geoms"] = [*shapes, *places, value_of(model.geom_rgba[:, 3] == 0)]

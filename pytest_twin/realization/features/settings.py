@@ -1,4 +1,4 @@
-"""Options of the simulator, and what belongs to no element."""
+"""Content of parts for simulation options, custom fields and unknown fields."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LAYOUT_BYTES = 2**20
 
 
 def options(elements: Elements) -> dict[str, Any]:
-    """Every option by name, whatever options this MuJoCo has."""
+    """All simulation options of the installed MuJoCo, by name."""
     model = elements.model
     content = {
         name: value_of(getattr(model.opt, name))
@@ -26,10 +26,11 @@ def options(elements: Elements) -> dict[str, Any]:
     }
     content["timestep [s]"] = content.pop("timestep")
     content["contact limits"] = [int(model.nconmax), int(model.njmax)]
-    # A small arena drops contacts; MuJoCo's own choice grows with what is only seen as well.
+    # A small arena drops contacts. A larger one is not stated, because MuJoCo's default also
+    # depends on visual elements.
     if model.narena < _LAYOUT_BYTES:
         content["arena [bytes]"] = int(model.narena)
-    # Solvers end by it. Where nobody states it, it follows from the masses.
+    # It scales the tolerance of the solver. By default it is computed from the masses.
     mean = float(model.dof_M0.mean()) if model.nv else 0.0
     stated = float(model.stat.meaninertia)
     if model.nv and not math.isclose(stated, mean, rel_tol=1e-6):
@@ -38,7 +39,7 @@ def options(elements: Elements) -> dict[str, Any]:
 
 
 def custom(elements: Elements) -> dict[str, Any]:
-    """What MuJoCo carries for others and does not feel itself."""
+    """Custom fields, which MuJoCo stores and does not use."""
     model = elements.model
     content = {
         name: value_of(array)
@@ -51,13 +52,13 @@ def custom(elements: Elements) -> dict[str, Any]:
 
 
 def other(elements: Elements) -> dict[str, Any]:
-    """Fields that no layer claims, plugins among them."""
+    """Fields that belong to no layer, for example those of plugins."""
     model = elements.model
     content = {}
     for name in model_fields(model):
         if layer_of(name, model) == "other":
             value = getattr(model, name)
-            # -1 is 'none' throughout: plugin ids of elements without a plugin.
+            # An array of -1 means none, such as the plugin ids of elements without a plugin.
             if not isinstance(value, np.ndarray) or np.any(value != -1):
                 content[name] = value_of(value)
     return content

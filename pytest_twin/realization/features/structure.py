@@ -1,4 +1,4 @@
-"""How a model hangs together, for the dependency map."""
+"""Structure of a compiled model, for the dependency map."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from pytest_twin.realization.inputs import joint_inputs
 
 
 def structure_of(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> Structure:
-    """Read off a compiled model; ``part_ids`` are its parts."""
+    """Read the structure of a compiled model.
+
+    Args:
+        model: the model.
+        name: name of the realization.
+        part_ids: ids of its parts.
+    """
     elements = Elements(model)
     body = elements.body
 
@@ -105,5 +111,5 @@ def structure_of(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> 
 
 
 def _inputs(model: mujoco.MjModel, joint: str) -> tuple[str, ...]:
-    """Commands that the actuators of a joint take, each once."""
+    """Command modes of the actuators of a joint, without repetition."""
     return tuple(dict.fromkeys(item.mode for item in joint_inputs(model, joint)))

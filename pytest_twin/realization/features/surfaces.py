@@ -1,4 +1,4 @@
-"""Surfaces: what touches what, and how."""
+"""Content of parts for shapes and contacts."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from pytest_twin.realization.features.canonical import (
     digest_of,
     listed,
-    placed,
     rotation_of,
-    stretch_of,
+    rounded,
+    rows_of_element,
 )
 from pytest_twin.realization.features.elements import Elements
 
 
 def shape(elements: Elements, geom: int) -> dict[str, Any]:
-    """What a geom is and where it stands in its body."""
+    """Type, size and pose of a geom in its body."""
     model = elements.model
     kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
     content: dict[str, Any] = {
         "type": kind,
-        "position [m]": placed(model.geom_pos[geom]),
+        "position [m]": rounded(model.geom_pos[geom]),
         "quaternion": rotation_of(model.geom_quat[geom]),
     }
     data = int(model.geom_dataid[geom])
@@ -33,13 +33,13 @@ def shape(elements: Elements, geom: int) -> dict[str, Any]:
     elif kind == "hfield" and data >= 0:
         content["height field"] = elements.hfield[data]
     elif kind != "plane":
-        # The size of a plane is only how much of it is drawn.
-        content["size [m]"] = placed(model.geom_size[geom])
+        # The size of a plane changes the rendering only.
+        content["size [m]"] = rounded(model.geom_size[geom])
     return content
 
 
 def collision(elements: Elements, body: int) -> dict[str, Any]:
-    """Geoms of a body that can be felt, and how they touch."""
+    """Collision geoms of a body with their contact parameters."""
     model = elements.model
     return {
         "geoms": [
@@ -64,8 +64,8 @@ def collision(elements: Elements, body: int) -> dict[str, Any]:
     }
 
 
-def seen(elements: Elements, geom: int) -> dict[str, Any]:
-    """A geom that never collides: its distance can be asked for all the same."""
+def visual(elements: Elements, geom: int) -> dict[str, Any]:
+    """A visual geom; a check may compute its distance."""
     data = int(elements.model.geom_dataid[geom])
     content = {
         "body": elements.body[int(elements.model.geom_bodyid[geom])],
@@ -74,8 +74,8 @@ def seen(elements: Elements, geom: int) -> dict[str, Any]:
     return content | (mesh(elements, data) if "mesh" in content else {})
 
 
-def filtered(elements: Elements) -> dict[str, Any]:
-    """What is welded to what: neighbours are not tested for contact."""
+def weld_groups(elements: Elements) -> dict[str, Any]:
+    """Groups of welded bodies and their parents, between which MuJoCo does not detect contacts."""
     model, body = elements.model, elements.body
     found = {}
     for b in range(model.nbody):
@@ -86,22 +86,22 @@ def filtered(elements: Elements) -> dict[str, Any]:
     return found
 
 
-def felt_data(elements: Elements, kinds: set[str]) -> set[int]:
-    """Meshes or height fields of geoms that can be felt, in a contact or in a fluid."""
+def collision_assets(elements: Elements, kinds: set[str]) -> set[int]:
+    """Indices of meshes or height fields of collision geoms."""
     model = elements.model
     found = set()
     for geom in range(model.ngeom):
         kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
-        if kind in kinds and elements.felt[geom] and model.geom_dataid[geom] >= 0:
+        if kind in kinds and elements.can_collide[geom] and model.geom_dataid[geom] >= 0:
             found.add(int(model.geom_dataid[geom]))
     return found
 
 
 def mesh(elements: Elements, mesh: int) -> dict[str, Any]:
-    """Vertices, faces and hull, by digest."""
+    """Digests of vertices, faces and convex hull of a mesh."""
     model = elements.model
-    vertices = stretch_of(model.mesh_vert, model.mesh_vertadr, model.mesh_vertnum, mesh)
-    faces = stretch_of(model.mesh_face, model.mesh_faceadr, model.mesh_facenum, mesh)
+    vertices = rows_of_element(model.mesh_vert, model.mesh_vertadr, model.mesh_vertnum, mesh)
+    faces = rows_of_element(model.mesh_face, model.mesh_faceadr, model.mesh_facenum, mesh)
     content: dict[str, Any] = {
         "vertices": len(vertices),
         "faces": len(faces),
@@ -112,7 +112,9 @@ def mesh(elements: Elements, mesh: int) -> dict[str, Any]:
     if model.mesh_octnum[mesh] > 0:
         for name in ("oct_depth", "oct_child", "oct_aabb", "oct_coeff"):
             array = getattr(model, name)
-            content[name] = digest_of(stretch_of(array, model.mesh_octadr, model.mesh_octnum, mesh))
+            content[name] = digest_of(
+                rows_of_element(array, model.mesh_octadr, model.mesh_octnum, mesh)
+            )
     return content
 
 
@@ -126,7 +128,7 @@ def _hull(elements: Elements, mesh: int) -> NDArray[Any]:
 
 
 def hfield(elements: Elements, hfield: int) -> dict[str, Any]:
-    """Extent and elevation, by digest."""
+    """Size of a height field, and digest of its elevation."""
     model = elements.model
     rows, columns = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
     start = int(model.hfield_adr[hfield])
@@ -139,7 +141,7 @@ def hfield(elements: Elements, hfield: int) -> dict[str, Any]:
 
 
 def pairs(elements: Elements) -> dict[str, Any]:
-    """Contacts that are declared or forbidden by name."""
+    """Explicit contact pairs, and excluded pairs of bodies."""
     model = elements.model
     return {
         "declared": [

@@ -1,5 +1,5 @@
-"""Where the files that a model names may lie, and how each reference is found.
+"""Find the files that a model refers to, and decide which folders may contain them.
 
-``root`` decides and is pure; ``surroundings`` and ``packages`` look at folders; ``locate`` puts
-them together. Nothing is imported here: the process of the command line needs no simulator.
+``root`` contains the rules and reads no files; ``surroundings`` and ``packages`` inspect folders;
+``locate`` combines them. This package imports no simulator.
 """

@@ -1,4 +1,4 @@
-"""Find the root and the packages of a model on this machine."""
+"""Find the root folder and the ROS packages of a model."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from pytest_twin.twin import Twin
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """Where the files of a model may lie.
+    """Folders that may contain the files of a model.
 
     Attributes:
-        roots: every folder that a reference may lead into.
-        packages: looks up ``package://``.
-        root: the root that was chosen; None where a twin declares the roots.
+        roots: all folders that referenced files may be in.
+        packages: resolves ``package://`` references.
+        root: the chosen root folder; None where a twin declares the roots.
     """
 
     roots: Roots
@@ -37,7 +37,7 @@ class Located:
     root: ModelRoot | None = None
 
     def words(self) -> tuple[str, ...]:
-        """What was chosen, a line each; nothing where it is the folder of the model alone."""
+        """Describe the chosen folders, one line each; empty for the model's own folder only."""
         lines = []
         if self.root is not None and self.root.folder != self.roots.base:
             lines.append(f"root of the model: {self.root.folder} ({self.root.why})")
@@ -46,7 +46,7 @@ class Located:
         return tuple(lines)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data for reports."""
+        """Return the chosen folders as JSON-able values."""
         root = self.root
         return {
             "root": None if root is None else {"folder": str(root.folder), "why": root.why},
@@ -65,17 +65,18 @@ def locate(
     roots: Roots | None = None,
     limits: ModelLimits = LIMITS,
 ) -> Located:
-    """The root and the packages of a model; its XML is read, and no other file.
+    """Find the root folder and the packages of a model; only its XML files are read.
 
     Args:
-        path: the model's file, its folder free of links.
-        search: folders that the user names.
-        twin: its roots hold, and none is chosen.
-        roots: these hold, and none is chosen.
+        path: the model's file, in a folder without symbolic links.
+        search: folders from the user.
+        twin: the twin; its roots are used, and none is chosen.
+        roots: roots that are used instead of a chosen one.
+        limits: size limits.
 
     Raises:
-        FormatError: the file itself is not well-formed XML.
-        LimitError: the file itself is beyond a bound.
+        FormatError: the file is not well-formed XML.
+        LimitError: the file is larger than a limit.
     """
     search = search or SearchFolders()
     declared = {} if twin is None else twin.roots
@@ -113,7 +114,7 @@ def _chosen(
         files = UrdfFiles(Roots(path.parent), packages, MujocoFolders.of(element))
         for node in element.iter("mesh", "texture"):
             reference = node.get("filename") or ""
-            # What is wrong with a reference is said where it is read.
+            # An invalid reference is reported when the file is read.
             with suppress(PathError, OSError, ValueError):
                 named.add(files.path_of(reference, path))
     elif element.tag == "mujoco":

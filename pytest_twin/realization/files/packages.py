@@ -1,4 +1,4 @@
-"""Where the folder of a ROS package lies, and by which way it was found."""
+"""Find the folder of a ROS package."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pathlib import Path
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import xml
 
-_MOST_ENTRIES = 2000
-"""Entries of one folder that are looked at for a package: ROS workspaces have hundreds."""
+_MAX_ENTRIES = 2000
+"""Largest number of entries of a folder that are searched; ROS workspaces have hundreds."""
 
 BY_OPTION = "--package"
 BY_TWIN = "roots: in twin.yaml"
@@ -31,7 +31,8 @@ class FoundPackage:
     """A ROS package.
 
     Attributes:
-        by: the way by which it was found.
+        folder: its folder.
+        by: how it was found, as text.
     """
 
     folder: Path
@@ -40,20 +41,19 @@ class FoundPackage:
 
 @dataclass(slots=True)
 class Packages:
-    """Looks up the folders of ROS packages for one model.
+    """Finds the folders of ROS packages for one model.
 
-    Nearest evidence first: what the user says (``--package``, ``roots:`` of the twin), folders
-    around the file by their name, ``package.xml`` around the file, and last the ROS environment,
-    which another shell may not have. Of several folders the first counts that holds the file that
-    is named in it.
+    The order is: declarations of the user (``--package``, ``roots:`` of the twin), names of folders
+    near the file, ``package.xml`` near the file, and last the ROS environment, which depends on the
+    shell. Of several folders, the first that contains the referenced file is used.
 
     Attributes:
-        above: folders above the model in which packages are looked for, nearest first.
-        roots: other folders that may be packages or hold some.
-        given: package -> folder, by the command line.
-        declared: package -> folder, by ``twin.yaml``.
-        environment: the environment's variables.
-        found: what was looked up: package -> where, and by which way.
+        above: folders above the model to search, nearest first.
+        roots: other folders that may be packages or contain packages.
+        given: package -> folder, from the command line.
+        declared: package -> folder, from ``twin.yaml``.
+        environment: environment variables.
+        found: packages found so far: name -> package.
     """
 
     above: Sequence[Path] = ()
@@ -64,10 +64,11 @@ class Packages:
     found: dict[str, FoundPackage] = field(default_factory=dict)
 
     def find(self, name: str, file: str) -> FoundPackage | None:
-        """The folder of package ``name``, None where there is none.
+        """Find the folder of a package; None if it is not found.
 
         Args:
-            file: the path in the package that is wanted.
+            name: name of the package.
+            file: path of the referenced file in the package.
         """
         first: FoundPackage | None = None
         for candidate in self._candidates(name, file):
@@ -80,7 +81,7 @@ class Packages:
         return first
 
     def places(self) -> list[str]:
-        """Everywhere that a package is looked for, as people read it."""
+        """Descriptions of all searched places, for messages."""
         looked = [f"{folder} and its folders" for folder in (*self.above, *self.roots)]
         for variable in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"):
             value = self.environment.get(variable)
@@ -134,7 +135,7 @@ class Packages:
 
 
 def package_name(folder: Path) -> str | None:
-    """The name in the ``package.xml`` of a folder, None where it has none."""
+    """Name in the ``package.xml`` of a folder, or None."""
     file = folder / "package.xml"
     if not file.is_file():
         return None
@@ -148,7 +149,7 @@ def _folders_in(folder: Path) -> list[Path]:
         with os.scandir(folder) as entries:
             found = [
                 Path(entry.path)
-                for entry in islice(entries, _MOST_ENTRIES)
+                for entry in islice(entries, _MAX_ENTRIES)
                 if entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".")
             ]
     except OSError:

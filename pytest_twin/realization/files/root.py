@@ -1,15 +1,14 @@
-"""Which folder is the root of a model: the files that the model names may lie only below it.
+"""Choose the root folder of a model, which must contain all files that the model refers to.
 
-A model comes from a stranger. What it names is read, so it may name files of its own robot and no
-others. The rules, from the nearest folder outwards:
+A model may come from an untrusted source. Its referenced files are read, so that only files of the
+robot itself may be allowed. The rules, from the nearest folder outwards:
 
-- The folder of the model's file is always inside.
-- A folder above it is inside where the model names a file that is there: the root is the nearest
-  folder that holds every file that the model names.
-- A ROS package is taken whole.
-- Nothing is inside that lies above the package or the version-controlled checkout around the
-  model, or above a folder that many projects or people share: the user's home, ``Downloads``,
-  ``/tmp``, ``/usr``.
+- The root contains at least the folder of the model's file.
+- The root is the nearest folder that contains all existing files that the model refers to.
+- If it is inside a ROS package, the root is the whole package.
+- The root is never above the package or the version-controlled checkout that contains the model,
+  nor a folder that many projects or people share: the user's home, ``Downloads``, ``/tmp``,
+  ``/usr``.
 """
 
 from __future__ import annotations
@@ -29,9 +28,10 @@ class Folder:
     """A folder above a model.
 
     Attributes:
-        mark: what makes it a boundary of its own: a ROS package (``package.xml``), a
-            version-controlled checkout, or a source that ``pytest-twin intake`` keeps.
-        shared: whether files of other projects or people lie in it.
+        path: the folder.
+        mark: kind of boundary: a ROS package (``package.xml``), a version-controlled checkout, or
+            a source that ``pytest-twin intake`` keeps; None for an ordinary folder.
+        shared: whether it contains files of other projects or people.
     """
 
     path: Path
@@ -41,10 +41,11 @@ class Folder:
 
 @dataclass(frozen=True, slots=True)
 class ModelRoot:
-    """The folder that holds every file of a model.
+    """The folder that contains all files of a model.
 
     Attributes:
-        why: the rule that chose it, as people read it.
+        folder: the folder.
+        why: the rule that chose it, as text.
     """
 
     folder: Path
@@ -52,10 +53,10 @@ class ModelRoot:
 
 
 def inside(above: Sequence[Folder]) -> tuple[Folder, ...]:
-    """The folders that could be the root, nearest first.
+    """Folders that may be the root, nearest first.
 
     Args:
-        above: every folder above the model's file, nearest first.
+        above: all folders above the model's file, nearest first.
     """
     own, *further = above
     allowed = [own, *takewhile(lambda folder: not folder.shared, further)]
@@ -66,12 +67,11 @@ def inside(above: Sequence[Folder]) -> tuple[Folder, ...]:
 def choose(
     above: Sequence[Folder], named: Iterable[Path], packages: Iterable[Path] = ()
 ) -> ModelRoot:
-    """The root of a model.
+    """Choose the root of a model.
 
     Args:
-        above: every folder above the model's file, nearest first.
-        named: absolute path of each file that the model names and that is there, as written: no
-            link followed.
+        above: all folders above the model's file, nearest first.
+        named: absolute paths of existing files that the model refers to, without following links.
         packages: folders above the model that its ``package://`` references name.
     """
     allowed = inside(above)
@@ -94,7 +94,7 @@ def choose(
         return ModelRoot(own, "the folder of its file")
     if any(folder.path == common and folder.mark == "checkout" for folder in allowed):
         return ModelRoot(common, _REASONS["checkout"])
-    return ModelRoot(common, "the nearest folder that holds every file that it names")
+    return ModelRoot(common, "the nearest folder with all files that it refers to")
 
 
 _REASONS: dict[Mark | None, str] = {

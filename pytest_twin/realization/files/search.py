@@ -1,4 +1,4 @@
-"""Folders that the user names for the files of a model: ``--root`` and ``--package``."""
+"""Folders from the options ``--root`` and ``--package``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TypedDict
 
 
 class SearchFoldersJson(TypedDict):
-    """Plain data of :class:`SearchFolders`, as a child process gets it."""
+    """JSON-able form of :class:`SearchFolders`, for a child process."""
 
     roots: list[str]
     packages: dict[str, str]
@@ -17,10 +17,10 @@ class SearchFoldersJson(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class SearchFolders:
-    """Folders that the user names for the files of a model.
+    """Folders that the user allows for the files of a model.
 
     Attributes:
-        roots: folders that references may lead into, beside the model's own root.
+        roots: folders that may contain referenced files, in addition to the model's own root.
         packages: ROS package -> its folder.
     """
 
@@ -29,14 +29,14 @@ class SearchFolders:
 
     @staticmethod
     def of(roots: Sequence[str] = (), packages: Mapping[str, str] | None = None) -> SearchFolders:
-        """From plain data."""
+        """Build the object from JSON-able values."""
         return SearchFolders(
             tuple(Path(root) for root in roots),
             {name: Path(folder) for name, folder in (packages or {}).items()},
         )
 
     def to_json(self) -> SearchFoldersJson:
-        """Plain data, which :meth:`of` reads."""
+        """Return JSON-able values, from which :meth:`of` builds the object."""
         return {
             "roots": [str(root) for root in self.roots],
             "packages": {name: str(folder) for name, folder in self.packages.items()},

@@ -1,4 +1,4 @@
-"""What lies above a model on this machine: packages, checkouts, and folders that many share."""
+"""Classify the folders above a model: packages, checkouts, shared folders."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from pytest_twin.realization.files.root import Folder, Mark
 
 _CHECKOUT = (".git", ".hg", ".svn", ".jj")
-# A folder that `pytest-twin intake` keeps, and the manifest beside it.
+# A folder that `pytest-twin intake` keeps, and the manifest next to it.
 _INTAKE, _MANIFEST = "source", "manifest.json"
 _SYSTEM = frozenset(
     Path(path)
@@ -28,11 +28,11 @@ _COLLECTIONS = frozenset(
         *("Videos", "Movies", "Library"),
     }
 )
-"""Folders in a home that hold what has nothing to do with each other."""
+"""Folders in a home folder that contain unrelated files."""
 
 
 def folders_above(model: Path) -> list[Folder]:
-    """Every folder above a model's file, nearest first; the file's folder is free of links."""
+    """All folders above a model's file, nearest first; its folder contains no symbolic link."""
     home = _home()
     return [Folder(path, _mark(path), _is_shared(path, home)) for path in model.parents]
 
@@ -67,5 +67,5 @@ def _is_shared(folder: Path, home: Path | None) -> bool:
         mode = folder.stat().st_mode
     except OSError:
         return True
-    # Anyone may put a file into a folder like /tmp.
+    # Every user may write into a folder with the sticky bit, such as /tmp.
     return bool(mode & stat.S_ISVTX and mode & stat.S_IWOTH)

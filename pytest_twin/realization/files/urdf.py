@@ -1,4 +1,4 @@
-"""The files that a URDF names, found as ROS finds them, or as MuJoCo does."""
+"""Find the files that a URDF refers to, by the rules of ROS and of MuJoCo."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _FILE = re.compile(r"file://(?:localhost(?=/))?", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class MujocoFolders:
-    """Where MuJoCo looks for the meshes of a URDF.
+    """MuJoCo's settings for the mesh files of a URDF.
 
     Attributes:
         meshes: ``meshdir``, relative to the URDF.
-        strip: ``strippath``: whether of a reference only the file's name counts; None where the
-            URDF does not say. MuJoCo 4 then keeps the path, and MuJoCo 3 took the name alone.
-        stated: whether the URDF says either, in ``<mujoco><compiler/></mujoco>``.
+        strip: ``strippath``: whether only the file name of a reference is used; None where it is
+            not stated. MuJoCo 4 then uses the path, MuJoCo 3 used the name only.
+        stated: whether the URDF states one of them in ``<mujoco><compiler/></mujoco>``.
     """
 
     meshes: str = ""
@@ -32,7 +32,7 @@ class MujocoFolders:
 
     @staticmethod
     def of(root: Any) -> MujocoFolders:
-        """What the ``robot`` element (an element with ``find`` and attributes) says."""
+        """Read the settings below the ``robot`` element (any element with ``find``, attributes)."""
         block = root.find("mujoco")
         compiler = None if block is None else block.find("compiler")
         if compiler is None:
@@ -46,7 +46,7 @@ class MujocoFolders:
         )
 
     def paths(self, reference: str) -> list[str]:
-        """The paths that MuJoCo opens, relative to the URDF, the likelier first."""
+        """Paths that MuJoCo may open, relative to the URDF, the most probable first."""
         name = reference.replace("\\", "/").rpartition("/")[2]
         whole = [] if self.strip or "://" in reference else [reference]
         stripped = [] if self.strip is False else [name]
@@ -55,7 +55,13 @@ class MujocoFolders:
 
 @dataclass(frozen=True, slots=True)
 class UrdfFiles:
-    """Finds the files that a URDF names."""
+    """Finds the files that a URDF refers to.
+
+    Attributes:
+        roots: folders that may contain the files.
+        packages: resolves ``package://`` references.
+        mujoco: MuJoCo's settings in the URDF.
+    """
 
     roots: Roots
     packages: Packages
@@ -63,15 +69,15 @@ class UrdfFiles:
 
     @staticmethod
     def of(root: Any, roots: Roots, packages: Packages | None = None) -> UrdfFiles:
-        """Those of a ``robot`` element, which may state MuJoCo's folders."""
+        """Create the finder for a ``robot`` element, with its settings for MuJoCo."""
         return UrdfFiles(roots, packages or Packages(), MujocoFolders.of(root))
 
     def path_of(self, reference: str, at: Path) -> Path:
-        """The path that a reference means, absolute; no link is followed, nothing is checked.
+        """Absolute path of a referenced file, without following links and without checks.
 
-        A URDF that states MuJoCo's folders means these. Where there is no such file it is taken as
-        ROS takes it: relative to the URDF, or ``package://``. A file of that name beside the URDF,
-        which MuJoCo alone would find, comes last.
+        If the URDF states MuJoCo's folders, the file there is used. Otherwise, or if it does not
+        exist, the rules of ROS apply: relative to the URDF, or ``package://``. The file that only
+        MuJoCo would find comes last.
 
         Raises:
             PathError: its package is not found.
@@ -91,10 +97,15 @@ class UrdfFiles:
     def find(
         self, reference: str, *, at: Path, line: int | None = None, where: str | None = None
     ) -> Path:
-        """The file that ``reference`` names in the URDF ``at``.
+        """Path of the file that the URDF ``at`` refers to as ``reference``.
+
+        Args:
+            reference: the reference as written.
+            at: the URDF file.
+            line, where: place in the URDF, for errors.
 
         Raises:
-            PathError: its package is not found; or it leaves the roots, or is no file.
+            PathError: its package is not found, or the file does not exist or is outside the roots.
         """
         try:
             path = str(self.path_of(reference, at)) if reference.strip() else reference
@@ -102,7 +113,7 @@ class UrdfFiles:
             error.path, error.line, error.where, error.value = at, line, where, reference
             raise
         except (OSError, ValueError):
-            # No name that a file can have: the roots say which.
+            # Not a valid file name; the error of `resolve` names it.
             path = reference
         return self.roots.resolve(path, at=at, line=line, where=where)
 

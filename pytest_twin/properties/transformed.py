@@ -1,4 +1,4 @@
-"""The same robot written, mirrored or held by another link, and imported again: same mechanics."""
+"""Properties of the same robot after export and import, mirroring, or a change of its root link."""
 
 from __future__ import annotations
 
@@ -26,7 +26,12 @@ _TINY_INERTIA = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class _Imported:
-    """What the importers made of a rewritten robot."""
+    """A transformed robot, imported again.
+
+    Attributes:
+        forms: its realizations.
+        floating: its Pinocchio model with a floating base.
+    """
 
     forms: tuple[Form, ...]
     floating: Any
@@ -36,24 +41,24 @@ _made: WeakKeyDictionary[Form, dict[str, _Imported]] = WeakKeyDictionary()
 
 
 def written_and_read(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Written as URDF and imported again, every realization in MuJoCo stays the same robot."""
+    """The robot is the same after it is written as URDF and imported again."""
     for form in asset.simulated:
         imported = _import(form, "as it is", lambda tree: tree)
-        yield from _same(asset, form, imported, q, np.eye(4), "written as URDF and read")
+        yield from _compare(asset, form, imported, q, np.eye(4), "written as URDF and read")
 
 
 def mirrored(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Left for right, the robot stands mirrored at the same joint values and feels as heavy."""
+    """The mirrored robot has mirrored poses and the same mass matrix at the same joint values."""
     for form in asset.simulated:
         imported = _import(form, "mirrored", trees.mirrored)
-        yield from _same(asset, form, imported, q, trees.MIRROR, "mirrored")
+        yield from _compare(asset, form, imported, q, trees.MIRROR, "mirrored")
 
 
 def rerooted(asset: Asset, q: Q) -> Iterator[Broken]:
-    """Held by its last link, links stand to each other as before.
+    """With its last link as the root, the relative poses of all links are the same.
 
-    Afloat, the joints feel the same inertia, M_jj - M_jb inv(M_bb) M_bj, whichever link is the
-    base.
+    With a floating base, the joint inertia M_jj - M_jb inv(M_bb) M_bj does not depend on the choice
+    of the base link.
     """
     for form in asset.simulated:
         last = trees.leaves(trees.tree_of(form.model))[-1]
@@ -65,23 +70,23 @@ def rerooted(asset: Asset, q: Q) -> Iterator[Broken]:
         for other in turned.forms:
             theirs = other.dynamics.poses(own)
             for frame in (frame for frame in poses if frame in theirs):
-                yield from _pose_off(
+                yield from _compare_poses(
                     asset,
                     form,
                     frame,
                     base @ poses[frame],
                     theirs[frame],
-                    f"held by '{last}'",
+                    f"with root '{last}'",
                     other.name,
                 )
         joints = form.dynamics.joints
-        one, two = (_afloat(i.floating, own, joints) for i in (plain, turned))
+        one, two = (_floating_base_inertia(i.floating, own, joints) for i in (plain, turned))
         held = np.sqrt(np.maximum(np.diag(matrix_of(form, q)), 0.0))
         bounds = asset.tolerances.mass_matrix * np.outer(held, held) + _TINY_INERTIA
         apart = np.abs(one - two)
         if joints and not np.all(apart <= bounds):
             i, k = np.unravel_index(int(np.argmax(apart / bounds)), apart.shape)
-            words = f"afloat and held by '{last}', feels another inertia, off"
+            words = f"with a floating base and root '{last}', has another inertia, off"
             yield Broken(
                 f"joint '{joints[i]}'",
                 words,
@@ -108,7 +113,7 @@ def _import(form: Form, key: str, change: Any) -> _Imported:
 
 
 def _from_reference(form: Form, q: Q) -> dict[str, float]:
-    """Joint values told from the model's reference, as its tree has them."""
+    """Joint values relative to the model's reference, as in its tree."""
     model = form.model
     found = {}
     for joint in form.dynamics.joints:
@@ -117,7 +122,7 @@ def _from_reference(form: Form, q: Q) -> dict[str, float]:
     return found
 
 
-def _same(
+def _compare(
     asset: Asset, form: Form, imported: _Imported, q: Q, mirror: Vector, how: str
 ) -> Iterator[Broken]:
     own, poses = _from_reference(form, q), form.dynamics.poses(q)
@@ -127,7 +132,7 @@ def _same(
         theirs = other.dynamics.poses(own)
         for frame in (frame for frame in poses if frame in theirs):
             expected = mirror @ poses[frame] @ mirror
-            yield from _pose_off(asset, form, frame, expected, theirs[frame], how, other.name)
+            yield from _compare_poses(asset, form, frame, expected, theirs[frame], how, other.name)
         bounds = (
             asset.tolerances.mass_matrix * np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
             + _TINY_INERTIA
@@ -135,7 +140,7 @@ def _same(
         apart = np.abs(matrix_of(other, own, joints) - matrix)
         if joints and not np.all(apart <= bounds):
             i, k = np.unravel_index(int(np.argmax(apart / bounds)), apart.shape)
-            words = f"{how}, feels another inertia, off"
+            words = f"{how}, has another inertia, off"
             yield Broken(
                 f"joint '{joints[i]}'",
                 words,
@@ -146,22 +151,22 @@ def _same(
             )
 
 
-def _pose_off(
+def _compare_poses(
     asset: Asset, form: Form, frame: str, one: Vector, two: Vector, how: str, by: str
 ) -> Iterator[Broken]:
     forms = f"{form.name}, imported again by {by}"
     apart = position_error(two[:3, 3], one[:3, 3])
     if not apart <= asset.tolerances.position:
-        words = f"{how}, stands elsewhere"
+        words = f"{how}, has another position"
         yield Broken(f"frame '{frame}'", words, apart, asset.tolerances.position, "m", forms)
     turned = orientation_error(two[:3, :3], one[:3, :3])
     if not turned <= asset.tolerances.orientation:
-        words = f"{how}, is turned"
+        words = f"{how}, has another orientation"
         yield Broken(f"frame '{frame}'", words, turned, asset.tolerances.orientation, "rad", forms)
 
 
-def _afloat(model: Any, q: Q, joints: tuple[str, ...]) -> Vector:
-    """(n, n) inertia that the joints feel with the base afloat, in the order of ``joints``."""
+def _floating_base_inertia(model: Any, q: Q, joints: tuple[str, ...]) -> Vector:
+    """(n, n) joint inertia with a floating base, in the order of ``joints``."""
     import pinocchio as pin
 
     full = pin.neutral(model)

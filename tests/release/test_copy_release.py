@@ -9,7 +9,7 @@ import yaml
 from release_twins import MakeRelease
 
 from pytest_twin.errors import ReleaseError
-from pytest_twin.provenance.past import lay_out, release_folder
+from pytest_twin.provenance.past import copy_release, release_folder
 from pytest_twin.twin import load_twin
 
 
@@ -24,7 +24,7 @@ def test_released_files_are_restored_and_roots_outside_the_twin_point_to_the_cur
     (root / "arm.xml").write_text("today")
     into = tmp_path / "past"
     into.mkdir()
-    file = lay_out(released, release_folder(root, 1), root, into)
+    file = copy_release(released, release_folder(root, 1), root, into)
     roots = yaml.safe_load(file.read_text())["roots"]
     assert roots == {"shared": str(tmp_path / "shared"), "meshes": "meshes"}
     assert (into / "arm.xml").read_text() == "<mujoco><worldbody/></mujoco>\n"
@@ -38,7 +38,7 @@ def test_a_changed_or_missing_release_is_not_laid_out(
     folder = release_folder(root, 1)
     (folder / "files" / "arm.xml").write_text("<mujoco/>")
     with pytest.raises(ReleaseError, match="not the file that was signed"):
-        lay_out(released, folder, root, tmp_path)
+        copy_release(released, folder, root, tmp_path)
     with pytest.raises(ReleaseError, match="release 2 is not in this twin"):
         release_folder(root, 2)
 
@@ -55,5 +55,5 @@ def test_a_twin_is_laid_out_without_its_recordings(
     released = make()
     into = tmp_path / "past"
     into.mkdir()
-    file = lay_out(released, release_folder(root, 1), root, into)
+    file = copy_release(released, release_folder(root, 1), root, into)
     assert load_twin(file).budget.recordings == ()

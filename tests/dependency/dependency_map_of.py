@@ -13,11 +13,11 @@ from pytest_twin.gate.parts import installed_version
 from pytest_twin.gate.specs import load_golden, spec_paths
 from pytest_twin.golden import Golden
 from pytest_twin.realization import load
-from pytest_twin.staleness import Baseline, Model, Stock, Surroundings, take_stock
+from pytest_twin.staleness import Baseline, DependencyMap, Lookups, Model, dependency_map
 from pytest_twin.twin import Twin, load_twin
 
 
-def stock_of(root: Path, versions: Mapping[str, str] | None = None) -> Stock:
+def dependency_map_of(root: Path, versions: Mapping[str, str] | None = None) -> DependencyMap:
     """Parts and dependencies of the twin in a folder, as the gate computes them."""
     twin = load_twin(root / "twin.yaml")
     goldens = [load_golden(path, twin) for path in spec_paths(twin)]
@@ -25,10 +25,10 @@ def stock_of(root: Path, versions: Mapping[str, str] | None = None) -> Stock:
     for name, ref in twin.realizations.items():
         realization = load(ref.file, twin=twin, name=name)
         models[name] = Model(realization.parts, realization.structure)
-    return take_stock(twin, goldens, models, surroundings(twin, versions or {}))
+    return dependency_map(twin, goldens, models, lookups(twin, versions or {}))
 
 
-def surroundings(twin: Twin, versions: Mapping[str, str]) -> Surroundings:
+def lookups(twin: Twin, versions: Mapping[str, str]) -> Lookups:
     def file_digest(golden: Golden | None, reference: str) -> str | None:
         try:
             path = Path(reference) if golden is None else find_file(golden, "", reference, twin)
@@ -39,9 +39,14 @@ def surroundings(twin: Twin, versions: Mapping[str, str]) -> Surroundings:
     def version(name: str) -> str:
         return versions.get(name, installed_version(name))
 
-    return Surroundings(check_of, version, file_digest)
+    return Lookups(check_of, version, file_digest)
 
 
-def proven(stock: Stock, number: int = 1) -> Baseline:
-    """A release in which all goldens of a stock have passed."""
-    return Baseline(number, stock.parts, dict.fromkeys(stock.rests_on, True), stock.rests_on)
+def proven(dependencies: DependencyMap, number: int = 1) -> Baseline:
+    """A release in which all goldens of the dependency map have passed."""
+    return Baseline(
+        number,
+        dependencies.parts,
+        dict.fromkeys(dependencies.depends_on, True),
+        dependencies.depends_on,
+    )
