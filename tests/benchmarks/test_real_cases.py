@@ -72,7 +72,7 @@ def _two_seconds_held_out(machine: Machine) -> Recorded:
 
 @needs_recordings
 @pytest.mark.parametrize("name", list(MACHINES))
-def test_the_written_model_moves_alike_in_the_package_and_in_mujoco(
+def test_the_written_model_has_the_same_motion_in_the_package_and_in_mujoco(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The replay of the written model and its effects equals a separate MuJoCo simulation."""

@@ -138,7 +138,9 @@ def gripper_trial(time: np.ndarray, commanded: tuple[str, ...], sent: np.ndarray
     return make_trial(Recording(Path("made.mcap"), series, {}, ()))
 
 
-def test_uncommanded_servos_and_mimic_joints_move_alike_in_both(tmp_path: Path) -> None:
+def test_uncommanded_servos_and_mimic_joints_move_the_same_in_rows_and_replay(
+    tmp_path: Path,
+) -> None:
     """The wrist servo has no command, and one finger follows the other."""
     (tmp_path / "model.xml").write_text(GRIPPER)
     realization = load(tmp_path / "model.xml")

@@ -138,7 +138,7 @@ def test_changes_for_a_policy_are_evaluated_over_the_joint_ranges(released) -> N
     assert document["moved"]["translation"] == pytest.approx(0.01, rel=1e-9)
 
 
-def test_a_changed_release_or_unstamped_data_is_one_line_and_exit_status_2(
+def test_a_changed_release_or_unstamped_data_is_refused_in_one_line_with_exit_status_2(
     released, data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (released.root / "releases" / "0001" / "files" / "arm.xml").write_text("<mujoco/>")

@@ -78,7 +78,7 @@ def test_in_a_project_without_a_twin_only_the_plugin_module_is_imported(
     result.stdout.fnmatch_lines(["1 passed*"])
 
 
-def test_invalid_specs_are_one_line_each_and_the_others_are_collected(twin) -> None:
+def test_invalid_specs_are_reported_in_one_line_each_and_the_others_are_collected(twin) -> None:
     twin.write("golden/a.yaml", "schema: 1\nkind: fk\n  bad indent: [\n")
     twin.write("golden/b.yaml", "schema: 1\nkind: teleport\n")
     result = twin.run("--collect-only")

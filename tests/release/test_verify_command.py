@@ -103,7 +103,7 @@ def test_trusted_keys_can_be_given_as_a_folder(
         (["arm", "--keys", "nowhere"], "nowhere: no such folder of keys"),
     ],
 )
-def test_unusable_input_of_verify_is_one_line_and_exit_status_2(
+def test_unusable_input_of_verify_is_refused_in_one_line_with_exit_status_2(
     twin_with_two_releases: Path,
     arguments: list[str],
     words: str,
