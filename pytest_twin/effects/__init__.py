@@ -16,11 +16,11 @@ __all__ = ["Effect", "ModelFields", "Parameter", "Values", "World", "catalogue"]
 
 @functools.cache
 def catalogue() -> Mapping[str, Effect]:
-    """Every installed effect by id, in the order of the entry points ``pytest_twin.effects``.
+    """Return id -> installed effect, in the order of the entry points ``pytest_twin.effects``.
 
     Raises:
-        SpecError: one cannot be loaded, has a wrong declaration, or has the id of another; or
-            pytest-twin's own are not registered.
+        SpecError: an effect cannot be loaded, has a wrong declaration, or has the id of
+            another; or pytest-twin's own effects are not registered.
     """
     group = "pytest_twin.effects"
     points = entry_points(group=group)
@@ -32,7 +32,7 @@ def catalogue() -> Mapping[str, Effect]:
                 f"{package_of(point)} defines an effect that another package defines too",
                 where="effect",
                 value=point.name,
-                expected="one of them; uninstall the other",
+                expected="one package for each effect; uninstall the other",
             )
         effects[point.name] = checked(load_plugin(point, "effect"), point.name, package_of(point))
     return effects

@@ -33,7 +33,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Size of rows.
+    """Sizes of rows, from which their time is estimated.
 
     Attributes:
         steps: (rows,) number of steps.
@@ -46,19 +46,19 @@ class _Rows:
     joints: int
 
     def part(self, rows: NDArray[np.int64]) -> Part:
-        """A part of these rows."""
+        """Return a part with these rows."""
         laws = int(self.laws[rows].any(axis=0).sum())
         between = _BETWEEN + laws * _LAW if laws else 0.0
         each = len(rows) * self.joints * _ENGINE + between
         return Part(rows, float(self.steps[rows].max()) * each)
 
     def by_laws(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        """These rows, sorted by their effects."""
+        """Return these rows, sorted by their effects."""
         ordered: NDArray[np.int64] = rows[np.lexsort([rows, *self.laws[rows].T])]
         return ordered
 
     def divided(self, part: Part, count: int) -> list[Part]:
-        """A part divided into ``count``, rows with the same effects together."""
+        """Divide a part into ``count`` parts; rows with the same effects stay together."""
         if count < 2 or len(part.rows) < 2:
             return [part]
         order = self.by_laws(part.rows)
@@ -75,10 +75,10 @@ class _Rows:
 def divide_rows(
     steps: NDArray[np.int64], laws: NDArray[np.bool_], joints: int, cores: int
 ) -> list[Part]:
-    """Rows divided into parts, the longest first.
+    """Divide rows into parts, the longest first.
 
-    Rows of similar length (10 %) step together, rows without effects between steps apart from the
-    others. Larger parts are divided by their effects.
+    Rows of similar length (10 %) step together. Rows without effects between steps form separate
+    parts. Larger parts are divided by their effects.
 
     Args:
         steps: (rows,) number of steps.
@@ -101,7 +101,7 @@ def divide_rows(
 def _of_like_length(
     steps: NDArray[np.int64], stepwise: NDArray[np.bool_]
 ) -> list[NDArray[np.int64]]:
-    """Rows that may step together: similar length, with or without effects between steps."""
+    """Group rows that may step together: similar length, with or without effects between steps."""
     found: list[NDArray[np.int64]] = []
     for kind in (False, True):
         rows = np.flatnonzero(stepwise == kind)
@@ -116,8 +116,9 @@ def _of_like_length(
 
 
 def _shared_out(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:
-    """Parts with the shortest total time on several cores; the time between steps does not shrink
-    with the number of rows.
+    """Divide parts for the shortest total time on several cores.
+
+    The time between steps does not decrease with the number of rows.
     """
     best, least = list(whole), _until_done(whole, cores)
     if cores == 1 or sum(p.seconds for p in whole) < _FORK:
@@ -134,7 +135,7 @@ def _shared_out(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:
 
 
 def _until_done(found: Sequence[Part], cores: int) -> float:
-    """Time until all parts are done if each core takes the longest remaining part, s."""
+    """Return the time until all parts are done if each free core takes the longest one, s."""
     busy = [0.0] * cores
     for p in sorted(found, key=lambda p: -p.seconds):
         first = int(np.argmin(busy))

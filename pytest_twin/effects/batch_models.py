@@ -1,4 +1,4 @@
-"""Batches of simulations: initial states, drives, and effects written into model fields."""
+"""Build batches of simulations: initial states, drives, and effects in model fields."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ OF_ROWS = (
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
     "motor_constant", "link_inertia", "cold_fraction", "least_setpoint", "greatest_setpoint",
 )  # fmt: skip
-"""Attributes of a world with a row for each simulation."""
+"""Attributes of a world that have a row for each simulation."""
 
 _WORTH_THREADS = 64
 """Smallest number of rows times degrees of freedom for which threads save time."""
@@ -91,7 +91,7 @@ class _Batched:
 
 
 class BatchModels:
-    """Makes batches of segments under effects.
+    """Builds batches of segments with effects.
 
     Args:
         segments: segments whose models have the same joints and drives.
@@ -112,7 +112,7 @@ class BatchModels:
 
     @cached_property
     def contact(self) -> ContactGeoms:
-        """Surfaces that the robot touches, or nearly touches, at the measured positions."""
+        """Return the surfaces that the robot touches, or nearly touches, at measured positions."""
         poses = [s.position for s in self.segments]
         return contact_geoms(self.segments[0].model, self.layout.joint_ids, poses)
 
@@ -155,7 +155,7 @@ class BatchModels:
         return np.array([self._link_inertia[id(s.position)][1] for s in segments])
 
     def precompute(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> None:
-        """Compute and keep what batches of ``rows`` share, before processes are forked."""
+        """Compute and cache data shared by batches of ``rows``, before processes are forked."""
         for r in np.unique(rows):
             self.bounded(int(r))
         if any(effect.is_elastic_transmission for effect, _ in effects):
@@ -164,7 +164,7 @@ class BatchModels:
     def world(self, rows: NDArray[np.int64]) -> World:
         """Initial states of segments ``rows``, with the nominal drives."""
         segments, of = np.unique(rows, return_inverse=True)
-        # Segments are many and their models few.
+        # There are many segments and few models.
         of_segment = [self.bounded(int(s)) for s in segments]
         models = list({id(m): m for m in of_segment}.values())
         place = {id(m): i for i, m in enumerate(models)}
@@ -241,7 +241,7 @@ class BatchModels:
     def written(
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], threads: int
     ) -> Rows:
-        """A batch of segments with the effects in its model fields.
+        """Return a batch of segments with the effects in its model fields.
 
         Args:
             rows: index of the segment of each row.

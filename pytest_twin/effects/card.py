@@ -1,4 +1,4 @@
-"""The catalogue of effects as Markdown: an overview and a card for each effect."""
+"""Format the catalogue of effects as Markdown: an overview and a card for each effect."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pytest_twin.effects.base import MODES, REFERENCES, Effect, Parameter
 
 
 def cards(effects: Mapping[str, Effect]) -> str:
-    """Markdown of all effects: a table by their place in the signal path, then their cards."""
+    """Return Markdown of all effects: a table by position in the signal path, then their cards."""
     paths: dict[str, list[Effect]] = {}
     for effect in effects.values():
         paths.setdefault(effect.path, []).append(effect)
@@ -24,7 +24,7 @@ def cards(effects: Mapping[str, Effect]) -> str:
 
 
 def as_json(effects: Mapping[str, Effect]) -> dict[str, Any]:
-    """The catalogue as JSON: effect id -> the content of its :func:`card`."""
+    """Return the catalogue as JSON: effect id -> content of its :func:`card`."""
     return {
         effect.id: {
             "family": effect.family,
@@ -51,7 +51,7 @@ def as_json(effects: Mapping[str, Effect]) -> dict[str, Any]:
 
 
 def card(effect: Effect) -> str:
-    """Markdown of one effect: law, parameters, confused effects with their tests, source."""
+    """Return Markdown of one effect: law, parameters, confused effects with their tests, source."""
     where = "the whole robot" if effect.scope == "robot" else "one joint"
     lines = [
         f"## {effect.id}",
@@ -82,7 +82,7 @@ def card(effect: Effect) -> str:
 
 
 def _names(parameters: Iterable[Parameter]) -> str:
-    """Names of parameters of one meaning, as the knots of a table are: the first and the last."""
+    """Return names of parameters with equal meaning, such as knots of a table: first and last."""
     first, *others = (f"`{p.reported_name}`" for p in parameters)
     return f"{first} to {others[-1]}" if others else first
 
@@ -111,7 +111,7 @@ def _both(parameter: Parameter, servo: str) -> str:
 
 
 def _absent(parameter: Parameter) -> str:
-    """The neutral value; empty where the parameter only shapes the effect."""
+    """Return the neutral value; empty if the parameter only shapes the effect."""
     if parameter.neutral is None:
         return ""
     value = parameter.reported(parameter.neutral)

@@ -1,4 +1,4 @@
-"""Checks of an installed effect's declaration."""
+"""Validate the declaration of an installed effect."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from pytest_twin.errors import SpecError
 
 
 def checked(effect: object, name: str, package: str) -> Effect:
-    """The effect that an entry point brings, once its class attributes can be used.
+    """Return the effect of an entry point, after validating its class attributes.
 
     Args:
         effect: an instance of the entry point's class.
         name: the entry point's name.
-        package: the package that brings it, for the error.
+        package: the package that defines it, for the error.
 
     Raises:
-        SpecError: it is no effect, or an attribute is missing or not allowed.
+        SpecError: it is not an effect, or an attribute is missing or invalid.
     """
     try:
         return _checked(effect, name)
     except SpecError as error:
-        error.problem = f"{package} brings an effect that cannot be used"
+        error.problem = f"{package} defines an invalid effect"
         raise
 
 

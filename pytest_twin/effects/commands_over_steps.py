@@ -1,4 +1,4 @@
-"""Mean commands over simulation steps, for held and interpolated commands."""
+"""Compute mean commands over simulation steps, for held and interpolated commands."""
 
 from __future__ import annotations
 

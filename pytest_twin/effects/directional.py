@@ -10,8 +10,8 @@ import numpy as np
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
 from pytest_twin.effects.motor import motor_effort
 
-_STANDS = 1e-4
-"""rad/s or m/s below which a joint stands: the solver's residual velocity in dry friction."""
+_REST_SPEED = 1e-4
+"""Speed below which a joint is at rest, rad/s or m/s: residual velocity of dry friction."""
 
 
 class DirectionalViscousFriction(Effect):
@@ -99,7 +99,7 @@ class GearEfficiency(Effect):
     def friction(self, world: World, values: Values) -> None:
         effort = motor_effort(world)
         # At rest the direction of power is that in which the joint would break away.
-        standing = np.abs(world.motor_velocity) < _STANDS
+        standing = np.abs(world.motor_velocity) < _REST_SPEED
         way = np.where(standing, effort - world.load, world.motor_velocity)
         loss = np.where(effort * way > 0.0, values["forward_loss"], values["backward_loss"])
         world.friction_level = world.friction_level + loss * np.abs(effort)

@@ -11,7 +11,7 @@ def disable_unused_features(model: mujoco.MjModel) -> None:
     """Disable constraint islands for a single kinematic tree, and contacts where no geoms collide.
 
     Args:
-        model: changed in place; its motion is bitwise the same.
+        model: changed in place; its motion remains bitwise equal.
     """
     if model.ntree <= 1:
         model.opt.disableflags |= int(_DISABLE.mjDSBL_ISLAND)

@@ -1,4 +1,4 @@
-"""A fast clip for small arrays."""
+"""Clip small arrays faster than NumPy."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ from pytest_twin.arrays import FloatArray
 
 
 def fast_clip(x: FloatArray, low: FloatArray | float, high: FloatArray | float) -> FloatArray:
-    """``np.clip`` in a third of its time for small arrays."""
+    """Return ``np.clip(x, low, high)``; for small arrays three times as fast."""
     bounded: FloatArray = np.minimum(np.maximum(x, low), high)
     return bounded

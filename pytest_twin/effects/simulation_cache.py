@@ -1,7 +1,7 @@
-"""A cache of simulations: a search asks for many of them again.
+"""A cache of simulations, because a search requests many of them repeatedly.
 
-A fit starts where another ended, and the same hypothesis is evaluated several times. A simulation
-depends on its segment and the parameters of its effects alone, so it is kept while there is room.
+A fit starts at the result of another one, and the same hypothesis is evaluated several times. A
+simulation depends only on its segment and the parameters of its effects.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RowKey = tuple[int, bytes]
 
 
 def row_keys(segments: Sequence[Segment], values: EffectValues) -> list[RowKey]:
-    """Cache keys of rows: one segment each, with its row of ``values``."""
+    """Return the cache keys of rows: each has one segment and one row of ``values``."""
     count = len(segments)
     parts: list[list[bytes]] = [[] for _ in range(count)]
     for name, given in sorted(values.items()):
@@ -46,7 +46,7 @@ class SimulationCache:
         self._known: OrderedDict[RowKey, tuple[Segment, Predicted]] = OrderedDict()
 
     def get(self, key: RowKey) -> Predicted | None:
-        """The prediction of a row, None where it is not in the cache."""
+        """Return the prediction of a row, or None if it is not in the cache."""
         found = self._known.get(key)
         if found is None:
             return None
@@ -69,7 +69,7 @@ def _arrays(predicted: Predicted) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _on_its_own(array: FloatArray) -> FloatArray:
-    """A read-only copy that does not keep a whole batch alive."""
+    """Return a read-only copy, which does not keep a whole batch in memory."""
     own = array.copy()
     own.flags.writeable = False
     return own

@@ -18,7 +18,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class LimitCheck:
     """One limit and the worst value of a motion.
 
     Attributes:
@@ -56,7 +56,7 @@ class Verdict:
         notes: limits that were not checked.
     """
 
-    kept: tuple[Kept, ...]
+    kept: tuple[LimitCheck, ...]
     tracking: FloatArray = field(default_factory=lambda: np.zeros(0))
     notes: tuple[str, ...] = ()
 
@@ -66,11 +66,11 @@ class Verdict:
         return all(one.holds for one in self.kept)
 
     @property
-    def worst(self) -> Kept:
+    def worst(self) -> LimitCheck:
         """Return the limit with the largest used share."""
         return max(self.kept, key=lambda one: one.share)
 
-    def of_kind(self, kind: str) -> Kept | None:
+    def of_kind(self, kind: str) -> LimitCheck | None:
         """Return the limit of one kind (first word of ``what``) with the largest used share."""
         own = [one for one in self.kept if one.what.split(" ")[0] == kind]
         return max(own, key=lambda one: one.share) if own else None
@@ -83,7 +83,7 @@ def commanded(motion: Motion, approved: Approved, around: Surroundings) -> Verdi
     velocity = np.diff(motion.position, axis=0) * rate
     acceleration = np.diff(motion.position, 2, axis=0) * rate**2
     seconds = float(motion.time[-1])
-    kept = [Kept("duration", seconds, approved.duration, "s", seconds / approved.duration)]
+    kept = [LimitCheck("duration", seconds, approved.duration, "s", seconds / approved.duration)]
     kept += _positions(motion.position, lower, upper, approved, "commanded")
     kept += _sizes("velocity", velocity, approved.speed, approved, "commanded", "/s")
     kept += _sizes(
@@ -91,7 +91,7 @@ def commanded(motion: Motion, approved: Approved, around: Surroundings) -> Verdi
     )
     kept += _stops(motion, approved)
     if all(one.holds for one in kept):
-        kept += _around(motion.position, around)
+        kept += _clearance_checks(motion.position, around)
     return Verdict(tuple(kept))
 
 
@@ -103,11 +103,13 @@ def simulated(
     worse: Response,
 ) -> Verdict:
     """Check simulated motion and efforts of the nominal and of the worse model."""
-    kept: list[Kept] = []
+    kept: list[LimitCheck] = []
     tracking = np.zeros(len(approved.joints))
     for name, response in (("nominal model", nominal), ("20 % worse model", worse)):
         if response.error is not None:
-            kept.append(Kept(f"simulation of the {name}: {response.error}", 1.0, 0.0, "", np.inf))
+            kept.append(
+                LimitCheck(f"simulation of the {name}: {response.error}", 1.0, 0.0, "", np.inf)
+            )
             return Verdict(tuple(kept), tracking)
         is_nominal = response is nominal
         share = 1.0 - approved.margin if is_nominal else 1.0
@@ -121,17 +123,17 @@ def simulated(
         power = np.maximum(response.effort * response.velocity, 0.0).sum(axis=1)
         most = float(power.max())
         limit = share * approved.power
-        kept.append(Kept(f"power of all drives, {name}", most, limit, "W", most / limit))
+        kept.append(LimitCheck(f"power of all drives, {name}", most, limit, "W", most / limit))
         tracking = np.maximum(tracking, np.abs(response.position - motion.position).max(axis=0))
     # If joints follow exactly, the checks of the commands suffice.
     if nominal.position is not motion.position and all(one.holds for one in kept):
-        kept += _around(nominal.position, around, ", nominal model")
+        kept += _clearance_checks(nominal.position, around, ", nominal model")
     return Verdict(tuple(kept), tracking)
 
 
 def _positions(
     position: FloatArray, lower: FloatArray, upper: FloatArray, approved: Approved, whose: str
-) -> list[Kept]:
+) -> list[LimitCheck]:
     found = []
     for at, joint in enumerate(approved.joints):
         # As shares of the distance from the start to the limit.
@@ -143,7 +145,7 @@ def _positions(
             else (position[:, at].min(), lower[at], down)
         )
         found.append(
-            Kept(
+            LimitCheck(
                 f"position of {joint.name}, {whose}",
                 float(value),
                 float(limit),
@@ -161,10 +163,10 @@ def _sizes(
     approved: Approved,
     whose: str,
     per: str | None = None,
-) -> list[Kept]:
+) -> list[LimitCheck]:
     most = np.abs(values).max(axis=0) if len(values) else np.zeros(len(limits))
     return [
-        Kept(
+        LimitCheck(
             f"{what} of {joint.name}, {whose}",
             float(most[at]),
             float(limits[at]),
@@ -175,7 +177,7 @@ def _sizes(
     ]
 
 
-def _stops(motion: Motion, approved: Approved) -> list[Kept]:
+def _stops(motion: Motion, approved: Approved) -> list[LimitCheck]:
     """Check the rest positions of each joint after an abort at any time."""
     found = []
     reaction = approved.stop.reaction
@@ -191,23 +193,29 @@ def _stops(motion: Motion, approved: Approved) -> list[Kept]:
                 continue
             room = sign * (limit - joint.start)
             share = sign * (value - joint.start) / max(room, 1e-12)
-            found.append(Kept(f"stop of {joint.name}, aborted", value, limit, joint.unit, share))
+            found.append(
+                LimitCheck(f"stop of {joint.name}, aborted", value, limit, joint.unit, share)
+            )
     return found
 
 
-def _around(position: FloatArray, around: Surroundings, whose: str = "") -> list[Kept]:
+def _clearance_checks(
+    position: FloatArray, around: Surroundings, whose: str = ""
+) -> list[LimitCheck]:
     found = []
     box = around.least_box_spare(position)
     if box is not None:
         spare, frame, _ = box
         found.append(
-            Kept(f"workspace: room of {frame} in its box{whose}", spare, 0.0, "m", _share(spare))
+            LimitCheck(
+                f"workspace: room of {frame} in its box{whose}", spare, 0.0, "m", _share(spare)
+            )
         )
     nearest = around.nearest(position)
     if nearest is not None:
         first, second = nearest.pair
         found.append(
-            Kept(
+            LimitCheck(
                 f"clearance of {first} and {second}{whose}",
                 nearest.distance,
                 nearest.required,

@@ -39,7 +39,7 @@ def table_of(
     return table if in_order else table[order]
 
 
-def carried_by(
+def named_joints(
     batches: Sequence[Batch], names: tuple[str, ...], order: Integers
 ) -> NDArray[np.bool_]:
     """Return which joints each message names, as (n, j) booleans."""

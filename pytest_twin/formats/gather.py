@@ -117,7 +117,7 @@ class Gatherer:
             if (found := reader.finish()) is not None
         }
         metadata = self.trial_metadata()
-        if not self._guarded():
+        if not self._has_checksum_for_metadata():
             self.remarks.add(
                 "metadata 'trial'",
                 "no checksum covers it (the file has no data CRC): a changed value would go unseen",
@@ -156,7 +156,7 @@ class Gatherer:
             )
         return self.metadata | dict(found[0] if found else {})
 
-    def _guarded(self) -> bool:
+    def _has_checksum_for_metadata(self) -> bool:
         """Whether all metadata records are covered by a checksum, or there are none."""
         found = self._trial_records()
         return not found or any(guarded for _, guarded in found)

@@ -23,7 +23,7 @@ from pytest_twin.formats.sensor_record import SensorFields, sensor_fields
 
 _EXPECTED = "identification.json of pytest-twin identify"
 _FAMILIES = ("joint", "actuator", "body", "geom")
-Laid = Mapping[str, Mapping[str, Mapping[str, float | tuple[float, ...]]]]
+FittedAttributes = Mapping[str, Mapping[str, Mapping[str, float | tuple[float, ...]]]]
 """Family -> element -> attribute -> value in SI units."""
 
 
@@ -73,7 +73,7 @@ class IdentificationRecord:
     path: Path
     sha256: str
     verdict: str
-    fit: Laid
+    fit: FittedAttributes
     stages: Mapping[str, str]
     values: Mapping[str, float]
     covariance_names: tuple[str, ...]
@@ -175,7 +175,7 @@ def _encoder(value: Mapping[str, Any]) -> Mapping[str, float]:
     return found
 
 
-def _fit(value: Any) -> Laid:
+def _fit(value: Any) -> FittedAttributes:
     if not set(value) <= set(_FAMILIES):
         raise ValueError("fit")
     if sum(len(own) for own in value.values()) > limits.OBSERVATIONS.name_chars:

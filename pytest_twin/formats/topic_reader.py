@@ -10,7 +10,7 @@ import numpy as np
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Region
-from pytest_twin.formats.batches import carried_by, note_not_finite, table_of
+from pytest_twin.formats.batches import named_joints, note_not_finite, table_of
 from pytest_twin.formats.compressed import ZSTD_MAGIC, unpacked_messages
 from pytest_twin.formats.message_types import (
     ANY_QUANTITY,
@@ -202,7 +202,7 @@ class TopicReader:
         log_time = np.concatenate(self.log_times)[order]
         stamp = np.concatenate([batch.stamp for batch in self.batches])[order]
         tables = {name: table_of(self.batches, name, names, order) for name in QUANTITIES}
-        carried = carried_by(self.batches, names, order)
+        carried = named_joints(self.batches, names, order)
         for name in QUANTITIES:
             note_not_finite(self.notes, self.topic, name, tables, names, carried)
         if self.schema in TRAJECTORIES:
@@ -214,7 +214,7 @@ class TopicReader:
             topic=self.topic,
             names=names,
             stamped=len(stamp) < 2 or bool(stamp.any()),
-            stamp=self._mend_stamps(stamp, log_time),
+            stamp=self._usable_stamps(stamp, log_time),
             log_time=log_time,
             **tables,
         )
@@ -277,7 +277,7 @@ class TopicReader:
                 expected=f"at most {limits.MCAP.samples_count}",
             )
 
-    def _mend_stamps(self, stamp: Integers, log_time: Integers) -> Integers:
+    def _usable_stamps(self, stamp: Integers, log_time: Integers) -> Integers:
         unset = int((stamp == 0).sum())
         if (log_time < 0).any():
             self.notes.add(self.topic, "log times beyond the year 2262 read as negative")

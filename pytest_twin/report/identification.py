@@ -93,12 +93,12 @@ def signal_rows(document: Mapping[str, Any]) -> list[dict[str, Any]]:
                 effort.append("constant unknown")
             if stated["limit"] is not None:
                 effort.append(f"limit {stated['limit']:g}")
-            effort += _told(stated)
+            effort += _signal_description(stated)
         if own["shared_with"] is not None:
             effort.append(f"motor shared with {own['shared_with']}")
         rows.append({
             "joint": joint,
-            "position": ", ".join([*position, *_told(own["position"])]),
+            "position": ", ".join([*position, *_signal_description(own["position"])]),
             "effort": ", ".join(effort),
             "gear": own["gear"],
             "rate": own["rate"],
@@ -106,7 +106,7 @@ def signal_rows(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def _told(signal: Mapping[str, Any]) -> list[str]:
+def _signal_description(signal: Mapping[str, Any]) -> list[str]:
     """Return the stated source, filter, clock and rate."""
     words = ["inferred from commands"] if signal["source"] == "inferred" else []
     words += [f"{key}: {signal[key]}" for key in ("filter", "clock") if signal[key]]

@@ -128,7 +128,7 @@ def time_panels(
                 bound=max(about, key=tolerance_ratio, default=None),
             )
         )
-    panels.sort(key=_telling, reverse=True)
+    panels.sort(key=_sort_key, reverse=True)
     return panels[:MAX_PANELS], max(0, len(panels) - MAX_PANELS)
 
 
@@ -180,7 +180,7 @@ def shifted(line: Line, offset: float) -> Line:
     return replace(line, y=line.y + offset)
 
 
-def _telling(panel: Panel) -> tuple[float, float]:
+def _sort_key(panel: Panel) -> tuple[float, float]:
     """Return a sort key: used share of tolerance, then residual relative to the golden's range."""
     left = panel.residual
     used = -1.0 if panel.bound is None else tolerance_ratio(panel.bound)
