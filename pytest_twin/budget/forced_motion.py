@@ -44,7 +44,7 @@ _IN_SIMULATOR = {
 
 
 @dataclass(frozen=True)
-class Moved:
+class SimulatedDisplacement:
     """Effect of parameters on a motion.
 
     Attributes:
@@ -60,7 +60,9 @@ class Moved:
     alone: dict[str, Spread]
 
 
-def moved(found: Identified, task: Task, realization: Realization) -> Moved:
+def simulated_displacement(
+    found: Identified, task: Task, realization: Realization
+) -> SimulatedDisplacement:
     """Return the displacement of joints and frame along the task's motion.
 
     Raises:
@@ -87,7 +89,7 @@ class _Motion:
         self.effort = self._effort()
         self.forces = len(found.columns)
 
-    def moved(self) -> Moved:
+    def moved(self) -> SimulatedDisplacement:
         path = self.found.entry.record.path
         root = root_of(self.found.covariance, path)
         responses = self._responses()
@@ -110,7 +112,7 @@ class _Motion:
             turn += angles(at.rotation, moving.rotation) ** 2
         drawn = spread_of(shift / len(draws), turn / len(draws))
         joints = dict(zip(self.joints, rms.tolist(), strict=True))
-        return Moved(_of_slopes(moving, on_chain @ root), drawn, joints, alone)
+        return SimulatedDisplacement(_of_slopes(moving, on_chain @ root), drawn, joints, alone)
 
     def _replay(self, row: Row, force: Callable[[float], FloatArray]) -> Replayed:
         done = replay_forced(row, lambda time, position, velocity: force(time))

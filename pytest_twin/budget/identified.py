@@ -147,7 +147,7 @@ def _joints_of(record: IdentificationRecord) -> list[str]:
     return list(record.held_out) or list(record.position_rms)
 
 
-def displaced(
+def displacement_by_shifts(
     found: Identified, task: Task, realization: Realization
 ) -> tuple[Spread, Spread] | None:
     """Return the frame's displacement by joint shifts, to first order and by draws, or None.

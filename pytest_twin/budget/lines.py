@@ -12,13 +12,13 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.calibrated import Calibrated
 from pytest_twin.budget.categories import category_of_parameter
-from pytest_twin.budget.forced_motion import moved
-from pytest_twin.budget.identified import Identified, displaced, gravity_effort
+from pytest_twin.budget.forced_motion import simulated_displacement
+from pytest_twin.budget.identified import Identified, displacement_by_shifts, gravity_effort
 from pytest_twin.budget.propagate import (
     DRAWS,
     Spread,
-    differing,
     first_order,
+    linearization_warnings,
     normal_draws,
     root_of,
     sampled,
@@ -126,7 +126,7 @@ def calibration_line(found: Calibrated, task: Task, twin: Twin) -> Line | None:
         "kinematics",
         linear,
         drawn,
-        warnings=tuple(differing(linear, drawn)),
+        warnings=tuple(linearization_warnings(linear, drawn)),
         left_out=found.left_out,
     )
 
@@ -145,7 +145,7 @@ def identification_line(found: Identified, task: Task, realization: Realization)
     method = "stated, not carried to the task"
     if found.columns and task.trial is not None:
         try:
-            motion = moved(found, task, realization)
+            motion = simulated_displacement(found, task, realization)
             linear, drawn = motion.frame, motion.drawn
             joints, alone = motion.joints, motion.alone
             seconds = float(task.trial.time[-1])
@@ -161,14 +161,14 @@ def identification_line(found: Identified, task: Task, realization: Realization)
             f"static gravity effort over {len(task.readings)} poses: no motion with commands is "
             f"declared (budget: recordings:, of which {SIMULATED_S:g} s are simulated)"
         )
-    shifted = displaced(found, task, realization) if linear is None else None
+    shifted = displacement_by_shifts(found, task, realization) if linear is None else None
     if shifted is not None:
         linear, drawn = shifted
         poses = f"{len(task.readings)} poses, and {DRAWS} draws"
         way = f"delays, encoder zeros, gears and gains by J C J^T over {poses}"
         method = f"{method}; {way}" if found.columns else way
     if linear is not None and drawn is not None:
-        warnings += differing(linear, drawn)
+        warnings += linearization_warnings(linear, drawn)
     names = list(record.covariance_names)
     matrix = np.reshape(record.covariance, (len(names), len(names)))
     groups: dict[str, tuple[str, tuple[int, ...]]] = {}

@@ -124,7 +124,7 @@ def angles(rotation: FloatArray, other: FloatArray) -> FloatArray:
     return np.asarray(between.magnitude(), dtype=np.float64)
 
 
-def differing(linear: Spread, drawn: Spread) -> list[str]:
+def linearization_warnings(linear: Spread, drawn: Spread) -> list[str]:
     """Return warnings if both methods differ by more than ``LARGEST_DIFFERENCE``."""
     found = []
     for name, unit in (("position", "mm"), ("rotation", "mrad")):

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import POSE_LABELS, Layout, State
-from pytest_twin.calibration.problem import PIVOT, TIP, Problem, marker_of, words_of
+from pytest_twin.calibration.problem import PIVOT, TIP, Problem, describe_pose, marker_of
 from pytest_twin.calibration.solve import Fit, whitened_jacobian
 from pytest_twin.calibration.workspace import drawn_flanges, drawn_joints, predicted_rows, spread
 
@@ -90,7 +90,7 @@ def hold_gauges(problem: Problem, state: State) -> tuple[Problem, tuple[Gauge, .
         joint = layout.zeros[at]
         others = [
             part
-            for part in parts_in_words(problem, layout, direction)
+            for part in describe_direction(problem, layout, direction)
             if part != _zero(layout.joints[joint])
         ]
         found.append(
@@ -118,7 +118,7 @@ class Direction:
     words: str
 
 
-def undetermined(fit: Fit) -> tuple[Direction, ...]:
+def undetermined_directions(fit: Fit) -> tuple[Direction, ...]:
     """Return directions of the unknowns that a fit's observations and priors do not determine."""
     layout = fit.problem.layout
     if layout.count == 0:
@@ -145,7 +145,7 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
     found = []
     turning = np.array([parameter.unit == "rad" for parameter in layout.parameters])
     for direction in _simple(null, turning):
-        words = parts_in_words(fit.problem, layout, direction)
+        words = describe_direction(fit.problem, layout, direction)
         apart = (
             f"{' and '.join(words)} cannot be distinguished in these poses"
             if len(words) > 1
@@ -155,7 +155,9 @@ def undetermined(fit: Fit) -> tuple[Direction, ...]:
     return tuple(found)
 
 
-def unsure(fit: Fit, covariance: FloatArray, quantile: float) -> tuple[Direction, ...]:
+def uncertain_directions(
+    fit: Fit, covariance: FloatArray, quantile: float
+) -> tuple[Direction, ...]:
     """Return directions that make predictions in the workspace far worse than the plan accepts.
 
     Nearly equal poses predict each other well even with wrong unknowns.
@@ -182,7 +184,7 @@ def unsure(fit: Fit, covariance: FloatArray, quantile: float) -> tuple[Direction
         if bound is None or width <= FAR_WIDER * norm.ppf(0.975) * bound:
             continue
         worst = found.worst[kind]
-        parts = parts_in_words(problem, problem.layout, worst)
+        parts = describe_direction(problem, problem.layout, worst)
         directions.append(
             Direction(
                 worst / np.linalg.norm(worst),
@@ -248,7 +250,7 @@ def _simple(null: FloatArray, turning: np.ndarray) -> list[FloatArray]:
     return [row / np.linalg.norm(row) for row in rows if np.linalg.norm(row) > 1e-12]
 
 
-def parts_in_words(problem: Problem, layout: Layout, direction: FloatArray) -> list[str]:
+def describe_direction(problem: Problem, layout: Layout, direction: FloatArray) -> list[str]:
     """Describe the components of a direction, the largest first."""
     size = float(np.abs(direction).max())
     found: list[tuple[float, str]] = []
@@ -258,7 +260,7 @@ def parts_in_words(problem: Problem, layout: Layout, direction: FloatArray) -> l
         if np.abs(values).max() <= AFFECTED * size:
             continue
         if kind == "pose":
-            what = words_of(name, problem.plan.mount)
+            what = describe_pose(name, problem.plan.mount)
             for part, of in ((values[3:], "the rotation"), (values[:3], "the position")):
                 share = float(np.linalg.norm(part))
                 if share > AFFECTED * size:

@@ -320,7 +320,7 @@ _WORDS = {
 }
 
 
-def words_of(name: str, mount: Mount) -> str:
+def describe_pose(name: str, mount: Mount) -> str:
     """Describe a pose of the transform chain, such as "the camera on the flange"."""
     family, _, role = name.partition(".")
     return _WORDS[family, mount if family == "camera" else "hand", role]
@@ -347,8 +347,8 @@ def _add_pose(
     free.append(name)
     if not set(names) & set(plan.estimate):
         notes.append(
-            f"the pose of {words_of(name, plan.mount)} is neither given nor in estimate; it is "
-            f"estimated with the rest (to hold it: given: {{{names[0]}: ...}})"
+            f"the pose of {describe_pose(name, plan.mount)} is neither given nor in estimate; "
+            f"it is estimated with the rest (to hold it: given: {{{names[0]}: ...}})"
         )
 
 

@@ -16,9 +16,9 @@ from pytest_twin.calibration.problem import (
     INVERTED_RECORDS,
     TIP,
     Problem,
+    describe_pose,
     marker_of,
     records_of,
-    words_of,
 )
 from pytest_twin.calibration.records import NOT_ASKED
 from pytest_twin.errors import SpecError
@@ -92,7 +92,7 @@ def recorded_pose(plan: Plan, name: str, record: CalibrationRecord) -> FloatArra
         pose = _full(record.transforms, one)
         if pose is not None:
             return inverse(pose) if one in INVERTED_RECORDS else pose
-    raise _missing(record, f"no transform of {words_of(name, plan.mount)}", names)
+    raise _missing(record, f"no transform of {describe_pose(name, plan.mount)}", names)
 
 
 def _full(transforms: Mapping[str, Transform], name: str) -> FloatArray | None:

@@ -12,15 +12,20 @@ from typing import Any
 import numpy as np
 
 from pytest_twin import __version__
-from pytest_twin.calibration.cameras.half_turn import with_one_way_round
+from pytest_twin.calibration.cameras.half_turn import with_consistent_orientation
+from pytest_twin.calibration.cameras.image_refinement import ImageRefinement, calibrate_intrinsics
 from pytest_twin.calibration.cameras.observed import Images, read_images
-from pytest_twin.calibration.cameras.seen import Seen, calibrate_intrinsics
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident import LeftOut, without_coincident
 from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
 from pytest_twin.calibration.error_sources import weighed_by_source
 from pytest_twin.calibration.next_poses import next_poses, pose_diversity
-from pytest_twin.calibration.observability import Gauge, hold_gauges, undetermined, unsure
+from pytest_twin.calibration.observability import (
+    Gauge,
+    hold_gauges,
+    uncertain_directions,
+    undetermined_directions,
+)
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
@@ -39,7 +44,7 @@ from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import camera_unit, is_subset, starts
 from pytest_twin.calibration.suspected_scale import scale_beyond_chance
-from pytest_twin.calibration.suspects import doubtful, suspects
+from pytest_twin.calibration.suspects import has_large_errors, suspects
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
@@ -187,8 +192,8 @@ def calibrate(
     fit_rows, held_rows = split(plan, observations)
     turned = ""
     if images is not None and (flange := reported_flange(chain, observations)) is not None:
-        images, turned = with_one_way_round(images, observations.ids, flange)
-    seen = None if images is None else Seen(images, observations, fit_rows)
+        images, turned = with_consistent_orientation(images, observations.ids, flange)
+    seen = None if images is None else ImageRefinement(images, observations, fit_rows)
     if seen is not None and turned:
         seen.notes.append(turned)
     if seen is not None:
@@ -214,7 +219,7 @@ def calibrate(
     # Rates are differences between neighbours in time, including held-out ones.
     everywhere = errors_of(problem, fit.state)
     of_all = everywhere.only(np.isin(everywhere.rows, held_rows))
-    errors, gross = without_gross(of_all)
+    errors, gross = without_gross_errors(of_all)
     fitted = errors_of(fit.problem, fit.state, fit.kept)
     degenerate = bool(solved.estimate.directions)
     held_ids = [problem.observations.ids[row] for row in held_rows]
@@ -237,7 +242,7 @@ def calibrate(
     lost = [] if seen is None else seen.complete(document, held_rows)
     document["unobservable"] += lost
     degenerate = degenerate or bool(lost)
-    if doubtful(document["fitted"], fit.problem):
+    if has_large_errors(document["fitted"], fit.problem):
         suspected = suspects(fit)
     else:
         # A camera without metric scale can go unnoticed even if the plan accepts the errors.
@@ -285,16 +290,16 @@ def solve_problem(problem: Problem) -> Solved:
     best = candidates[min(cost, key=lambda name: cost[name])]
     problem, gauges = hold_gauges(problem, best)
     fit = solve(problem, best)
-    directions = undetermined(fit)
+    directions = undetermined_directions(fit)
     found = estimate(fit, directions)
     if not directions:
-        found = with_directions(found, unsure(fit, found.covariance, found.quantile))
+        found = with_directions(found, uncertain_directions(fit, found.covariance, found.quantile))
     found, sources = weighed_by_source(found)
     kept = {name: state for name, state in candidates.items() if not is_subset(name)}
     return Solved(found, gauges, kept, sources)
 
 
-def without_gross(errors: Errors) -> tuple[Errors, tuple[LeftOut, ...]]:
+def without_gross_errors(errors: Errors) -> tuple[Errors, tuple[LeftOut, ...]]:
     """Exclude gross errors from held-out ones; return the rest and what was excluded."""
     if len(errors.ids) < 4:
         return errors, ()

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.parameters import State
-from pytest_twin.calibration.problem import Problem, predicted_poses, words_of
+from pytest_twin.calibration.problem import Problem, describe_pose, predicted_poses
 from pytest_twin.calibration.residual_errors import Errors
 
 MOST_ARROWS = 400
@@ -64,7 +64,7 @@ def _chain(problem: Problem, state: State, row: int) -> list[dict[str, Any]]:
 def _frames(problem: Problem, state: State, flange: FloatArray) -> list[dict[str, Any]]:
     found = [frame("base", np.eye(4)), frame(problem.plan.flange, flange)]
     for name, pose in state.poses.items():
-        words = words_of(name, problem.plan.mount).removeprefix("the ").partition(" ")[0]
+        words = describe_pose(name, problem.plan.mount).removeprefix("the ").partition(" ")[0]
         if name.endswith(".mounted"):
             found.append(frame(words, flange @ pose, on_flange=True))
         else:

@@ -51,7 +51,7 @@ _TURNS = 4 * np.pi
 """A joint reading beyond two revolutions, rad, may be in degrees."""
 
 
-def doubtful(fitted: Mapping[str, float], problem: Problem) -> bool:
+def has_large_errors(fitted: Mapping[str, float], problem: Problem) -> bool:
     """Whether the errors of a fit are so large that mistakes should be searched for."""
     accept = problem.plan.accept
     translation = fitted.get("translation_rms", 0.0)

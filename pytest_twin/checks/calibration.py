@@ -98,7 +98,7 @@ class CalibrationCheck(Check):
         from pytest_twin.calibration.problem import make_problem
         from pytest_twin.calibration.recorded import held_out_observations, recorded_state
         from pytest_twin.calibration.residual_errors import errors_of
-        from pytest_twin.calibration.run import without_gross
+        from pytest_twin.calibration.run import without_gross_errors
 
         twin = twin_of(golden, realization, "a calibration", "calibrations")
         record = _entry(golden, twin).record
@@ -124,7 +124,7 @@ class CalibrationCheck(Check):
         problem = make_problem(replace(plan, estimate=kept), held, chain)
         if record.scale is not None:
             problem = problem.in_unit(1.0 / record.scale)
-        errors, _ = without_gross(errors_of(problem, recorded_state(problem, record)))
+        errors, _ = without_gross_errors(errors_of(problem, recorded_state(problem, record)))
         progress(1.0)
         return Observation(
             {

@@ -59,7 +59,7 @@ def observe(golden: Golden, realization: Realization, progress: Progress) -> Obs
     import numpy as np
 
     from pytest_twin.formats.pose_tracks import read_pose_tracks
-    from pytest_twin.identification.contact.loss import errors_of, whole
+    from pytest_twin.identification.contact.loss import errors_of, whole_toss
     from pytest_twin.identification.contact.tosses import in_model_units
     from pytest_twin.realization.free_body import free_body
     from pytest_twin.trial.roles import refuse_final
@@ -95,7 +95,7 @@ def observe(golden: Golden, realization: Realization, progress: Progress) -> Obs
     geom_body = realization.structure.geom_body
     first = target["pair"][0]
     body = free_body(realization, geom_body.get(first, first))
-    rows = [replace(whole(by_name[name])) for name in names]
+    rows = [replace(whole_toss(by_name[name])) for name in names]
     errors = errors_of([realization.model], body, rows)[0]
     progress(1.0)
     return Observation(

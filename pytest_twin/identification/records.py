@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin import __version__
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.encoders import SCALE, undetermined_words
+from pytest_twin.identification.effort.encoders import SCALE, undetermined_entries
 from pytest_twin.identification.effort.estimate import SQUARES
 from pytest_twin.identification.effort.groups import FRICTION
 from pytest_twin.identification.effort.identify import EffortResult
@@ -151,7 +151,10 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         },
         "suspected": [one.to_json() for one in result.suspected],
         "without_effort": list(result.without_effort),
-        "unobservable": [*_unobservable(result), *undetermined_words(result.encoders.undetermined)],
+        "unobservable": [
+            *_unobservable(result),
+            *undetermined_entries(result.encoders.undetermined),
+        ],
         "filter": {
             "cutoff": result.filter.cutoff,
             "parallel": result.filter.parallel,

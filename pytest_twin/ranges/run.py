@@ -22,7 +22,7 @@ from pytest_twin.ranges.quantities import quantities
 from pytest_twin.ranges.recordings import Checked, checked_recordings
 from pytest_twin.ranges.simulate import Fleet, Traces
 from pytest_twin.ranges.widening import widened
-from pytest_twin.ranges.words import words_of
+from pytest_twin.ranges.words import summary_lines
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.sandbox import MEMORY_BYTES
 from pytest_twin.recording_options import RecordingOptions
@@ -128,7 +128,7 @@ def ranges(
             "steps": steps, "seconds": seconds, "steps_per_second": steps / max(seconds, 1e-9),
         }  # fmt: skip
         document["verdict"] = document["check"]["verdict"]
-    document["words"] = words_of(document)
+    document["words"] = summary_lines(document)
     progress(1.0)
     return document
 

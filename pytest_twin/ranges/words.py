@@ -15,7 +15,7 @@ MEANING = {
 """Verdict -> its meaning."""
 
 
-def words_of(document: Mapping[str, Any]) -> list[str]:
+def summary_lines(document: Mapping[str, Any]) -> list[str]:
     """Return lines with the verdict, figures of each joint, widening, and next steps.
 
     Args:

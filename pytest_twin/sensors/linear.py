@@ -16,7 +16,7 @@ from pytest_twin.arrays import FloatArray
 
 BLOCKS = 30
 """Number of blocks of a covariance. Its standard deviations are then accurate to 13 %."""
-UNTOLD = 1e-3
+UNDETERMINED = 1e-3
 """Fraction of the largest singular value below which a direction of the true signal was not
 excited. The columns are normalized first."""
 
@@ -31,8 +31,8 @@ class Linear:
         bias: (k,) bias.
         covariance: (k, m + 1, m + 1) covariance of each channel: its row of the matrix, then its
             bias.
-        untold: (m + 1,) unit vectors of directions of the normalized true signal and bias that were
-            not excited.
+        undetermined: (m + 1,) unit vectors of directions of the normalized true signal and bias
+            that were not excited.
         residual: (k,) RMS residual.
         blocks: number of blocks of the covariance.
     """
@@ -40,7 +40,7 @@ class Linear:
     matrix: FloatArray
     bias: FloatArray
     covariance: FloatArray
-    untold: tuple[FloatArray, ...]
+    undetermined: tuple[FloatArray, ...]
     residual: FloatArray
     blocks: int
 
@@ -65,7 +65,7 @@ def fit_linear(
     # A channel of the true signal with rounding errors only is not excited.
     scale[scale < 1e-9 * scale.max()] = np.inf
     left, sizes, right = np.linalg.svd(design / scale, full_matrices=False)
-    kept = sizes > UNTOLD * sizes[0]
+    kept = sizes > UNDETERMINED * sizes[0]
     start = np.vstack([nominal.T, np.zeros((1, len(nominal)))])
     inverse = (right[kept].T / sizes[kept]) @ left[:, kept].T
     scale = np.where(np.isfinite(scale), scale, 1.0)

@@ -12,17 +12,17 @@ import pytest
 
 from pytest_twin.errors import ModelError, RecordingError
 from pytest_twin.formats.pose_track import PoseTrack
-from pytest_twin.identification.contact.loss import errors_of, losses, whole
+from pytest_twin.identification.contact.loss import errors_of, losses, whole_toss
 from pytest_twin.identification.contact.parameters import (
     DAMPING,
     FRICTION,
     OFFSET,
     STIFFNESS,
     contact_model,
-    direct,
+    direct_solref,
 )
 from pytest_twin.identification.contact.tosses import Toss, in_model_units
-from pytest_twin.identification.contact.uncertainty import Surface, as_good, told
+from pytest_twin.identification.contact.uncertainty import Surface, bootstrap_minimum, is_as_good
 from pytest_twin.identification.run import identify_files
 from pytest_twin.metrics.pose_track import rotation_errors
 from pytest_twin.realization import load
@@ -86,7 +86,7 @@ def as_toss(table: np.ndarray, name: str) -> Toss:
 
 def test_the_true_parameters_have_the_smallest_prediction_error(model_path: Path) -> None:
     contact = contact_of(model_path)
-    rows = [whole(as_toss(t, "t")) for t in tosses_of(model_path, range(20, 26))]
+    rows = [whole_toss(as_toss(t, "t")) for t in tosses_of(model_path, range(20, 26))]
     models = [contact.at({**TRUE, **change}) for change in ({}, {FRICTION: 0.6}, {OFFSET: -0.004})]
     best, slippery, small = (
         losses(e, contact.size).mean() for e in errors_of(models, contact.body, rows)
@@ -136,7 +136,7 @@ def test_a_model_without_a_free_body_is_refused(tmp_path: Path) -> None:
 
 def test_both_forms_of_solref_give_the_same_contact() -> None:
     model = mujoco.MjModel.from_xml_string(CUBE)
-    stiffness, damping = direct(model, 1)
+    stiffness, damping = direct_solref(model, 1)
     most = model.geom_solimp[1, 1]
     falls = []
     for solref in ([0.02, 1.0], [-stiffness * most**2, -damping * most]):
@@ -162,16 +162,18 @@ def test_a_parameter_direction_without_effect_on_the_error_is_unobservable() -> 
         noise**2, -2.0 * noise, 2.0 * noise, np.ones(60), -2.0 * np.ones(60), np.ones(60),
     ])  # fmt: skip
     wobble = 1e-3 * rng.normal(size=coefficients.shape)
-    found = told(Surface(np.full(2, 0.5), coefficients + wobble), [0, 1])
-    assert len(found.untold) == 1
-    assert abs(found.untold[0] @ np.array([1.0, 1.0])) == pytest.approx(np.sqrt(2.0), abs=0.05)
+    found = bootstrap_minimum(Surface(np.full(2, 0.5), coefficients + wobble), [0, 1])
+    assert len(found.undetermined) == 1
+    assert abs(found.undetermined[0] @ np.array([1.0, 1.0])) == pytest.approx(
+        np.sqrt(2.0), abs=0.05
+    )
 
 
 def test_a_random_difference_of_errors_is_not_taken_for_a_worse_prediction() -> None:
     rng = np.random.default_rng(1)
     one = rng.uniform(0.0, 1.0, 100)
-    assert as_good(one, one + 0.1 * rng.normal(size=100) - 0.005)
-    assert not as_good(one, one + 0.1)
+    assert is_as_good(one, one + 0.1 * rng.normal(size=100) - 0.005)
+    assert not is_as_good(one, one + 0.1)
 
 
 @pytest.fixture(scope="module")

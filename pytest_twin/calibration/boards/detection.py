@@ -115,12 +115,12 @@ def detect_files(
         try:
             image = read_grey(path)
         except TwinError as error:
-            return _nothing(name, (0, 0), target, str(error))
+            return _no_detection(name, (0, 0), target, str(error))
         return detect(image, target, name)
 
     with ThreadPoolExecutor(_THREADS) as pool:
         found = list(pool.map(one, paths, names))
-    return compared(found)
+    return without_blurred(found)
 
 
 def detect(image: Grey, target: Target, name: str = "") -> Detection:
@@ -134,16 +134,18 @@ def detect(image: Grey, target: Target, name: str = "") -> Detection:
     size = (image.shape[1], image.shape[0])
     found = find(image, target)
     if len(found.ids) < 4:
-        return _nothing(name, size, target, _why_nothing(image, target, found))
+        return _no_detection(name, size, target, _reason_for_no_target(image, target, found))
     points = target.board_points()[found.ids]
     blur = blur_px(image, target, found.ids, found.pixels)
     detection = Detection(
         name, size, found.ids, found.pixels, points, target.corners, blur, found.problem
     )
-    return detection if found.problem else replace(detection, rejected=_why(detection, target))
+    return (
+        detection if found.problem else replace(detection, rejected=_rejection(detection, target))
+    )
 
 
-def compared(detections: Sequence[Detection]) -> list[Detection]:
+def without_blurred(detections: Sequence[Detection]) -> list[Detection]:
     """Return the detections; those with far more blur than the others are rejected."""
     blurs = [d.sharpness for d in detections if d.is_usable]
     if len(blurs) < 3:
@@ -162,7 +164,7 @@ def compared(detections: Sequence[Detection]) -> list[Detection]:
     ]
 
 
-def _why(detection: Detection, target: Target) -> str:
+def _rejection(detection: Detection, target: Target) -> str:
     """Reason why a detected target is not usable; empty where it is usable."""
     count, all_corners = len(detection.corner_ids), detection.corners
     if count < max(FEWEST_CORNERS, LEAST_SHARE * all_corners):
@@ -198,7 +200,7 @@ def square_px(homography: FloatArray, target: Target, at: FloatArray) -> float:
     return float(min(np.linalg.norm(x - origin), np.linalg.norm(y - origin)))
 
 
-def _why_nothing(image: Grey, target: Target, found: Found) -> str:
+def _reason_for_no_target(image: Grey, target: Target, found: Found) -> str:
     """Reason why no target was found: blur, or the finder's message."""
     if found.problem:
         return found.problem
@@ -221,7 +223,7 @@ def _why_nothing(image: Grey, target: Target, found: Found) -> str:
     return f"{kind}no target found; the sharpest edges have a blur of {blur:.1f} px"
 
 
-def _nothing(name: str, size: tuple[int, int], target: Target, why: str) -> Detection:
+def _no_detection(name: str, size: tuple[int, int], target: Target, why: str) -> Detection:
     empty = np.zeros(0, dtype=int)
     return Detection(
         name, size, empty, np.zeros((0, 2)), np.zeros((0, 3)), target.corners, float("nan"), why

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.boards.completed import (
-    completed,
+from pytest_twin.calibration.boards.homography import fit_homography, project
+from pytest_twin.calibration.boards.image_file import Grey
+from pytest_twin.calibration.boards.missing_corners import (
     refined_corners,
     refinement_window,
     square_contrast,
+    with_missing_corners,
 )
-from pytest_twin.calibration.boards.homography import fit_homography, project
-from pytest_twin.calibration.boards.image_file import Grey
 from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.boards.target import Target
 
@@ -73,7 +73,7 @@ def _find_charuco(image: Grey, target: Target) -> Found:
                 f"target: check squares, or the target is seen in part"
             )
         return _none()
-    return Found(*completed(image, target, best.ids, best.pixels))
+    return Found(*with_missing_corners(image, target, best.ids, best.pixels))
 
 
 def _find_chessboard(image: Grey, target: Target) -> Found:

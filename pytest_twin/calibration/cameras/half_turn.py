@@ -13,13 +13,13 @@ from pytest_twin.calibration.boards.target import Target
 from pytest_twin.calibration.cameras.observed import Images
 
 
-def looks_alike(target: Target) -> bool:
+def has_half_turn_symmetry(target: Target) -> bool:
     """Whether a half turn leaves the print of a board unchanged."""
     columns, rows = target.squares
     return target.kind == "chessboard" and (columns + rows) % 2 == 0
 
 
-def with_one_way_round(
+def with_consistent_orientation(
     images: Images, ids: tuple[str, ...], flange: FloatArray
 ) -> tuple[Images, str]:
     """Return the images with the same board orientation in all, and a note ("" if none changed).
@@ -34,7 +34,7 @@ def with_one_way_round(
         ids: ids of the observations.
         flange: (rows, 4, 4) as the robot reports it.
     """
-    if not looks_alike(images.target):
+    if not has_half_turn_symmetry(images.target):
         return images, ""
     rows = [
         row

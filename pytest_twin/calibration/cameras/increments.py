@@ -40,7 +40,7 @@ def changed(transforms: FloatArray, steps: FloatArray) -> FloatArray:
     return found
 
 
-def by_first(first: FloatArray, second: FloatArray) -> FloatArray:
+def jacobian_by_first(first: FloatArray, second: FloatArray) -> FloatArray:
     """(..., 6, 6) Jacobian of ``first @ second`` with respect to ``first``."""
     arm = np.einsum("...ij,...j->...i", first[..., :3, :3], second[..., :3, 3])
     found = np.zeros((*arm.shape[:-1], 6, 6))
@@ -49,12 +49,12 @@ def by_first(first: FloatArray, second: FloatArray) -> FloatArray:
     return found
 
 
-def by_second(first: FloatArray) -> FloatArray:
+def jacobian_by_second(first: FloatArray) -> FloatArray:
     """(..., 6, 6) Jacobian of ``first @ second`` with respect to ``second``."""
     return _twice(first[..., :3, :3])
 
 
-def by_inverse(transforms: FloatArray) -> FloatArray:
+def jacobian_of_inverse(transforms: FloatArray) -> FloatArray:
     """(..., 6, 6) Jacobian of the inverses with respect to the transforms."""
     back = np.swapaxes(transforms[..., :3, :3], -1, -2)
     found = -_twice(back)

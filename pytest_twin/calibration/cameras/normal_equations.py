@@ -14,13 +14,13 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.arm import Arm
 from pytest_twin.calibration.cameras.increments import (
-    by_first,
-    by_inverse,
     by_measured,
-    by_second,
     changed,
     difference,
     inverse,
+    jacobian_by_first,
+    jacobian_by_second,
+    jacobian_of_inverse,
 )
 from pytest_twin.calibration.cameras.reprojection import Corners, reprojection_residuals
 from pytest_twin.calibration.solvers.algebraic import Mount
@@ -133,7 +133,7 @@ class Model:
             return np.zeros((0, 6)), np.zeros((0, 6, 0)), np.zeros((0, 6, 6))
         seen, by_pose = unknowns.camera_from_target, np.eye(6)
         if self.mount == "hand":
-            seen, by_pose = inverse(seen), by_inverse(seen)
+            seen, by_pose = inverse(seen), jacobian_of_inverse(seen)
         world = unknowns.robot_world
         at, back = world @ seen, inverse(unknowns.hand_eye)
         reported, by_own = self.base_from_flange, np.zeros((len(at), 6, 0))
@@ -142,11 +142,11 @@ class Model:
         predicted = at @ back
         residual, slope = difference(reported, predicted)
         by_own = by_measured(reported, predicted, slope) @ by_own
-        through = slope @ by_first(at, np.broadcast_to(back, at.shape))
-        by_world = through @ by_first(np.broadcast_to(world, seen.shape), seen)
-        by_hand_eye = slope @ by_second(at) @ by_inverse(unknowns.hand_eye)
+        through = slope @ jacobian_by_first(at, np.broadcast_to(back, at.shape))
+        by_world = through @ jacobian_by_first(np.broadcast_to(world, seen.shape), seen)
+        by_hand_eye = slope @ jacobian_by_second(at) @ jacobian_of_inverse(unknowns.hand_eye)
         by_transforms = np.concatenate([by_hand_eye, by_world, by_own], axis=2)
-        return residual, by_transforms, through @ by_second(world) @ by_pose
+        return residual, by_transforms, through @ jacobian_by_second(world) @ by_pose
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from pytest_twin.calibration.clocks.correlation import (
     Correlated,
     correlate_speeds,
 )
+from pytest_twin.calibration.clocks.figures import angular_speeds, scene_of_streams
 from pytest_twin.calibration.clocks.mistakes import mistakes
 from pytest_twin.calibration.clocks.offset import (
     MOST_OFFSET_SPREAD_S,
@@ -25,11 +26,10 @@ from pytest_twin.calibration.clocks.offset import (
     fit_clocks,
     hand_times,
 )
-from pytest_twin.calibration.clocks.pictured import angular_speeds, scene_of_streams
 from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.plan import Plan
-from pytest_twin.calibration.problem import INVERTED_RECORDS, records_of, words_of
+from pytest_twin.calibration.problem import INVERTED_RECORDS, describe_pose, records_of
 from pytest_twin.calibration.records import inverse_with_covariance
 from pytest_twin.calibration.residual_errors import accepted, regions_of
 from pytest_twin.calibration.residual_patterns import pattern_of
@@ -265,8 +265,8 @@ def _undetermined(plan: Plan, fit: ClockFit) -> list[str]:
         if not np.sqrt(max(values[-1], 0.0)) < MOST_POSITION_SPREAD_M:
             axis = ", ".join(f"{v:.2f}" for v in axes[:, -1])
             found.append(
-                f"the position of {words_of(f'camera.{role}', plan.mount)} along ({axis}): turn "
-                "the hand about a second axis"
+                f"the position of {describe_pose(f'camera.{role}', plan.mount)} along ({axis}): "
+                "turn the hand about a second axis"
             )
     return found
 

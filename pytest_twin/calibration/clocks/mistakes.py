@@ -16,7 +16,7 @@ from pytest_twin.calibration.solve import robust_cost, solve
 from pytest_twin.calibration.starts import starts
 from pytest_twin.calibration.suspect import Suspect
 from pytest_twin.calibration.suspected_scale import scale_beyond_chance
-from pytest_twin.calibration.suspects import doubtful, suspects
+from pytest_twin.calibration.suspects import has_large_errors, suspects
 
 _POSES = 60
 """Number of poses used. Neighbouring poses have the same errors, so more add nothing."""
@@ -64,7 +64,7 @@ def mistakes(
         return ()
     best = min(candidates.values(), key=lambda state: robust_cost(problem, state))
     found = solve(problem, best)
-    if doubtful(errors_of(found.problem, found.state, found.kept).summary(), problem):
+    if has_large_errors(errors_of(found.problem, found.state, found.kept).summary(), problem):
         suspected = suspects(found)
     else:
         scale = scale_beyond_chance(found)

@@ -9,11 +9,11 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.increments import (
-    by_first,
-    by_second,
     changed,
     difference,
     inverse,
+    jacobian_by_first,
+    jacobian_by_second,
     skew,
 )
 from pytest_twin.calibration.clocks.streams import PoseStream
@@ -195,10 +195,10 @@ def _linearized(
     # The residual compares robot_world from the hand's pose with the estimate, at the target.
     predicted = carried @ back
     residual, slope = difference(np.broadcast_to(world, predicted.shape), predicted)
-    by_carried = slope @ by_first(carried, back)
-    by_flange = by_carried @ by_first(flange, np.broadcast_to(eye, flange.shape))
+    by_carried = slope @ jacobian_by_first(carried, back)
+    by_flange = by_carried @ jacobian_by_first(flange, np.broadcast_to(eye, flange.shape))
     by_time = np.einsum("nij,nj->ni", by_flange, speed)
-    by_eye = by_carried @ by_second(flange)
+    by_eye = by_carried @ jacobian_by_second(flange)
     # A change of ``world`` equals the opposite change of ``predicted``, about the base's origin.
     to_world = -slope
     apart = skew(predicted[:, :3, 3] - world[:3, 3])

@@ -88,13 +88,13 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
         },
         "fitted": {body: _errors(fit.fitted, fit.nominal, size)},
         "physical": {"consistent": True, "violations": []},
-        "unobservable": [*_untold(fit, body), *_without_effect(fit, body)],
+        "unobservable": [*_undetermined(fit, body), *_without_effect(fit, body)],
         "contact": {
             "pair": {
                 "object": [_name(model, geom) for geom in fit.contact.body.geoms],
                 "surroundings": [_name(model, geom) for geom in fit.contact.body.others],
             },
-            "held": {f"{body}.{one.fixed}": one.value for one in fit.untold},
+            "held": {f"{body}.{one.fixed}": one.value for one in fit.undetermined},
             "from": "whole tosses" if fit.is_refined else f"{_samples()}-sample stretches",
             "restitution": restitution_of(fit),
             "solver": solver_of(model),
@@ -165,9 +165,9 @@ def _errors(errors: TossErrors, nominal: TossErrors | None, size: float) -> dict
     return found
 
 
-def _untold(fit: ContactFit, body: str) -> list[dict[str, str]]:
+def _undetermined(fit: ContactFit, body: str) -> list[dict[str, str]]:
     found = []
-    for one in fit.untold:
+    for one in fit.undetermined:
         leading = sorted(one.loadings.items(), key=lambda pair: -abs(pair[1]))
         terms = [f"{share:+.2f} {body}.{name}" for name, share in leading if abs(share) > 0.1]
         found.append(

@@ -17,7 +17,7 @@ from pytest_twin.identification.contact.loss import (
     around_contacts,
     errors_of,
     losses,
-    whole,
+    whole_toss,
 )
 from pytest_twin.identification.contact.parameters import (
     FRICTION,
@@ -29,13 +29,13 @@ from pytest_twin.identification.contact.parameters import (
 from pytest_twin.identification.contact.search import Loss, minimized, starts
 from pytest_twin.identification.contact.tosses import Toss
 from pytest_twin.identification.contact.uncertainty import (
-    UNTOLD,
-    Told,
-    as_good,
+    UNDETERMINED,
+    BootstrapMinimum,
+    bootstrap_minimum,
     by_toss,
-    few,
+    is_as_good,
+    small_sample_factor,
     surface,
-    told,
 )
 
 SAMPLES = 12
@@ -51,7 +51,7 @@ _GENERATIONS = {"stretches": 15, "whole": 8, "variant": 6}
 _SPINNING = (0.0003, 0.002, 0.01)
 """Tested coefficients of torsional and rolling friction, relative to 10 times the object's half
 size."""
-_FAR = 2.0 * UNTOLD
+_FAR = 2.0 * UNDETERMINED
 """Distance on a parameter's scale, with the others fixed, at which the error must be larger for the
 parameter to have an influence."""
 _AS_WELL = 0.01
@@ -77,7 +77,7 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Untold:
+class UndeterminedCombination:
     """A combination of parameters that the tosses do not determine.
 
     Attributes:
@@ -100,7 +100,7 @@ class ContactFit:
         values: parameter -> value, of free and fixed parameters.
         names: free parameters, in the order of the covariance.
         covariance: (p, p) covariance of the free parameters, in their units.
-        untold: undetermined combinations.
+        undetermined: undetermined combinations.
         without_effect: friction coefficients without significant effect on the predictions.
         nominal, fitted: errors on the fit tosses.
         nominal_held, fitted_held: errors on the held-out tosses.
@@ -112,7 +112,7 @@ class ContactFit:
     values: Mapping[str, float]
     names: tuple[str, ...]
     covariance: FloatArray
-    untold: tuple[Untold, ...]
+    undetermined: tuple[UndeterminedCombination, ...]
     without_effect: tuple[str, ...]
     nominal: TossErrors
     fitted: TossErrors
@@ -151,28 +151,28 @@ def fit_contact(
         found = minimized(loss, seed, 0.05, _GENERATIONS["stretches"], 2)
         rivals = []
     around = surface(loss, found, groups)
-    free, untold = list(range(len(found))), list[Untold]()
+    free, undetermined = list(range(len(found))), list[UndeterminedCombination]()
     for gone in _without_influence(loss, found, groups)[: len(found) - 1]:
         name = contact.names[gone]
         value = contact.parameters[gone].value(float(found[gone]))
-        untold.append(Untold({name: 1.0}, name, value))
+        undetermined.append(UndeterminedCombination({name: 1.0}, name, value))
         free.remove(gone)
-    known = told(around, free, rivals)
-    while known.untold and len(free) > 1:
-        removed, untold_one = _fixed(contact, around.centre, free, known)
-        untold.append(untold_one)
+    known = bootstrap_minimum(around, free, rivals)
+    while known.undetermined and len(free) > 1:
+        removed, combination = _fixed(contact, around.centre, free, known)
+        undetermined.append(combination)
         free.remove(removed)
-        known = told(around, free, rivals)
+        known = bootstrap_minimum(around, free, rivals)
     progress(0.6)
     places = around.centre.copy()
     places[free] = known.centre
     values = contact.values(places)
-    rest = contact.without([one.fixed for one in untold], values)
-    rows = [whole(one) for one in fit]
+    rest = contact.without([one.fixed for one in undetermined], values)
+    rows = [whole_toss(one) for one in fit]
     places, covariance, refined = _refined(rest, places[free], known.covariance, rows)
     values = {**values, **rest.values(places)}
     progress(0.75)
-    held = [whole(one) for one in held_out]
+    held = [whole_toss(one) for one in held_out]
     nominal, fitted = errors_of([contact.model, contact.at(values)], contact.body, rows)
     nominal_held, fitted_held = (
         errors_of([contact.model, contact.at(values)], contact.body, held)
@@ -183,7 +183,7 @@ def fit_contact(
     some = np.random.default_rng(5).permutation(len(stretches))[: _STRETCHES // 2]
     variants = _variants(rest, places, values, [stretches[at] for at in some], held, progress)
     return ContactFit(
-        contact, values, rest.names, slopes @ covariance @ slopes, tuple(untold),
+        contact, values, rest.names, slopes @ covariance @ slopes, tuple(undetermined),
         tuple(name for name in (TORSIONAL, ROLLING) if name not in spinning),
         nominal, fitted, nominal_held, fitted_held, tuple(variants), refined,
     )  # fmt: skip
@@ -226,7 +226,7 @@ def _minima(
     more = round(_GENERATIONS["stretches"] * spare)
     polished = minima[best] if more < 1 else minimized(loss, minima[best], 0.08, more, 7)
     kept = _mean(loss, polished, groups)
-    return polished, [at for at in others if as_good(kept, _mean(loss, at, groups))]
+    return polished, [at for at in others if is_as_good(kept, _mean(loss, at, groups))]
 
 
 def _mean(loss: Loss, place: FloatArray, groups: Sequence[int]) -> FloatArray:
@@ -250,7 +250,9 @@ def _with_spinning(
     for row, (name, value) in enumerate(tried, 1):
         gain = means[0] - means[row]
         # Six values are tested: a bound of three standard errors is a joint level of 98 %.
-        beyond = 3.0 * few(len(gain), 3.0) * np.std(gain, ddof=0) / np.sqrt(len(gain))
+        beyond = (
+            3.0 * small_sample_factor(len(gain), 3.0) * np.std(gain, ddof=0) / np.sqrt(len(gain))
+        )
         if np.mean(gain) > beyond:
             chosen.setdefault(name, value)
     added = tuple(Parameter(name, 1e-5 * size, size, value) for name, value in chosen.items())
@@ -276,10 +278,10 @@ def _without_influence(loss: Loss, found: FloatArray, groups: Sequence[int]) -> 
 
 
 def _fixed(
-    contact: ContactModel, centre: FloatArray, free: Sequence[int], known: Told
-) -> tuple[int, Untold]:
+    contact: ContactModel, centre: FloatArray, free: Sequence[int], known: BootstrapMinimum
+) -> tuple[int, UndeterminedCombination]:
     """Choose and fix the parameter that represents an undetermined combination."""
-    direction = known.untold[-1]
+    direction = known.undetermined[-1]
     # Friction is not chosen if other parameters take part, because most contacts determine it best.
     # Pressing does not determine it; the direction then consists of friction alone.
     order = np.argsort(-np.abs(direction))
@@ -288,7 +290,7 @@ def _fixed(
     loadings = {contact.names[free[k]]: float(direction[k]) for k in range(len(free))}
     removed = free[at]
     value = contact.parameters[removed].value(float(centre[removed]))
-    return removed, Untold(loadings, contact.names[removed], value)
+    return removed, UndeterminedCombination(loadings, contact.names[removed], value)
 
 
 def _refined(
@@ -302,7 +304,7 @@ def _refined(
     before, after = (
         losses(one, contact.size) for one in errors_of(models, contact.body, list(rows))
     )
-    if as_good(after, before):
+    if is_as_good(after, before):
         return places, covariance, False
     apart = moved - places
     return moved, covariance + np.outer(apart, apart), True

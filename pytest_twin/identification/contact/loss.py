@@ -48,7 +48,7 @@ class TossErrors:
     rotation: FloatArray
 
 
-def whole(toss: Toss) -> Stretch:
+def whole_toss(toss: Toss) -> Stretch:
     """Return the segment of a whole toss."""
     return Stretch(toss.state(0), toss.time, toss.poses, toss.push)
 

@@ -115,7 +115,7 @@ class ContactModel:
 
     def at(self, values: Mapping[str, float]) -> mujoco.MjModel:
         """Return the model with contact parameters; missing ones are fixed or nominal values."""
-        return written(self.model, self.body, {**self.fixed, **values})
+        return with_contact_parameters(self.model, self.body, {**self.fixed, **values})
 
     def with_options(self, change: Mapping[str, Any]) -> ContactModel:
         """Return the contact model with other simulation options (``timestep``, ``cone``, ...)."""
@@ -134,7 +134,7 @@ def contact_model(realization: Realization, body: FreeBody) -> ContactModel:
     friction = float(model.geom_friction[geom, 0])
     if mine == int(model.geom_priority[theirs]):
         friction = max(friction, float(model.geom_friction[theirs, 0]))
-    stiffness, damping = direct(model, geom)
+    stiffness, damping = direct_solref(model, geom)
     step = float(model.opt.timestep)
     parameters = [
         Parameter(FRICTION, 0.01, 3.0, friction),
@@ -148,7 +148,7 @@ def contact_model(realization: Realization, body: FreeBody) -> ContactModel:
     return ContactModel(model, body, tuple(parameters), {})
 
 
-def direct(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
+def direct_solref(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
     """Stiffness (1/s^2) and damping (1/s) of a geom's ``solref``, in MuJoCo's direct form.
 
     ``k = 1 / (dmax timeconst dampratio)^2``, ``b = 2 / (dmax timeconst)`` (MuJoCo's documentation,
@@ -162,7 +162,9 @@ def direct(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
     return 1.0 / (most * first * second) ** 2, 2.0 / (most * first)
 
 
-def written(model: mujoco.MjModel, body: FreeBody, values: Mapping[str, float]) -> mujoco.MjModel:
+def with_contact_parameters(
+    model: mujoco.MjModel, body: FreeBody, values: Mapping[str, float]
+) -> mujoco.MjModel:
     """Return a copy of a model with contact parameters on its free body."""
     found = copy_of_model(model)
     first = 1 + max((int(model.geom_priority[g]) for g in body.others), default=0)
@@ -187,7 +189,7 @@ def geom_patch(model: mujoco.MjModel, geom: int, values: Mapping[str, float]) ->
     friction[0] = values.get(FRICTION, friction[0])
     friction[1] = values.get(TORSIONAL, friction[1])
     friction[2] = values.get(ROLLING, friction[2])
-    stiffness, damping = direct(model, geom)
+    stiffness, damping = direct_solref(model, geom)
     most = float(model.geom_solimp[geom, 1])
     # The engine divides by dmax^2 and dmax.
     solref = [

@@ -30,7 +30,7 @@ _ENDLESS = 0.1
 """Fraction of resamples without a minimum above which a direction is undetermined."""
 DRAWS = 400
 """Number of resamples. It gives a standard deviation with 5 % precision."""
-UNTOLD = 0.15
+UNDETERMINED = 0.15
 """Standard deviation on the scale above which a parameter is undetermined. A uniform distribution
 over the bounds has 0.29."""
 _SPARE = 4
@@ -108,23 +108,23 @@ def _features(steps: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Told:
+class BootstrapMinimum:
     """Minimum, covariance and undetermined combinations.
 
     Attributes:
         centre: (p,) minimum, on the scales.
         covariance: (p, p) covariance of the minimum.
-        untold: (p,) unit vectors of undetermined combinations.
+        undetermined: (p,) unit vectors of undetermined combinations.
     """
 
     centre: FloatArray
     covariance: FloatArray
-    untold: tuple[FloatArray, ...]
+    undetermined: tuple[FloatArray, ...]
 
 
-def told(
+def bootstrap_minimum(
     found: Surface, free: Sequence[int], rivals: Sequence[FloatArray] = (), seed: int = 3
-) -> Told:
+) -> BootstrapMinimum:
     """Compute minimum and covariance by a bootstrap over whole tosses.
 
     Args:
@@ -141,18 +141,20 @@ def told(
     weights = rng.multinomial(tosses, np.full(tosses, 1.0 / tosses), size=DRAWS)
     steps = np.array([part.step(row.astype(float)) for row in weights])
     centre = np.clip(part.centre + part.step(np.ones(tosses)), 0.0, 1.0)
-    covariance = few(tosses) ** 2 * np.atleast_2d(np.cov(steps, rowvar=False))
+    covariance = small_sample_factor(tosses) ** 2 * np.atleast_2d(np.cov(steps, rowvar=False))
     for rival in rivals:
         apart = rival[kept] - centre
         covariance = covariance + np.outer(apart, apart) / len(rivals)
     values, vectors = np.linalg.eigh(covariance)
     # A step to the end of the region means that there is no minimum.
     endless = np.mean(np.abs(steps @ vectors) > 1.9 * found.reach, axis=0) > _ENDLESS
-    untold = [vectors[:, at] for at in range(len(values)) if values[at] > UNTOLD**2 or endless[at]]
-    return Told(centre, covariance, tuple(untold))
+    undetermined = [
+        vectors[:, at] for at in range(len(values)) if values[at] > UNDETERMINED**2 or endless[at]
+    ]
+    return BootstrapMinimum(centre, covariance, tuple(undetermined))
 
 
-def few(tosses: int, deviations: float = Z95) -> float:
+def small_sample_factor(tosses: int, deviations: float = Z95) -> float:
     """Return the factor by which an interval is widened for a small number of tosses.
 
     The variance of resamples of n tosses is too small by ``(n - 1) / n``, and the variance from few
@@ -167,7 +169,7 @@ def few(tosses: int, deviations: float = Z95) -> float:
     return wide * float(np.sqrt(tosses / (tosses - 1)))
 
 
-def as_good(one: FloatArray, other: FloatArray) -> bool:
+def is_as_good(one: FloatArray, other: FloatArray) -> bool:
     """Whether the second of two predictions of the same tosses is not significantly worse.
 
     Args:

@@ -196,7 +196,7 @@ def without_errors(
     return tuple(replace(one, position=_true(one, readings)) for one in recordings)
 
 
-def said(readings: Sequence[Reading], slides: Mapping[str, bool]) -> str:
+def describe_errors(readings: Sequence[Reading], slides: Mapping[str, bool]) -> str:
     """Describe encoder errors as text."""
     words = []
     for one in readings:
@@ -224,7 +224,7 @@ def _true(recording: Measured, readings: Sequence[Reading]) -> FloatArray:
     return position
 
 
-def undetermined_words(undetermined: Sequence[tuple[str, str]]) -> list[dict[str, str]]:
+def undetermined_entries(undetermined: Sequence[tuple[str, str]]) -> list[dict[str, str]]:
     """Return entries of ``unobservable`` in ``identification.json``, with the required motion."""
     motion = {
         BIAS: "hold a known payload (payloads: in twin.yaml) in poses all over the range of {}",

@@ -15,12 +15,12 @@ from pytest_twin.identification.effort.delay import LAG, Delay, delay_of, withou
 from pytest_twin.identification.effort.encoders import (
     Encoders,
     Reading,
+    describe_errors,
     encoders_of,
     slopes_of,
     widened,
     without_errors,
 )
-from pytest_twin.identification.effort.encoders import said as words_of
 from pytest_twin.identification.effort.essential import Essential, essential
 from pytest_twin.identification.effort.estimate import INSTRUMENTS, Estimate, estimate
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
@@ -33,8 +33,8 @@ from pytest_twin.identification.effort.instruments import (
 from pytest_twin.identification.effort.judging import (
     EffortError,
     accepted_values,
+    compare_stages,
     errors_of,
-    judged_stages,
 )
 from pytest_twin.identification.effort.least_squares import (
     Linear,
@@ -251,7 +251,8 @@ def _with_encoders(
         readings = tuple(applied.values())
         if max(abs(one.value) for one in readings) > _FARTHEST:
             why = (
-                f"{words_of(readings, slides)}: too far for the efforts to tell; look at its marks"
+                f"{describe_errors(readings, slides)}: too large to be estimated from efforts; "
+                "check the joint at its alignment marks"
             )
             return measured, found, Stage("encoder", "rejected", why, (), None, excludes)
         right = _at_true_positions(measured, readings)
@@ -261,7 +262,7 @@ def _with_encoders(
             break
     stage = judged(
         Stage(
-            "encoder", "accepted", words_of(readings, slides),
+            "encoder", "accepted", describe_errors(readings, slides),
             tuple(f"{one.joint}.{one.kind}" for one in readings), None, excludes,
         ),
         HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
@@ -417,7 +418,7 @@ def _identify(
     prior = base.values(regressor.prior)
     # Noise of the measured motion would look like an error of the stages.
     quiet = found.estimator == INSTRUMENTS
-    stages = judged_stages(
+    stages = compare_stages(
         along_commands(problem) if quiet else problem,
         along_commands(tested) if quiet else tested,
         fitted, stage_of, prior, base, bool(held),

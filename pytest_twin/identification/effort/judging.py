@@ -41,7 +41,7 @@ class EffortError:
     moving: float | None
 
 
-def judged_stages(
+def compare_stages(
     problem: Linear,
     tested: Linear,
     fitted: Essential,

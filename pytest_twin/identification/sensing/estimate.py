@@ -36,7 +36,7 @@ class SensorEstimate:
         units: (p,) units.
         covariance: (p, p) covariance.
         quantile: half width of a 95 % interval in standard deviations.
-        untold: descriptions of signal directions that the motion did not excite.
+        undetermined: descriptions of signal directions that the motion did not excite.
         fields: sensor model for a simulation, in the form of ``sensors:`` of a record.
         nominal, error: (k,) RMS errors of an ideal sensor and of this sensor on the held-out
             recordings, or on the fitted ones if nothing is held out.
@@ -50,7 +50,7 @@ class SensorEstimate:
     units: tuple[str, ...]
     covariance: FloatArray
     quantile: float
-    untold: tuple[str, ...]
+    undetermined: tuple[str, ...]
     fields: Mapping[str, Any]
     nominal: FloatArray
     error: FloatArray
@@ -117,7 +117,7 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
         kind, axes, tuple(unit_of(axis) for axis in axes),
         tuple(names), values, tuple(units), covariance,
         float(student.ppf(0.975, max(1, found[0].blocks - 1))),
-        tuple(_untold(found, groups, axes)), fields, nominal, error,
+        tuple(_undetermined(found, groups, axes)), fields, nominal, error,
     )  # fmt: skip
 
 
@@ -230,18 +230,18 @@ def _flat(
 def _reached(one: Linear) -> FloatArray:
     """(m + 1,) True for channels of the true signal, and the bias, that are determined."""
     reached = np.ones(one.matrix.shape[1] + 1, dtype=bool)
-    for direction in one.untold:
+    for direction in one.undetermined:
         reached &= np.abs(direction) < 0.05
     return reached
 
 
-def _untold(
+def _undetermined(
     found: Sequence[Linear], groups: Sequence[tuple[int, ...]], axes: Sequence[str]
 ) -> list[str]:
     words = []
     for one, group in zip(found, groups, strict=True):
         names = [*(axes[channel] for channel in group), "bias"]
-        for direction in one.untold:
+        for direction in one.undetermined:
             terms = [
                 f"{share:+.2f} {name}"
                 for share, name in zip(direction, names, strict=True)

@@ -113,7 +113,8 @@ def identify_sensors(
             "sensor_units": dict(zip(axes, found.axis_units, strict=True)),
         }
         unobservable += [
-            {"expression": f"{sensor.name}: {words}", "motion": _MOTION} for words in found.untold
+            {"expression": f"{sensor.name}: {words}", "motion": _MOTION}
+            for words in found.undetermined
         ]
         models[sensor.name] = {"topic": sensor.topic, "frame": sensor.frame, **found.fields}
         for one in fit:

@@ -14,7 +14,7 @@ from rendered_boards import (
     rendered_view,
 )
 
-from pytest_twin.calibration.boards.detection import compared, detect, detect_files
+from pytest_twin.calibration.boards.detection import detect, detect_files, without_blurred
 from pytest_twin.calibration.boards.target import make_target
 from pytest_twin.calibration.cameras.pose import target_pose
 from pytest_twin.errors import SpecError
@@ -86,7 +86,7 @@ def test_an_image_with_motion_blur_is_rejected_by_comparison_with_sharp_ones():
     streak = np.zeros((7, 7), np.float32)
     streak[3] = 1 / 7
     moved = detect(cv2.filter2D(rendered_view(charuco(), TILTED, PLACE), -1, streak), charuco())
-    found = compared([*sharp, moved])
+    found = without_blurred([*sharp, moved])
     assert [bool(d.rejected) for d in found] == [False, False, False, True]
     assert found[-1].rejected.startswith("blurred: the edges' blur is ")
 

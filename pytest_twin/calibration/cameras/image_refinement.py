@@ -25,7 +25,7 @@ MOST_FOCAL_SPREAD = 0.02
 corresponds to 20 mm of distance at 1 m."""
 
 
-class Seen:
+class ImageRefinement:
     """Images of one calibration with the current camera and the estimate refined on their corners.
 
     Args:
@@ -85,7 +85,7 @@ def calibrate_intrinsics(
         SpecError: the images do not determine the intrinsics.
     """
     fitted, held_out = split(plan, observations)
-    seen = Seen(images, observations, fitted)
+    seen = ImageRefinement(images, observations, fitted)
     document: dict[str, Any] = {
         "schema": 1,
         "calibration": plan.id,
@@ -118,7 +118,7 @@ def calibrate_intrinsics(
 def _add_errors(
     document: dict[str, Any],
     images: Images,
-    seen: Seen,
+    seen: ImageRefinement,
     fitted: Sequence[str],
     held_out: Sequence[str],
 ) -> None:
@@ -128,7 +128,7 @@ def _add_errors(
             document[name]["reprojection_rms"] = error
 
 
-def _add_intrinsics(document: dict[str, Any], seen: Seen, quantile: float) -> list[str]:
+def _add_intrinsics(document: dict[str, Any], seen: ImageRefinement, quantile: float) -> list[str]:
     """Add the intrinsics' record; return sentences on what the images do not determine."""
     camera = seen.camera
     if not camera.free:

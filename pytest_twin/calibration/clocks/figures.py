@@ -12,7 +12,7 @@ from pytest_twin.calibration.clocks.correlation import angular_speed
 from pytest_twin.calibration.clocks.offset import ClockFit, hand_times, spread_rows
 from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.plan import Plan
-from pytest_twin.calibration.problem import words_of
+from pytest_twin.calibration.problem import describe_pose
 from pytest_twin.calibration.scene import frame
 
 _SHOWN_S, _STEP_S = 20.0, 0.05
@@ -87,7 +87,8 @@ def scene_of_streams(
         mounted, world = world, mounted
     held = set(held_out.tolist())
     names = {
-        role: words_of(f"camera.{role}", plan.mount).split()[1] for role in ("mounted", "world")
+        role: describe_pose(f"camera.{role}", plan.mount).split()[1]
+        for role in ("mounted", "world")
     }
     return {
         "observation": f"{time[shown] - hand.time[0]:.2f} s after the hand's stream begins",

@@ -26,7 +26,7 @@ contrast of the detected corners."""
 _FEWEST = 6
 
 
-def completed(
+def with_missing_corners(
     image: Grey, target: Target, ids: np.ndarray, pixels: FloatArray
 ) -> tuple[np.ndarray, FloatArray]:
     """Return ids and pixels of the corners, detected and added ones, in the order of their ids.
