@@ -35,12 +35,12 @@ class Tolerance:
         parameter: its name, such as ``elbow.armature`` or ``BODY.mass``.
         half_width: half the width of a uniform distribution, in the parameter's unit, or as a
             fraction of its value where ``relative``.
-        relative: whether ``half_width`` is a fraction of the value.
+        is_relative: whether ``half_width`` is a fraction of the value.
     """
 
     parameter: str
     half_width: float
-    relative: bool
+    is_relative: bool
 
 
 @dataclass(frozen=True, slots=True)

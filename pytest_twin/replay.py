@@ -323,7 +323,9 @@ class Run:
             else:
                 values[:, target.control] = target.scale * command
         self.values = values
-        self.interpolated = Setpoint(asked.time, values, linear=True) if asked.linear else None
+        self.interpolated = (
+            Setpoint(asked.time, values, is_linear=True) if asked.is_linear else None
+        )
         at = asked.time / self.timestep
         inside = np.floor(at + _ON_STEP)
         fraction = np.where(at - inside < _ON_STEP, 0.0, at - inside)

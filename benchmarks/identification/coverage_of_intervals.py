@@ -122,7 +122,7 @@ def main() -> None:
         inside += hit.tolist()
         for k in np.flatnonzero(~hit):
             missed[result.base.expressions[result.fitted.kept[k]]] += 1
-        consistent += result.physical.consistent
+        consistent += result.physical.is_consistent
         held += [error.relative for error in result.errors.values()]
         nominal += [error.relative for error in result.nominal.values()]
         rejected.update(stage.name for stage in result.stages if stage.state == "rejected")

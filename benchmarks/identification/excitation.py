@@ -110,7 +110,7 @@ def worst(realization: Realization, limits: Approved, drawn: Drawn) -> tuple[flo
     sizes = np.linalg.norm(own, axis=0)
     singular = np.linalg.svd(own / sizes, compute_uv=False)
     found = of_base("inertia", base, regressor, matrix, limits, noise)
-    relative = [one.relative_std for one in found if one.relative_std and not one.small]
+    relative = [one.relative_std for one in found if one.relative_std and not one.is_small]
     value = 2.0 * float(np.log(singular).sum() + np.log(sizes).sum())
     return value, 100.0 * max(relative, default=math.nan)
 

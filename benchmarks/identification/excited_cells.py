@@ -170,7 +170,7 @@ def main() -> None:
                 abs(one.value - encoders.true_of(one.joint, one.kind)) <= one.half_width
                 for one in result.encoders.readings
             ]
-            consistent += result.physical.consistent
+            consistent += result.physical.is_consistent
             held += [error.relative for error in result.errors.values()]
             nominal += [error.relative for error in result.nominal.values()]
             states.update(f"{one.name} {one.state}" for one in result.stages)

@@ -64,7 +64,7 @@ class Comparison:
         body: name of the body.
         mass: mass, kg.
         moments: (3,) principal moments, kg*m^2.
-        stated: False if a compiler computed mass and inertia from the geometry.
+        is_stated: False if a compiler computed mass and inertia from the geometry.
         density: mass over the hull's volume, kg/m^3.
         uniform: (3,) principal moments of the hull with the body's mass, kg*m^2.
         com_offset: distance from the hull's centroid to the centre of mass, m.
@@ -73,7 +73,7 @@ class Comparison:
     body: str
     mass: float
     moments: tuple[float, ...]
-    stated: bool
+    is_stated: bool
     density: float | None
     uniform: tuple[float, ...] | None
     com_offset: float | None

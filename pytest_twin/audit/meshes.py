@@ -37,7 +37,7 @@ class MeshFacts:
 
     Attributes:
         extents: (3,) sides of the scaled bounding box, m.
-        watertight: whether every edge has two faces.
+        is_watertight: whether every edge has two faces.
         volume: volume, m^3; None if the mesh is not watertight.
         hull: volume of its convex hull, m^3.
     """
@@ -45,7 +45,7 @@ class MeshFacts:
     file: Path
     faces: int
     extents: tuple[float, float, float]
-    watertight: bool
+    is_watertight: bool
     volume: float | None
     hull: float
     uses: tuple[str, ...]
@@ -302,7 +302,7 @@ def _quality(fact: MeshFacts, shape: Shape, uses: list[Shape]) -> Iterator[Findi
             "loading, convex hulls and contact become slow",
             "decimate the mesh, and check its largest distance from this one",
         )
-    if not fact.watertight:
+    if not fact.is_watertight:
         yield Finding(
             "meshes.open",
             "info",

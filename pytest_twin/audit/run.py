@@ -206,7 +206,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             {
                 "body": row.body,
                 "mass": {"value": row.mass, "unit": "kg"},
-                "stated": row.stated,
+                "stated": row.is_stated,
                 "principal_moments": {"value": list(row.moments), "unit": "kg*m^2"},
                 "uniform_moments": {
                     "value": None if row.uniform is None else list(row.uniform),
@@ -222,7 +222,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
                 "file": str(fact.file),
                 "triangles": fact.faces,
                 "extents": {"value": list(fact.extents), "unit": "m"},
-                "watertight": fact.watertight,
+                "watertight": fact.is_watertight,
                 "volume": {"value": fact.volume, "unit": "m^3"},
                 "hull_volume": {"value": fact.hull, "unit": "m^3"},
                 "convexity": fact.convexity,

@@ -99,10 +99,10 @@ class _Reader:
             elif not self._is_taken(label):
                 (column,) = self._keep([self.of.index(name)])
                 columns.append(column)
-                unit = "rad" if one.rotation else "m"
+                unit = "rad" if one.is_rotation else "m"
                 estimate[label] = (one.value, unit)
                 at = self.task.chain.joints.index(one.joint)
-                yield LinkParameter(at, one.rotation, np.array(one.direction), label), column
+                yield LinkParameter(at, one.is_rotation, np.array(one.direction), label), column
         self._part("link geometry", "geometry", tuple(columns), estimate)
 
     def _placed(self) -> Iterator[Placed]:

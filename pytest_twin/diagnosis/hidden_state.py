@@ -67,7 +67,7 @@ class HiddenState:
             target = command_input(model, joints[j], modes[j])
             if target is not None:
                 sent[:, target.control] = target.scale * command[:, j]
-        self._sent = Setpoint(asked.time, sent, asked.linear)
+        self._sent = Setpoint(asked.time, sent, asked.is_linear)
 
     def at(
         self, starts: Sequence[float], states: Sequence[tuple[FloatArray, FloatArray]]

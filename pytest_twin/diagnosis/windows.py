@@ -132,7 +132,7 @@ def _recorded(
         model=_model(realization, trial),
         mode=hardest,
         modes=() if set(each) == {hardest} else each,
-        is_interpolated=setpoint.linear,
+        is_interpolated=setpoint.is_linear,
         start=0.0,
         time=trial.time[keep],
         position=position,

@@ -136,8 +136,8 @@ class CommandsOverSteps:
             if not s.is_interpolated:
                 within = np.clip(command, self.least[segment], self.greatest[segment])
                 if not np.array_equal(within, command):
-                    in_range = Setpoint(s.command_time, within, linear=False)
-            sent = Setpoint(s.command_time, command, linear=s.is_interpolated)
+                    in_range = Setpoint(s.command_time, within, is_linear=False)
+            sent = Setpoint(s.command_time, command, is_linear=s.is_interpolated)
             self._held[segment] = _Held(far, sent, in_range)
         return self._held[segment]
 
@@ -165,7 +165,7 @@ class _Held:
     def usual(self) -> FloatArray:
         """(stamps, joints) mean command from each stamp to the next."""
         value = self.sent.value
-        if not self.sent.linear:
+        if not self.sent.is_linear:
             return value
         return value + 0.5 * np.diff(value, axis=0, append=value[-1:])
 

@@ -192,7 +192,7 @@ def _parameter(one: Predicted) -> dict[str, Any]:
         "std": one.std if finite else None,
         "relative_std": one.relative_std if finite else None,
         "identifiable": one.is_identifiable,
-        "small": one.small,
+        "small": one.is_small,
         "why": one.why,
     }
 
@@ -223,7 +223,7 @@ def _summary(found: Excitation) -> dict[str, Any]:
         own = [one for one in found.predicted if one.mechanism == mechanism]
         stated = [
             one for one in own if one.relative_std is not None and math.isfinite(one.std)
-            and not one.small
+            and not one.is_small
         ]  # fmt: skip
         worst = max(stated, key=lambda one: one.relative_std or 0.0, default=None)
         summary[mechanism] = {
@@ -291,7 +291,7 @@ def _notes(found: Excitation) -> list[str]:
     free = [
         column.words
         for at, column in enumerate(found.regressor.columns)
-        if column.inertial and not np.any(found.base.combination[:, at])
+        if column.is_inertial and not np.any(found.base.combination[:, at])
     ]
     if free and "inertia" in found.approved.mechanisms:
         notes.append(f"without influence on the efforts: {', '.join(free)}")

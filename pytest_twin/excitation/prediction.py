@@ -70,7 +70,7 @@ class Predicted:
         return self.nominal is None or _TWO_SIDED * self.std <= reach
 
     @property
-    def small(self) -> bool:
+    def is_small(self) -> bool:
         """Whether the nominal value has a small effect."""
         return self.nominal is not None and abs(self.nominal) <= self.resolution
 

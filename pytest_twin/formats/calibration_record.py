@@ -29,13 +29,13 @@ class Deviation:
 
     Attributes:
         joint: the joint whose placement deviates.
-        rotation: True for an angle (rad), False for an offset (m).
+        is_rotation: True for an angle (rad), False for an offset (m).
         direction: (3,) axis of rotation or translation, in the joint's frame.
         value: size of the deviation, rad or m.
     """
 
     joint: str
-    rotation: bool
+    is_rotation: bool
     direction: tuple[float, ...]
     value: float
 

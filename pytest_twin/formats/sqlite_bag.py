@@ -234,7 +234,7 @@ class _Database:
                     expected=f"at most {limits.MCAP.messages_of(self.size)}",
                 )
             block.add(number, time, data)
-            if block.full:
+            if block.is_full:
                 yield block.region(self.messages)
                 block = _Block()
         if block.rows:
@@ -260,7 +260,7 @@ class _Block:
         self.bytes += len(data)
 
     @property
-    def full(self) -> bool:
+    def is_full(self) -> bool:
         return self.bytes > _REGION_BYTES or len(self.rows) >= _REGION_ROWS
 
     def region(self, until: int) -> Region:

@@ -40,14 +40,14 @@ class Physical:
 
     Attributes:
         parameters: (p,) parameters of all columns.
-        consistent: whether every inertia is physical and no friction or armature is negative.
+        is_consistent: whether every inertia is physical and no friction or armature is negative.
         violations: one line for each unphysical value of the unconstrained estimate.
         cost: increase of the weighted sum of squares against the unconstrained estimate, per base
             parameter.
     """
 
     parameters: FloatArray
-    consistent: bool
+    is_consistent: bool
     violations: tuple[str, ...]
     cost: float
 
@@ -69,7 +69,7 @@ def physical(
         information: (b, b) inverse covariance of the base parameters.
     """
     links = _links(columns, prior)
-    others = np.array([i for i, c in enumerate(columns) if not c.inertial], dtype=np.intp)
+    others = np.array([i for i, c in enumerate(columns) if not c.is_inertial], dtype=np.intp)
     root = _root(information)
     size = 10 * len(links)
     lower = np.concatenate([
@@ -115,7 +115,7 @@ def physical(
     off = root @ (combination @ values - base)
     return Physical(
         parameters=values,
-        consistent=_consistent(columns, values),
+        is_consistent=_consistent(columns, values),
         violations=tuple(_violations(columns, combination, base)),
         cost=float(off @ off) / max(len(base), 1),
     )

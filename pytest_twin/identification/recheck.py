@@ -36,12 +36,12 @@ class Rechecked:
     Attributes:
         relative: |measured - predicted| / |measured|.
         rms: root mean square error, N*m or N.
-        slide: whether the joint is prismatic.
+        is_slide: whether the joint is prismatic.
     """
 
     relative: float
     rms: float
-    slide: bool
+    is_slide: bool
 
 
 def recheck(
@@ -84,7 +84,7 @@ def recheck(
     values = regressor.prior.copy()
     for at, column in enumerate(regressor.columns):
         # For a current, the drive parameters are in A.
-        of_drive = column.joint in unscaled and not column.inertial
+        of_drive = column.joint in unscaled and not column.is_inertial
         if of_drive or column.kind in _OF_RECORD:
             values[at] = record.values.get(column.name, 0.0)
     right = _as_identified(measured, record, unscaled)

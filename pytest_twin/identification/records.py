@@ -126,7 +126,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
     return {
         "schema": 1,
         "verdict": verdict_of(
-            ordered, better and not fatal, tested and of_robot, result.physical.consistent
+            ordered, better and not fatal, tested and of_robot, result.physical.is_consistent
         ),
         "way": "measured effort",
         "stages": [stage.to_json() for stage in ordered],
@@ -143,7 +143,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         "held_out": errors,
         "tested_on": "held-out recordings" if tested else "fitted recordings",
         "physical": {
-            "consistent": result.physical.consistent,
+            "consistent": result.physical.is_consistent,
             "violations": list(result.physical.violations),
             "cost": result.physical.cost,
             "note": "the base parameters are measured; how they are shared among links is the "

@@ -53,9 +53,9 @@ class Coordinate:
         joint: joint whose motion it affects directly, or None.
         body, index: for a body's inertia: name of the body, and index of the coordinate.
         effect, parameter: for a catalogued effect: name of the effect and of its parameter.
-        relative: whether the value is a factor, 1 plus the effect's relative parameter.
+        is_relative: whether the value is a factor, 1 plus the effect's relative parameter.
         field: for a joint of the model: ``damping``, ``frictionloss`` or ``armature``.
-        condition: whether it is a condition of the trials, such as their temperature, without
+        is_condition: whether it is a condition of the trials, such as their temperature, without
             direct effect on the motion.
         sources: sources of its variance.
     """
@@ -70,9 +70,9 @@ class Coordinate:
     index: int = 0
     effect: str | None = None
     parameter: str | None = None
-    relative: bool = False
+    is_relative: bool = False
     field: str | None = None
-    condition: bool = False
+    is_condition: bool = False
     sources: tuple[Source, ...] = ()
 
     def values(self, normal: FloatArray) -> FloatArray:

@@ -79,7 +79,7 @@ def gathered(
             found.left_out.append(f"{name}: its stage is not accepted")
             continue
         column = columns.get(name)
-        if column is not None and regressor.columns[column].inertial:
+        if column is not None and regressor.columns[column].is_inertial:
             inertial.append(at)
             continue
         coordinate = _coordinate(record, name, column, regressor, realization, patched, found)
@@ -161,7 +161,7 @@ def _coordinate(
         joint=joint,
         effect=effect,
         parameter=own_law.name,
-        relative=relative,
+        is_relative=relative,
     )
 
 
@@ -212,7 +212,7 @@ def _bodies_for(
 ) -> tuple[list[Body], FloatArray]:
     """Return bodies, and (10 bodies, k) changes of their coordinates per unit of each column."""
     bodies = bodies_of(realization, regressor.joints)
-    inertial = [at for at, one in enumerate(regressor.columns) if one.inertial]
+    inertial = [at for at, one in enumerate(regressor.columns) if one.is_inertial]
     place = {(regressor.columns[at].joint, regressor.columns[at].kind): k
              for k, at in enumerate(inertial)}  # fmt: skip
     efforts = _efforts(realization, regressor)[:, inertial]

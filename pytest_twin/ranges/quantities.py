@@ -34,7 +34,7 @@ class Quantity:
         draws: (n,) random values.
         joint: joint whose motion it affects directly, or None.
         body: body that it belongs to, or None.
-        condition: whether it is a condition of the trials.
+        is_condition: whether it is a condition of the trials.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Quantity:
     draws: FloatArray
     joint: str | None
     body: str | None = None
-    condition: bool = False
+    is_condition: bool = False
 
     @property
     def owner(self) -> str:
@@ -66,7 +66,7 @@ class Quantity:
             "std": float(self.draws.std()),
             "joint": self.joint,
             "body": self.body,
-            "varies": "with the trial" if self.condition else "per episode",
+            "varies": "with the trial" if self.is_condition else "per episode",
         }
 
 
@@ -81,7 +81,7 @@ def quantities(distribution: Distribution, bodies: Sequence[Body], share: float)
     draws = distribution.draws(_DRAWS, _SEED)
     found = [
         Quantity(one.name, one.unit, one.mean, one.interval(share), draws[:, column], one.joint,
-                 condition=one.condition)
+                 is_condition=one.is_condition)
         for column, one in enumerate(distribution.coordinates)
         if one.body is None
     ]  # fmt: skip

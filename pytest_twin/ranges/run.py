@@ -202,7 +202,7 @@ def _document(
                 "mean": one.mean,
                 "std": one.std,
                 "law": "normal" if one.support == "any" else "normal cut off at zero",
-                "varies": "with the trial" if one.condition else "per episode",
+                "varies": "with the trial" if one.is_condition else "per episode",
                 "joint": one.joint,
                 "body": one.body,
                 "sources": [source.to_json() for source in one.sources],

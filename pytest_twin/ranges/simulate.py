@@ -254,7 +254,7 @@ class Fleet:
                 values[one.effect]["in_loop"][:] = 1.0
         array = values[one.effect][one.parameter]
         written = self._written(one)
-        if one.relative:
+        if one.is_relative:
             array[:, place] = (drawn / (1.0 + written.values[one.parameter]) - 1.0
                                if written else drawn - 1.0)[:, None]  # fmt: skip
         elif written is not None:

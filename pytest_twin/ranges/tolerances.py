@@ -57,7 +57,7 @@ def _of_mass(
         )
     body = bodies[name]
     share = tolerance.half_width
-    if not tolerance.relative:
+    if not tolerance.is_relative:
         share /= float(body.rigid(np.zeros((1, len(AXES))))[0][0])
     std = share / _UNIFORM
     known = [one.name for one in found.coordinates]
@@ -82,7 +82,7 @@ def _of_parameter(
         names.append(tolerance.parameter)
     place = names.index(tolerance.parameter)
     std = tolerance.half_width / _UNIFORM
-    if tolerance.relative:
+    if tolerance.is_relative:
         mean = found.coordinates[place].mean
         if mean == 0.0:
             raise twin.error(

@@ -125,14 +125,14 @@ def _grown(
         one = coordinates[place]
         source = Source("trials", NAME, float(std[column]))
         # The mean is that of the trials.
-        mean = float(table[:, column].mean()) + one.relative
+        mean = float(table[:, column].mean()) + one.is_relative
         coordinates[place] = replace(one, mean=mean, sources=(*one.sources, source))
     for k, name in enumerate(conditions):
         column = len(shared) + k
         coordinates.append(
             Coordinate(
                 f"trials.{name}", _UNITS[name], float(table[:, column].mean()), 0.0,
-                condition=True, sources=(Source("trials", NAME, float(std[column])),),
+                is_condition=True, sources=(Source("trials", NAME, float(std[column])),),
             )
         )  # fmt: skip
     return replace(found, coordinates=coordinates, covariance=covariance)

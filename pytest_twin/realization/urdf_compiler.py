@@ -37,15 +37,15 @@ class UrdfCompiler:
     """Settings in the ``<mujoco>`` block of a URDF.
 
     Attributes:
-        balance: whether the principal moments of an inconsistent inertia are replaced by their
-            mean.
+        balances_inertia: whether the principal moments of an inconsistent inertia are replaced by
+            their mean.
         bound_mass: smallest mass of a link, kg.
         bound_inertia: smallest principal moment of a link, kg*m^2.
         option: the ``<option>`` element, or None.
         compiler: the ``<compiler>`` element, or None.
     """
 
-    balance: bool = False
+    balances_inertia: bool = False
     bound_mass: float = 0.0
     bound_inertia: float = 0.0
     option: Node | None = None
@@ -79,7 +79,7 @@ class UrdfCompiler:
         mass = max(link.mass, self.bound_mass)
         moments, axes = np.linalg.eigh(link.inertia)
         wanted = np.maximum(moments, self.bound_inertia) if self.bound_inertia > 0 else moments
-        if self.balance and wanted[0] + wanted[1] < wanted[2]:
+        if self.balances_inertia and wanted[0] + wanted[1] < wanted[2]:
             wanted = np.full(3, wanted.mean())
         if mass == link.mass and np.array_equal(wanted, moments):
             return link

@@ -83,7 +83,7 @@ class DiagnosisView:
         said: ``diagnosis.json``.
         joints: figures, the largest error in noise floors first.
         floor_parts: source -> joint -> RMS in the joint's unit.
-        simulated: whether predictions contain the integration error of the time step.
+        is_simulated: whether predictions contain the integration error of the time step.
         step_left: share of that error that is in the floor.
         native: changes in the patched MJCF, one line each.
         outside_mjcf: effects that MJCF cannot express, applied by ``pytest-twin replay``.
@@ -98,7 +98,7 @@ class DiagnosisView:
     said: Mapping[str, Any]
     joints: tuple[JointView, ...]
     floor_parts: Mapping[str, Mapping[str, float]]
-    simulated: bool
+    is_simulated: bool
     step_left: float
     native: tuple[str, ...]
     outside_mjcf: tuple[str, ...]
@@ -134,7 +134,7 @@ def view_of(
             source: dict(zip(joints, map(float, values), strict=True))
             for source, values in tested.floor_parts.items()
         },
-        simulated=patched.substeps > 0,
+        is_simulated=patched.substeps > 0,
         step_left=tested.problem.step_left,
         native=tuple(f"{_at(e)}: {e.written}" for e in patched.effects if e.written),
         outside_mjcf=tuple(_at(e) for e in patched.outside_mjcf),

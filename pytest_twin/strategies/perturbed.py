@@ -69,7 +69,7 @@ class _Number:
     value: tuple[float, ...]
     reach: float
     unit: str
-    relative: bool
+    is_relative: bool
 
 
 def perturbed_assets(
@@ -90,7 +90,10 @@ def perturbed_assets(
     realization = load_any(Path(robot)) if isinstance(robot, str | Path) else robot
     numbers = list(_numbers(realization, spread or Spread()))
     moves = st.tuples(
-        *(st.tuples(*[st.floats(-1.0, 1.0)] * (1 if number.relative else 3)) for number in numbers)
+        *(
+            st.tuples(*[st.floats(-1.0, 1.0)] * (1 if number.is_relative else 3))
+            for number in numbers
+        )
     )
     return moves.map(lambda drawn: _perturbed(realization, numbers, drawn))
 
@@ -132,7 +135,7 @@ def _perturbed(
         patch = patches.setdefault(number.family, {}).setdefault(number.element, {})
         where = f"{number.attribute} of {number.family} '{number.element}'"
         unit = f" {number.unit}" if number.unit else ""
-        if number.relative:
+        if number.is_relative:
             factor = 1.0 + number.reach * moves[0]
             patch[number.attribute] = number.value[0] * factor
             if number.attribute == "mass":

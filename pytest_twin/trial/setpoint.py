@@ -22,16 +22,16 @@ class Setpoint:
     Attributes:
         time: (k,) s, not decreasing.
         value: (k, j) rad, rad/s or N*m (m, m/s or N).
-        linear: whether the value is linear between two times, or constant with steps.
+        is_linear: whether the value is linear between two times, or constant with steps.
     """
 
     time: FloatArray
     value: FloatArray
-    linear: bool
+    is_linear: bool
 
     def at(self, time: FloatArray) -> FloatArray:
         """(n, j) setpoint at each time (s)."""
-        if not self.linear:
+        if not self.is_linear:
             held = np.searchsorted(self.time, time, side="right") - 1
             table: FloatArray = self.value[np.maximum(held, 0)]
             return table
@@ -42,7 +42,7 @@ class Setpoint:
         index = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 1)
         since = time - self.time[index]
         start = self.value[index]
-        if not self.linear:
+        if not self.is_linear:
             summed: FloatArray = self._area[index] + since[:, None] * start
             return summed
         outside = (since <= 0.0) | (index == len(self.time) - 1)
@@ -54,7 +54,7 @@ class Setpoint:
     def _area(self) -> FloatArray:
         """(k, j) integral up to each of ``time``."""
         steps = np.diff(self.time)[:, None]
-        between = 0.5 * (self.value[:-1] + self.value[1:]) if self.linear else self.value[:-1]
+        between = 0.5 * (self.value[:-1] + self.value[1:]) if self.is_linear else self.value[:-1]
         return np.concatenate([np.zeros((1, self.value.shape[1])), np.cumsum(steps * between, 0)])
 
 
@@ -73,7 +73,7 @@ def setpoint(
         own: (m, j) which joints each message contains; None for all.
     """
     if between == "held":
-        return Setpoint(time, command, linear=False)
+        return Setpoint(time, command, is_linear=False)
     last = np.append(np.diff(time) > 0.0, True)
     if own is not None and not own.all():
         # A stamp contains a joint if any message with this stamp does.
@@ -121,7 +121,7 @@ def _combined(columns: Sequence[tuple[FloatArray, FloatArray]]) -> Setpoint:
     """Combine the setpoints of several joints, at the times of all of them."""
     first = columns[0][0]
     if all(np.array_equal(time, first) for time, _ in columns):
-        return Setpoint(first, np.stack([v for _, v in columns], axis=1), linear=True)
+        return Setpoint(first, np.stack([v for _, v in columns], axis=1), is_linear=True)
     time = np.unique(np.concatenate([t for t, _ in columns]))
     value = np.stack([np.interp(time, t, v) for t, v in columns], axis=1)
-    return Setpoint(time, value, linear=True)
+    return Setpoint(time, value, is_linear=True)

@@ -21,7 +21,7 @@ def test_intervals_contain_the_true_parameters(
     for seed in range(3):
         result, true = coverage.identified(seed, tmp_path, coverage.EncoderErrors())
         inside += coverage.covered(result, true).tolist()
-        assert result.physical.consistent
+        assert result.physical.is_consistent
         assert max(error.relative for error in result.errors.values()) < 0.08
     assert len(inside) > 40
     assert np.mean(inside) >= 0.85

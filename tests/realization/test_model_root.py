@@ -92,10 +92,10 @@ def test_home_system_and_temporary_folders_count_as_shared(
     (home / "Downloads/arm").mkdir(parents=True)
     monkeypatch.setenv("HOME", str(home))
     found = folders_above(home / "Downloads/arm/arm.urdf")
-    shared = {folder.path for folder in found if folder.shared}
+    shared = {folder.path for folder in found if folder.is_shared}
     assert {home, home / "Downloads", tmp_path / "home", Path("/")} <= shared
     assert [folder.path for folder in inside(found)] == [home / "Downloads/arm"]
-    assert all(folder.shared for folder in folders_above(Path("/tmp/arm.urdf")))
+    assert all(folder.is_shared for folder in folders_above(Path("/tmp/arm.urdf")))
 
 
 def test_packages_and_checkouts_are_recognized_by_their_files(tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ def test_the_batch_simulator_uses_the_same_setpoints_as_the_replay(between: Comm
         trial=0, model=arm, mode="position", start=0.0, time=trial.time,
         position=trial.position, velocity=None, effort=None, command_time=setpoint_of_trial.time,
         command=setpoint_of_trial.value, initial_position=np.zeros(2), initial_velocity=np.zeros(2),
-        is_interpolated=setpoint_of_trial.linear,
+        is_interpolated=setpoint_of_trial.is_linear,
     )  # fmt: skip
     rows = BatchSimulator([segment], trial.joints, threads=1)
     found = rows.simulate(np.array([0]), {})[0]

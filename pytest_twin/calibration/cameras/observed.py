@@ -46,7 +46,7 @@ class Images:
         rejected: detections that are not usable.
         files: id of an observation -> its image, relative to the table of observations.
         given: intrinsics of the plan, or None.
-        estimated: whether the intrinsics are to be estimated.
+        is_estimated: whether the intrinsics are to be estimated.
         paths: paths of the existing images.
     """
 
@@ -55,7 +55,7 @@ class Images:
     rejected: tuple[Detection, ...]
     files: Mapping[str, str]
     given: Intrinsics | None
-    estimated: bool
+    is_estimated: bool
     paths: tuple[Path, ...] = ()
 
     def camera(self, ids: Sequence[str]) -> Camera:
@@ -66,7 +66,7 @@ class Images:
         """
         found = [self.detections[one] for one in ids if one in self.detections]
         board = self.target.board_points()
-        if self.estimated or self.given is None:
+        if self.is_estimated or self.given is None:
             return calibrate_camera(found, board, self.given)
         try:
             return camera_of(fixed_or_free(found, board, self.given, ()))
@@ -75,7 +75,7 @@ class Images:
 
     def misfit(self, ids: Sequence[str], camera: Camera) -> str:
         """Message that the given intrinsics do not fit the images; empty if they do."""
-        if self.estimated or self.given is None or len(ids) < 5:
+        if self.is_estimated or self.given is None or len(ids) < 5:
             return ""
         found = [self.detections[one] for one in ids if one in self.detections]
         try:

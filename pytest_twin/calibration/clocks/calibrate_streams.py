@@ -116,7 +116,7 @@ def streams_of(plan: Plan) -> tuple[PoseStream, PoseStream]:
     # For a fixed camera, the poses of the flange are inverted: seen from the flange, the base
     # carries the camera. The errors are then those of the target's position, which is measured, and
     # not those of the camera's position, to which errors of angles add.
-    return replace(hand, inverted=plan.mount == "world"), camera
+    return replace(hand, is_inverted=plan.mount == "world"), camera
 
 
 def _unclear(found: Correlated) -> str:

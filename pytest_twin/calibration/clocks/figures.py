@@ -75,15 +75,15 @@ def scene_of_streams(
     """
     rows, time = spread_rows(hand, camera, fit, middle, _ARROWS)
     carried = hand.at(time)
-    flange = inverse(carried) if hand.inverted else carried
+    flange = inverse(carried) if hand.is_inverted else carried
     error = (carried @ fit.solved.hand_eye @ inverse(seen[rows]))[:, :3, 3]
     error = error - fit.solved.robot_world[:3, 3]
-    if hand.inverted:
+    if hand.is_inverted:
         error = np.einsum("nij,nj->ni", flange[:, :3, :3], error)
     place = flange[:, :3, 3]
     shown = int(np.argmin(np.linalg.norm(place - place.mean(axis=0), axis=1)))
     mounted, world = fit.solved.hand_eye, fit.solved.robot_world
-    if hand.inverted:
+    if hand.is_inverted:
         mounted, world = world, mounted
     held = set(held_out.tolist())
     names = {

@@ -54,7 +54,7 @@ def mistakes(
     carried = hand.at(time)
     observations = Observations(
         ids=tuple(str(row) for row in rows),
-        flange=inverse(carried) if hand.inverted else carried,
+        flange=inverse(carried) if hand.is_inverted else carried,
         camera_from_target=inverse(seen[rows]),
     )
     estimate = tuple(name for name in plan.estimate if name != "time_offset")

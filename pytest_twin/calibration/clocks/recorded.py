@@ -42,7 +42,7 @@ def held_out_errors(plan: Plan, record: CalibrationRecord) -> tuple[FloatArray, 
     mounted, world = (
         recorded_pose(plan, f"camera.{role}", record) for role in ("mounted", "world")
     )
-    if hand.inverted:
+    if hand.is_inverted:
         mounted, world = world, mounted
     nothing = np.zeros(0)
     fit = ClockFit(

@@ -37,12 +37,12 @@ class PoseStream:
     Attributes:
         time: (n,) stamps, s, ascending.
         poses: (n, 4, 4) poses as in the file, m.
-        inverted: whether ``at`` returns the inverse of the interpolated poses.
+        is_inverted: whether ``at`` returns the inverse of the interpolated poses.
     """
 
     time: FloatArray
     poses: FloatArray
-    inverted: bool = False
+    is_inverted: bool = False
 
     @cached_property
     def _turning(self) -> Slerp:
@@ -55,7 +55,7 @@ class PoseStream:
         found[:, :3, :3] = self._turning(inside).as_matrix()
         for axis in range(3):
             found[:, axis, 3] = np.interp(inside, self.time, self.poses[:, axis, 3])
-        return inverse(found) if self.inverted else found
+        return inverse(found) if self.is_inverted else found
 
     def rows(self, chosen: np.ndarray) -> PoseStream:
         """Return the stream with the chosen poses only."""

@@ -56,7 +56,7 @@ class _Layout:
         data_end: start of the record that ends the data section.
         data_crc: stated CRC of the data section, 0 if there is none.
         summary: records of the index, as (type, content).
-        offsets: whether the file lists the positions of the groups of its index.
+        has_offsets: whether the file lists the positions of the groups of its index.
         summary_crc: stated CRC of the index, 0 if there is none.
         stamps: records of the data section that are stamps.
     """
@@ -64,7 +64,7 @@ class _Layout:
     data_end: int
     data_crc: int
     summary: tuple[tuple[int, bytes], ...]
-    offsets: bool
+    has_offsets: bool
     summary_crc: int
     stamps: tuple[_Record, ...]
 
@@ -268,7 +268,7 @@ def _rest(layout: _Layout, start: int, place: int, length: int) -> bytes:
         else:
             groups.append([opcode, start + len(body), len(record)])
         body += record
-    offset_start = start + len(body) if layout.offsets and records else 0
+    offset_start = start + len(body) if layout.has_offsets and records else 0
     if offset_start:
         for opcode, begin, size in groups:
             body += _HEAD.pack(SUMMARY_OFFSET, 17) + struct.pack("<BQQ", opcode, begin, size)

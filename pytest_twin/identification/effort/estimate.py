@@ -70,7 +70,7 @@ def estimate(problem: Linear, tested: Linear, found: Essential) -> Estimate:
         instruments = instrumental(own, squares)
         test = endogeneity(own, tested.only(kept), squares, instruments)
         why = test.words
-        if test.biased:
+        if test.is_biased:
             estimator = INSTRUMENTS
             # The commanded motion is used, because noise in the measured motion would bias least
             # squares.

@@ -51,7 +51,7 @@ class Endogeneity:
         return float(stats.chi2.sf(self.statistic, self.freedom))
 
     @property
-    def biased(self) -> bool:
+    def is_biased(self) -> bool:
         """Whether least squares is biased and instrumental variables predict better."""
         return self.probability < _SURE and self.held_out[1] < self.held_out[0]
 
@@ -62,7 +62,7 @@ class Endogeneity:
             "least squares and instrumental variables (commanded motion) differ by as much as this "
             f"with a probability of {self.probability:.2g}"
         )
-        if self.biased:
+        if self.is_biased:
             return f"{said}: noise of the positions biases least squares"
         if self.probability < _SURE:
             return (

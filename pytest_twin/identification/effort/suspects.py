@@ -211,7 +211,7 @@ def _alone(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Solu
     """Fit factor of the rigid bodies, viscous and dry friction and constant effort of one joint."""
     name = regressor.joints[joint]
     at = {c.kind: i for i, c in enumerate(regressor.columns) if c.joint == name}
-    rigid = np.array([c.inertial or c.kind == "effort_scale" for c in regressor.columns])
+    rigid = np.array([c.is_inertial or c.kind == "effort_scale" for c in regressor.columns])
     weights: FloatArray = np.where(rigid, regressor.prior, 0.0)
     if "effort_scale" in at:
         weights[at["effort_scale"]] = 1.0

@@ -82,11 +82,11 @@ class Column:
         """Description of the parameter, as a noun phrase."""
         if self.partner:
             return f"{_MEANING[self.kind]} '{self.partner}' and '{self.joint}'"
-        link = f"of the link of '{self.joint}'" if self.inertial else f"of '{self.joint}'"
+        link = f"of the link of '{self.joint}'" if self.is_inertial else f"of '{self.joint}'"
         return f"{_MEANING[self.kind]} {link}"
 
     @property
-    def inertial(self) -> bool:
+    def is_inertial(self) -> bool:
         """Whether the parameter belongs to a link and not to a drive."""
         return self.kind in INERTIAL
 

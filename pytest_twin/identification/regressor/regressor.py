@@ -66,7 +66,7 @@ class Regressor:
             self.joints, self._dynamics.links, self.slides, self._shared, unscaled
         )
         self._unscaled = tuple(unscaled)
-        self._rigid = np.array([column.inertial for column in self.columns])
+        self._rigid = np.array([column.is_inertial for column in self.columns])
         self._at = {(one.joint, one.kind): at for at, one in enumerate(self.columns)}
         self.prior = self._prior(realization)
 

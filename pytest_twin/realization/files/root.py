@@ -31,12 +31,12 @@ class Folder:
         path: the folder.
         mark: kind of boundary: a ROS package (``package.xml``), a version-controlled checkout, or
             a source that ``pytest-twin intake`` keeps; None for an ordinary folder.
-        shared: whether it contains files of other projects or people.
+        is_shared: whether it contains files of other projects or people.
     """
 
     path: Path
     mark: Mark | None = None
-    shared: bool = False
+    is_shared: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def inside(above: Sequence[Folder]) -> tuple[Folder, ...]:
         above: all folders above the model's file, nearest first.
     """
     own, *further = above
-    allowed = [own, *takewhile(lambda folder: not folder.shared, further)]
+    allowed = [own, *takewhile(lambda folder: not folder.is_shared, further)]
     marked = [index for index, folder in enumerate(allowed) if folder.mark is not None]
     return tuple(allowed[: marked[-1] + 1] if marked else allowed)
 

@@ -23,12 +23,12 @@ class MujocoFolders:
         meshes: ``meshdir``, relative to the URDF.
         strip: ``strippath``: whether only the file name of a reference is used; None where it is
             not stated. MuJoCo 4 then uses the path, MuJoCo 3 used the name only.
-        stated: whether the URDF states one of them in ``<mujoco><compiler/></mujoco>``.
+        is_stated: whether the URDF states one of them in ``<mujoco><compiler/></mujoco>``.
     """
 
     meshes: str = ""
     strip: bool | None = None
-    stated: bool = False
+    is_stated: bool = False
 
     @staticmethod
     def of(root: Any) -> MujocoFolders:
@@ -84,7 +84,7 @@ class UrdfFiles:
         """
         candidates = (at.parent / path for path in self.mujoco.paths(reference))
         by_mujoco = next((path for path in candidates if path.is_file()), None)
-        if by_mujoco is not None and self.mujoco.stated:
+        if by_mujoco is not None and self.mujoco.is_stated:
             return by_mujoco
         try:
             by_ros = self._by_ros(reference, at)

@@ -81,7 +81,7 @@ def random_cell(
     joints = dict(zip(chain.joints, np.array(readings).T, strict=True))
     cell = cells.Cell(mounted, world, Observations(ids=names, joints=joints), chain, zeros)
     files = dict.fromkeys(names, "")
-    return cell, Images(TARGET, detections, (), files, CAMERA, estimated=False), deviations
+    return cell, Images(TARGET, detections, (), files, CAMERA, is_estimated=False), deviations
 
 
 def solved(cell: cells.Cell, images: Images, *estimate: str) -> dict:
