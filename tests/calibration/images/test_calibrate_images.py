@@ -11,9 +11,10 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "boards"))
-from rendered_boards import CAMERA, charuco, chessboard, rendered_view
+from rendered_boards import CAMERA, apriltag_grid, charuco, chessboard, rendered_view
 
 from pytest_twin import cli
+from pytest_twin.calibration.boards.target import Target
 from pytest_twin.calibration.cameras.increments import changed, inverse
 
 TARGET = {"kind": "charuco", "squares": [5, 7], "square": 0.03, "marker": 0.022,
@@ -22,7 +23,13 @@ POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 def write_cell(
-    folder: Path, *, count: int = 14, noise: float = 2e-4, seed: int = 11, **plan: object
+    folder: Path,
+    *,
+    count: int = 14,
+    noise: float = 2e-4,
+    seed: int = 11,
+    board: Target | None = None,
+    **plan: object,
 ) -> np.ndarray:
     """Write plan, observations and images for a camera on the hand; return the hand-eye pose."""
     rng = np.random.default_rng(seed)
@@ -33,7 +40,7 @@ def write_cell(
     for number in range(count):
         turn = [*rng.uniform(-0.45, 0.45, 2), rng.uniform(-0.6, 0.6)]
         place = [-0.07 + 0.04 * rng.normal(), -0.1 + 0.03 * rng.normal(), rng.uniform(0.38, 0.5)]
-        image = rendered_view(charuco(), turn, place)
+        image = rendered_view(board or charuco(), turn, place)
         cv2.imwrite(str(folder / "images" / f"{number}.png"), image)
         seen = np.eye(4)
         seen[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
@@ -86,6 +93,21 @@ def test_hand_eye_pose_and_intrinsics_from_images_agree_with_the_true_values(tmp
         "li",
         "least_squares",
     } <= set(found["solvers"])
+
+
+def test_a_grid_of_apriltags_gives_hand_eye_and_intrinsics(tmp_path):
+    board = apriltag_grid()
+    stated = {"kind": board.kind, "squares": list(board.squares), "square": board.square,
+              "marker": board.marker, "dictionary": board.dictionary}  # fmt: skip
+    truth = write_cell(tmp_path, board=board, target=stated)
+    status, found = calibrated(tmp_path)
+    assert status == 0
+    record = found["records"]["hand_eye"]
+    spread = np.sqrt(np.diag(record["covariance"]))
+    off = np.array(record["transform"]["xyz"]) - truth[:3, 3]
+    assert (np.abs(off) < 4.0 * spread[:3]).all()
+    assert np.linalg.norm(off) < 1e-3
+    assert found["held_out"]["reprojection_rms"] < 0.15
 
 
 def test_a_wrong_size_of_the_target_is_reported(tmp_path):
