@@ -2,9 +2,9 @@
 
     python docs/prose/check.py [FILE ...]
 
-Without files: the pages, README, CHANGELOG, CONTRIBUTING, the package, the examples and the
-benchmarks. codespell does both: once with its own dictionary, once with the phrases of
-``plain_words.txt``.
+Without files: the pages, README, CHANGELOG, CONTRIBUTING, the package, the examples, the
+benchmarks and the tests. codespell does both: once with its own dictionary, once with the phrases
+of ``plain_words.txt``. Tests misspell words on purpose, so only their phrases are checked.
 """
 
 from __future__ import annotations
@@ -19,16 +19,19 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 PLACES = (
     "docs", "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "pytest_twin", "examples", "benchmarks",
+    "tests",
 )  # fmt: skip
 SUFFIXES = (".md", ".py", ".j2", ".toml", ".json")
 PHRASES = HERE / "plain_words.txt"
+LISTS_OF_PHRASES = ("test_prose.py", "test_messages.py", "test_audit_words.py")
+"""Tests that name phrases to avoid."""
 
 
 def problems(files: Sequence[Path]) -> list[str]:
     """Each misspelled word and each phrase with a plainer form: file, line, words, suggestion."""
     phrases = [line.split("->")[0] for line in PHRASES.read_text("utf-8").splitlines()]
     return [
-        *_codespell(files),
+        *_codespell([f for f in files if not f.is_relative_to(ROOT / "tests")]),
         *_codespell(files, "--dictionary", str(PHRASES), "--regex", _pattern(phrases)),
     ]
 
@@ -44,6 +47,7 @@ def checked(words: Sequence[str]) -> list[Path]:
         if file.suffix in SUFFIXES
         and any(file.is_relative_to(home) for home in homes)
         and "generated" not in file.parts
+        and file.name not in LISTS_OF_PHRASES
     ]
 
 

@@ -83,8 +83,8 @@ class JointDirection(Check):
                                 "type": "string",
                                 "minLength": 1,
                                 "description": (
-                                    "Frame, as it stands at the pose, that the vector is given "
-                                    "in; 'world' when left out."
+                                    "Frame, at the measured pose, in which the vector is "
+                                    "given; 'world' by default."
                                 ),
                             },
                             "actuator": {

@@ -61,7 +61,7 @@ class Stage:
     excludes: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands in ``identification.json``."""
+        """Content for ``identification.json``."""
         found: dict[str, Any] = {
             "stage": self.name,
             "state": self.state,

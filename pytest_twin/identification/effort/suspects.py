@@ -48,7 +48,7 @@ class Suspect:
     is_fatal: bool = True
 
     def to_json(self) -> dict[str, object]:
-        """As it stands in ``identification.json``."""
+        """Content for ``identification.json``."""
         return {"what": self.what, "mend": self.mend, "fatal": self.is_fatal}
 
 
