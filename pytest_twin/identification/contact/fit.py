@@ -54,6 +54,9 @@ size."""
 _FAR = 2.0 * UNDETERMINED
 """Distance on a parameter's scale, with the others fixed, at which the error must be larger for the
 parameter to have an influence."""
+_PROFILED, _TRIED, _REFINEMENTS = 9, 17, 3
+"""Values of a fixed parameter, and values of its partner that are tried in each refinement: the
+last one resolves 1/512 of the partner's range."""
 _AS_WELL = 0.01
 """Smallest relative increase of the error that counts as larger. The simulation is deterministic,
 but friction can compensate noise of the measured initial velocities."""
@@ -150,6 +153,7 @@ def fit_contact(
         seed = np.concatenate([found, extra])
         found = minimized(loss, seed, 0.05, _GENERATIONS["stretches"], 2)
         rivals = []
+    equivalent: list[Sequence[FloatArray]] = [rivals]
     around = surface(loss, found, groups)
     free, undetermined = list(range(len(found))), list[UndeterminedCombination]()
     for gone in _without_influence(loss, found, groups)[: len(found) - 1]:
@@ -157,12 +161,14 @@ def fit_contact(
         value = contact.parameters[gone].value(float(found[gone]))
         undetermined.append(UndeterminedCombination({name: 1.0}, name, value))
         free.remove(gone)
-    known = bootstrap_minimum(around, free, rivals)
+    known = bootstrap_minimum(around, free, equivalent)
     while known.undetermined and len(free) > 1:
         removed, combination = _fixed(contact, around.centre, free, known)
         undetermined.append(combination)
         free.remove(removed)
-        known = bootstrap_minimum(around, free, rivals)
+        partner = max(free, key=lambda at: abs(combination.loadings[contact.names[at]]))
+        equivalent.append(_compensated(loss, found, removed, partner, groups))
+        known = bootstrap_minimum(around, free, equivalent)
     progress(0.6)
     places = around.centre.copy()
     places[free] = known.centre
@@ -291,6 +297,45 @@ def _fixed(
     removed = free[at]
     value = contact.parameters[removed].value(float(centre[removed]))
     return removed, UndeterminedCombination(loadings, contact.names[removed], value)
+
+
+def _compensated(
+    loss: Loss, found: FloatArray, removed: int, partner: int, groups: Sequence[int]
+) -> list[FloatArray]:
+    """Return positions with other values of a fixed parameter that predict the tosses as well.
+
+    A fixed parameter that is not identified may have any other value. The parameter that
+    compensates for it best is refitted to each value (profile likelihood; Raue et al. 2009), so
+    that its interval contains what the fixed value might change.
+
+    Args:
+        loss: errors of segments.
+        found: (p,) minimum, on the scales.
+        removed, partner: indices of the fixed parameter and of the one that compensates for it.
+        groups: (s,) index of the toss of each segment.
+    """
+    kept = _mean(loss, found, groups)
+    values = np.linspace(0.0, 1.0, _PROFILED)
+    best, reach = np.full(_PROFILED, found[partner]), 1.0
+    means = np.empty((_PROFILED, len(kept)))
+    for _ in range(_REFINEMENTS):
+        tried = best[:, None] + reach * np.linspace(-1.0, 1.0, _TRIED)
+        places = np.tile(found, (_PROFILED, _TRIED, 1))
+        places[..., removed] = values[:, None]
+        places[..., partner] = np.clip(tried, 0.0, 1.0)
+        errors = by_toss(loss(list(places.reshape(-1, len(found)))), groups)
+        errors = errors.reshape(_PROFILED, _TRIED, -1)
+        lowest = np.argmin(errors.mean(axis=2), axis=1)
+        rows = np.arange(_PROFILED)
+        best, means = places[rows, lowest, partner], errors[rows, lowest]
+        reach *= 2.0 / (_TRIED - 1)
+    out = []
+    for value, place, mean in zip(values, best, means, strict=True):
+        if is_as_good(kept, mean):
+            other = found.copy()
+            other[removed], other[partner] = value, place
+            out.append(other)
+    return out
 
 
 def _refined(

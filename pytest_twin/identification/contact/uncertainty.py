@@ -123,15 +123,18 @@ class BootstrapMinimum:
 
 
 def bootstrap_minimum(
-    found: Surface, free: Sequence[int], rivals: Sequence[FloatArray] = (), seed: int = 3
+    found: Surface,
+    free: Sequence[int],
+    rivals: Sequence[Sequence[FloatArray]] = (),
+    seed: int = 3,
 ) -> BootstrapMinimum:
     """Compute minimum and covariance by a bootstrap over whole tosses.
 
     Args:
         found: quadratic of all parameters.
         free: indices of the estimated parameters; the others stay at the centre.
-        rivals: other positions (p,) that predict the tosses equally well; the covariance includes
-            them.
+        rivals: groups of other positions (p,) that predict the tosses equally well. The mean
+            square distance of each group is added to the covariance.
         seed: seed of the resampling.
     """
     kept = np.array(free, dtype=int)
@@ -142,9 +145,10 @@ def bootstrap_minimum(
     steps = np.array([part.step(row.astype(float)) for row in weights])
     centre = np.clip(part.centre + part.step(np.ones(tosses)), 0.0, 1.0)
     covariance = small_sample_factor(tosses) ** 2 * np.atleast_2d(np.cov(steps, rowvar=False))
-    for rival in rivals:
-        apart = rival[kept] - centre
-        covariance = covariance + np.outer(apart, apart) / len(rivals)
+    for group in rivals:
+        if group:
+            apart = np.array(group)[:, kept] - centre
+            covariance = covariance + apart.T @ apart / len(group)
     values, vectors = np.linalg.eigh(covariance)
     # A step to the end of the region means that there is no minimum.
     endless = np.mean(np.abs(steps @ vectors) > 1.9 * found.reach, axis=0) > _ENDLESS
