@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 _NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
 _LARGEST_OUTPUT = 10_000
+_NO_BYTECODE = "__no_bytecode__"
+"""Folder for bytecode that does not exist, so that no cached bytecode is found."""
 
 
 class Task(Check):
@@ -301,13 +303,18 @@ def _installed(golden: Golden, field: str, place: str) -> ModuleType:
 def _importable(folder: Path) -> Iterator[None]:
     """Make modules in a folder importable, and remove them afterwards.
 
-    The child process runs several goldens, whose modules may have equal names.
+    The child process runs several goldens, whose modules may have equal names. Cached bytecode is
+    neither read nor written: it counts as current if time and size of the source are equal, so that
+    a source changed within the same second could run in its old form.
     """
     before = set(sys.modules)
+    bytecode = sys.pycache_prefix, sys.dont_write_bytecode
     sys.path.insert(0, str(folder))
+    sys.pycache_prefix, sys.dont_write_bytecode = str(folder / _NO_BYTECODE), True
     try:
         yield
     finally:
+        sys.pycache_prefix, sys.dont_write_bytecode = bytecode
         sys.path.remove(str(folder))
         for name in set(sys.modules) - before:
             file = getattr(sys.modules[name], "__file__", None)

@@ -315,7 +315,11 @@ class _Stage:
         }
         for name in joints:
             if name not in joint_of:
-                raise ModelError(f"Newton reads no joint {name!r} from the stage", path=path)
+                raise ModelError(
+                    f"Newton reads no joint {name!r} from the stage",
+                    path=path,
+                    expected="a PhysicsJoint prim of that name",
+                )
         starts = self.builder.joint_qd_start
         self._dofs = [int(starts[joint_of[name]]) for name in joints]
 

@@ -95,7 +95,7 @@ def test_paths_are_relative_to_the_fleet_file(tmp_path: Path) -> None:
     ("words", "message"),
     [
         (["--out", "o"], "nothing to diagnose"),
-        (["m.xml", "--fleet", "f.yaml", "--out", "o"], "exclude each other"),
+        (["m.xml", "--fleet", "f.yaml", "--out", "o"], "cannot be combined"),
         (
             ["m.xml", "r.mcap", "--out", "o", "--jobs", "2"],
             "--jobs, --scheduler: only for a fleet",

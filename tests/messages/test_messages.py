@@ -228,7 +228,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a trace with text for a number",
         trace("time [s],a [m]\n0,0\n1,x\n"),
-        "ARM/golden/home.trace.csv:3: a:not a finite number (got 'x' m; expected a finite number)",
+        "ARM/golden/home.trace.csv:3: a: not a finite number (got 'x' m; expected a finite number)",
     ),
     (
         "a trace with too few numbers",

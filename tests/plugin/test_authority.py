@@ -110,8 +110,8 @@ def test_the_difference_between_newton_and_mujoco_is_reported_for_a_usd_stage(
     assert result.ret == 0
 
 
-def test_a_kind_that_newton_does_not_compute_is_refused_in_one_line(two) -> None:
-    two.write("flat.usda", "#usda 1.0")
-    two.edit("twin.yaml", "light.xml", "flat.usda, simulator: newton")
-    result = two.run()
+def test_a_kind_that_newton_does_not_compute_is_refused_in_one_line(two_realizations) -> None:
+    two_realizations.write("flat.usda", "#usda 1.0")
+    two_realizations.edit("twin.yaml", "light.xml", "flat.usda, simulator: newton")
+    result = two_realizations.run()
     result.stdout.fnmatch_lines(["*a golden of kind mass_properties is not computed on newton*"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from xml.etree import ElementTree
 
 
@@ -97,6 +98,17 @@ def test_a_crash_fails_only_the_golden_that_crashed(recorded) -> None:
             "golden/task/c_raise@mujoco: *c_raise.py:2: ValueError: no such gripper*",
         ]
     )
+
+
+def test_a_task_changed_within_the_same_second_runs_in_its_new_form(recorded) -> None:
+    """Bytecode of Python is cached by time and size of the source, which may both be equal."""
+    recorded.task("reach", "return {'reach': 1.0}")
+    file = recorded.root / "reach.py"
+    assert recorded.run("--twin-update", "-k", "reach").ret == 0
+    before = file.stat()
+    file.write_text(file.read_text().replace("1.0", "2.0"))
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+    recorded.run("-k", "reach").assert_outcomes(failed=1)
 
 
 def test_goldens_of_an_invalid_model_fail_with_the_models_error(released) -> None:

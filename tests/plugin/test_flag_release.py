@@ -141,7 +141,7 @@ def test_an_invalid_spec_refuses_the_release(released) -> None:
     assert released.releases == ["0001"]
 
 
-def test_an_invalid_spec_is_not_also_reported_as_missing(released) -> None:
+def test_an_invalid_spec_is_reported_once(released) -> None:
     released.edit("golden/fk/home.yaml", "kind: fk", "kind: teleport")
     released.write("golden/fk/home.trace.csv", "time [s]\n0\n")
     result = released.run("--twin-release", "--continue-on-collection-errors")

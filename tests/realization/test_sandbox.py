@@ -83,7 +83,7 @@ def test_an_exit_of_the_child_is_reported_with_its_status(sandbox: Sandbox) -> N
 def test_an_endless_call_is_killed_at_its_time_limit(sandbox: Sandbox) -> None:
     child = sandbox.call("sandboxed:process")
     start = time.monotonic()
-    with pytest.raises(LimitError, match=r"time and was killed \(expected at most 0\.3 s\)"):
+    with pytest.raises(LimitError, match=r"time limit and was killed \(expected at most 0\.3 s\)"):
         sandbox.call("sandboxed:spin", seconds=0.3)
     assert time.monotonic() - start < 3
     with pytest.raises(ProcessLookupError):
@@ -100,7 +100,7 @@ def test_an_endless_compilation_is_killed_at_its_time_limit(
     )
     path = written(tmp_path, text)
     sandbox.call("sandboxed:load_model", {"path": str(written(tmp_path, PENDULUM, "ok.xml"))})
-    with pytest.raises(LimitError, match="time and was killed"):
+    with pytest.raises(LimitError, match="time limit and was killed"):
         sandbox.call("sandboxed:compile_without_end", {"path": str(path)}, seconds=1.0)
 
 
