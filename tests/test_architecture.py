@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -81,3 +82,37 @@ def test_benchmark_plants_share_no_code_with_the_package() -> None:
     assert len(plants) >= 6
     for path in plants:
         assert not re.search(r"^\s*(from|import)\s+pytest_twin\b", path.read_text(), re.MULTILINE)
+
+
+def test_benchmarks_use_names_that_the_helpers_of_tests_define() -> None:
+    """Benchmarks import helper modules of tests, and no type checker reads them."""
+    helpers = {path.stem: path for path in (PROJECT / "tests").rglob("*.py")}
+    missing = []
+    for path in sorted((PROJECT / "benchmarks").rglob("*.py")):
+        tree = ast.parse(path.read_text("utf-8"))
+        here = {p.stem for p in path.parent.glob("*.py")}
+        imported = {
+            alias.asname or alias.name: alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Import)
+            for alias in node.names
+            if alias.name in helpers and alias.name not in here
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                module = imported.get(node.value.id)
+                if module and node.attr not in _names_of(helpers[module]):
+                    missing.append(f"{path.name}: {module}.{node.attr}")
+    assert missing == []
+
+
+def _names_of(module: Path) -> set[str]:
+    """Names of a module's functions, classes, constants and imports."""
+    tree = ast.parse(module.read_text("utf-8"))
+    names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    for node in tree.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            names |= {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            names |= {alias.asname or alias.name for alias in node.names}
+    return names

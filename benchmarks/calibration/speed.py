@@ -33,7 +33,7 @@ def of_images() -> str:
     """Calibrate hand-eye, robot-world and intrinsics from image files."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        images.cell(folder, count=IMAGES)
+        images.write_cell(folder, count=IMAGES)
         for path in (folder / "images").iterdir():
             # Enlarged with the camera's intrinsics, which are unknown here.
             large = cv2.resize(cv2.imread(str(path), 0), (WIDTH, HEIGHT))

@@ -26,7 +26,7 @@ NOISE = np.repeat([0.05, 0.003], 3)
 
 def covered(seed: int) -> tuple[int, int, float]:
     """Return number of correct intervals, number of intervals, and filter time constant, s."""
-    sensor = arm.drawn_sensor(seed)
+    sensor = arm.random_sensor(seed)
 
     def readings(true: tuple[np.ndarray, np.ndarray], trial: int) -> np.ndarray:
         clean = sensor.measured(true[0], arm.PERIOD)
