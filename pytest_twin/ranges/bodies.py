@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.realization import Realization
+from pytest_twin.realization.inertia import compiled_inertia
 from pytest_twin.realization.inverse_dynamics import INERTIAL, InverseDynamics, pseudo_inertia
 from pytest_twin.realization.rigid import moments
 
@@ -202,9 +203,4 @@ def write_bodies(models: Sequence[mujoco.MjModel], body: Body, x: FloatArray) ->
 def pseudo_inertia_of(model: mujoco.MjModel, name: str) -> FloatArray:
     """(4, 4) pseudo-inertia of a model's body, about its own frame."""
     index = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
-    axes = np.empty(9)
-    mujoco.mju_quat2Mat(axes, model.body_iquat[index])
-    turned = axes.reshape(3, 3)
-    tensor = turned @ np.diag(model.body_inertia[index]) @ turned.T
-    mass = float(model.body_mass[index])
-    return pseudo_inertia(moments(mass, model.body_ipos[index], tensor, pin.SE3.Identity()))
+    return pseudo_inertia(moments(*compiled_inertia(model, index), pin.SE3.Identity()))

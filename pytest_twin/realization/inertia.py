@@ -30,6 +30,22 @@ def six_components(inertia: Matrix) -> tuple[float, ...]:
     return tuple(float(v) for v in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
 
 
+def compiled_inertia(model: mujoco.MjModel, body: int) -> tuple[float, NDArray[np.float64], Matrix]:
+    """Mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg*m^2] of a body in a model.
+
+    The inertia is about the centre of mass, in the axes of the body.
+
+    Args:
+        model: a compiled model.
+        body: id of the body.
+    """
+    axes = np.empty(9)
+    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
+    rotation = axes.reshape(3, 3)
+    moments = rotation @ np.diag(model.body_inertia[body]) @ rotation.T
+    return float(model.body_mass[body]), model.body_ipos[body].copy(), moments
+
+
 def point_inertia(mass: float, offset: NDArray[np.float64]) -> Matrix:
     """(3, 3) inertia of a point mass [kg] at ``offset`` (3,) [m]: m (r.r 1 - r r^T), kg*m^2."""
     return np.asarray(mass * (offset @ offset * np.eye(3) - np.outer(offset, offset)))

@@ -163,12 +163,7 @@ def _body_id(model: mujoco.MjModel, name: str) -> int:
 
 
 def _compiled_inertia(model: mujoco.MjModel, name: str) -> tuple[float, Vector, Vector]:
-    index = _body_id(model, name)
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, model.body_iquat[index])
-    rotation = flat.reshape(3, 3)
-    moments = rotation @ np.diag(model.body_inertia[index]) @ rotation.T
-    return float(model.body_mass[index]), model.body_ipos[index].copy(), moments
+    return inertia.compiled_inertia(model, _body_id(model, name))
 
 
 def _patch_body(

@@ -153,16 +153,11 @@ def _perturbed(
 
 
 def _scaled_inertia(realization: Realization, body: str, factor: float) -> tuple[float, ...]:
-    import mujoco
-    import numpy as np
-
     from pytest_twin.realization import inertia
 
     model = realization.model
-    index, flat = model.body(body).id, np.empty(9)
-    mujoco.mju_quat2Mat(flat, model.body_iquat[index])
-    axes = flat.reshape(3, 3)
-    return inertia.six_components(factor * axes @ np.diag(model.body_inertia[index]) @ axes.T)
+    _, _, moments = inertia.compiled_inertia(model, model.body(body).id)
+    return inertia.six_components(factor * moments)
 
 
 def _with_patches(realization: Realization, patches: Patches) -> Realization:

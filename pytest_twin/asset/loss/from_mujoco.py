@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pytest_twin.asset.loss import shapes
 from pytest_twin.asset.loss.description import Description, JointFacts, LinkFacts
 from pytest_twin.asset.loss.shapes import Shape
+from pytest_twin.realization.inertia import compiled_inertia
 from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
@@ -167,13 +168,7 @@ def _links(model: mujoco.MjModel, root: str) -> dict[str, LinkFacts]:
         name = _name(model, mujoco.mjtObj.mjOBJ_BODY, body)
         if body == 0 and root != "world":
             continue
-        axes = np.empty(9)
-        mujoco.mju_quat2Mat(axes, model.body_iquat[body])
-        turned = axes.reshape(3, 3)
-        tensor = turned @ np.diag(model.body_inertia[body]) @ turned.T
-        links[name] = LinkFacts(
-            float(model.body_mass[body]), np.array(model.body_ipos[body]), tensor
-        )
+        links[name] = LinkFacts(*compiled_inertia(model, body))
     return links
 
 

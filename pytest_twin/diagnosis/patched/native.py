@@ -10,7 +10,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.patched.native_contact import write_contact
@@ -27,6 +26,7 @@ from pytest_twin.effects import (
 from pytest_twin.effects.base import ModelFields
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.realization import Realization, mjcf_file, patch
+from pytest_twin.realization.inertia import compiled_inertia, six_components
 from pytest_twin.realization.mjcf import compiled
 from pytest_twin.twin import Payload
 
@@ -268,9 +268,12 @@ def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     link = rigid_body.InertialParameters()
     stated = {p.name: values.get(p.name, 0.0) for p in link.parameters}
     link.fields(fields, {k: np.full((1, 1), v) for k, v in stated.items()})
-    mass, tensor = _compiled_inertia(w.model, index)
+    mass, _, tensor = compiled_inertia(w.model, index)
     (heavier,), (wider,) = fields.mass_scale[0], fields.inertia_scale[0]
-    changed: dict[str, Any] = {"mass": mass * heavier, "inertia": _six(tensor * wider)}
+    changed: dict[str, Any] = {
+        "mass": mass * heavier,
+        "inertia": list(six_components(tensor * wider)),
+    }
     if fields.center_moves.any():
         by = fields.center_radial[0], fields.center_tangential[0]
         (moved,) = layout.shift(*by, np.array([joint]))
@@ -307,17 +310,6 @@ def _contact(effect: str, w: NativeWriter, joint: int, values: dict[str, float])
     del joint
     text = write_contact(w.spec, w.simulator.models.contact, effect, values)
     return None if text is None else (text, {})
-
-
-def _compiled_inertia(model: mujoco.MjModel, body: int) -> tuple[float, FloatArray]:
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, model.body_iquat[body])
-    rotation = flat.reshape(3, 3)
-    return float(model.body_mass[body]), rotation @ np.diag(model.body_inertia[body]) @ rotation.T
-
-
-def _six(tensor: FloatArray) -> list[float]:
-    return [float(tensor[i, k]) for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 
 _NATIVE: Mapping[str, Callable[[NativeWriter, int, dict[str, float]], Written]] = {
