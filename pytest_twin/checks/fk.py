@@ -93,11 +93,14 @@ class ForwardKinematics(Check):
         ]
         moved = joints_above(structure, [structure.frame_body[frame] for frame in frames])
         poses = resolve_poses(golden, realization, moved=moved)
+        forward = simulate.forward_kinematics(realization)
         found: dict[str, dict[str, list[float]]] = {}
         reference: dict[str, dict[str, list[float]]] = {}
         for number, pose in enumerate(poses):
-            frame_pose = simulate.frame_poses(realization, pose.qpos)
-            found[pose.name] = {frame: pose_vector(frame_pose(frame)).tolist() for frame in frames}
+            found[pose.name] = {
+                frame: pose_vector(place).tolist()
+                for frame, place in forward(pose.qpos, frames).items()
+            }
             reference[pose.name] = {
                 frame: pose_vector(realization.reference.frame_pose(pose.joints, frame)).tolist()
                 for frame in frames

@@ -61,8 +61,8 @@ def text(spec: mujoco.MjSpec) -> str:
         inertial = element.find("inertial")
         if inertial is not None:
             _set_numbers(inertial, quat=body.iquat, diaginertia=body.inertia)
-            inertial.set("pos", _digits(body.ipos))
-            inertial.set("mass", _digits([body.mass]))
+            inertial.set("pos", digits(body.ipos))
+            inertial.set("mass", digits([body.mass]))
     _for_each(root, "joint", "worldbody", spec.joint, _joint)
     _for_each(root, "geom", "worldbody", spec.geom, _geom)
     _for_each(root, "site", "worldbody", spec.site, _pose)
@@ -121,19 +121,19 @@ def _joint(element: _Element, made: mujoco.MjsJoint) -> None:
         return
     _set_numbers(element, axis=made.axis, range=made.range, actuatorfrcrange=made.actfrcrange)
     if "damping" in element.attrib:
-        element.set("damping", _digits([made.damping[0]]))
+        element.set("damping", digits([made.damping[0]]))
     if "frictionloss" in element.attrib:
-        element.set("frictionloss", _digits([made.frictionloss]))
+        element.set("frictionloss", digits([made.frictionloss]))
 
 
 def _equality(element: _Element, made: mujoco.MjsEquality) -> None:
-    element.set("polycoef", _digits(made.data[:5]))
+    element.set("polycoef", digits(made.data[:5]))
 
 
 def _actuator(element: _Element, made: mujoco.MjsActuator) -> None:
     _set_numbers(element, ctrlrange=made.ctrlrange, forcerange=made.forcerange)
     if "gear" in element.attrib:
-        element.set("gear", _digits(made.gear))
+        element.set("gear", digits(made.gear))
 
 
 def _set_numbers(element: _Element, **values: Iterable[float]) -> None:
@@ -150,11 +150,11 @@ def _set_numbers(element: _Element, **values: Iterable[float]) -> None:
             if tuple(numbers) == defaults[name]:
                 element.attrib.pop(name, "")
             else:
-                element.set(name, _digits(numbers))
+                element.set(name, digits(numbers))
         elif name in element.attrib:
-            element.set(name, _digits(numbers))
+            element.set(name, digits(numbers))
 
 
-def _digits(values: Iterable[float]) -> str:
+def digits(values: Iterable[float]) -> str:
     """The shortest decimal text that gives the same numbers."""
     return " ".join(repr(float(value)).removesuffix(".0") for value in np.asarray(values))

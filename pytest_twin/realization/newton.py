@@ -12,7 +12,7 @@ import copy
 import importlib
 import importlib.util
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SpecError, TwinError
+from pytest_twin.metrics.pose import rotation_of
+from pytest_twin.realization.inertia import compiled_inertia
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.simulate import Run, diverged
 from pytest_twin.realization.usd_names import display_name, link_prims
@@ -99,34 +101,25 @@ def left_out(realization: Realization) -> tuple[str, ...]:
     )
 
 
-def frame_poses(realization: Realization, qpos: Vector) -> Callable[[str], Vector]:
-    """Forward kinematics of Newton at ``qpos`` (nq,).
+def forward_kinematics(
+    realization: Realization,
+) -> Callable[[Vector, Iterable[str]], dict[str, Vector]]:
+    """Forward kinematics of Newton, as :func:`pytest_twin.realization.simulate.forward_kinematics`.
 
-    Returns:
-        A function: name of a link -> ``transform_world_to_frame`` (4, 4), m.
+    The frames are links.
     """
     newton = _newton()
     stage = _stage(realization)
     model = stage.builder.finalize(device="cpu")
     state = model.state()
-    state.joint_q.assign(stage.by_dof(qpos))
-    newton.eval_fk(model, state.joint_q, state.joint_qd, state)
-    bodies = state.body_q.numpy().astype(np.float64)
 
-    def pose(frame: str) -> Vector:
-        offset = np.eye(4)
-        link = frame
-        while link not in stage.bodies:
-            parent = stage.fixed.get(link)
-            if parent is None:
-                return offset
-            offset = parent[1] @ offset
-            if parent[0] is None:
-                return offset
-            link = parent[0]
-        return _matrix(bodies[stage.bodies[link]]) @ offset
+    def poses(qpos: Vector, frames: Iterable[str]) -> dict[str, Vector]:
+        state.joint_q.assign(stage.by_dof(qpos))
+        newton.eval_fk(model, state.joint_q, state.joint_qd, state)
+        bodies = state.body_q.numpy().astype(np.float64)
+        return {frame: stage.pose(frame, bodies) for frame in frames}
 
-    return pose
+    return poses
 
 
 def simulate(
@@ -329,6 +322,15 @@ class _Stage:
         found[self._dofs] = values
         return found
 
+    def pose(self, frame: str, bodies: Vector) -> Vector:
+        """``transform_world_to_frame`` (4, 4) of a link, from the (n, 7) poses of all bodies."""
+        offset = np.eye(4)
+        link: str | None = frame
+        while link is not None and link not in self.bodies:
+            link, placement = self.fixed.get(link, (None, np.eye(4)))
+            offset = placement @ offset
+        return offset if link is None else _matrix(bodies[self.bodies[link]]) @ offset
+
     def values(self, array: Any) -> Vector:
         """Newton's joint array in the model's order."""
         values: Vector = array.numpy()[self._dofs].astype(np.float64)
@@ -350,11 +352,7 @@ class _Stage:
         )
         for name, body in self.bodies.items():
             at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-            axes = np.empty(9)
-            mujoco.mju_quat2Mat(axes, model.body_iquat[at])
-            turned = axes.reshape(3, 3)
-            masses[body], centers[body] = model.body_mass[at], model.body_ipos[at]
-            tensors[body] = turned @ np.diag(model.body_inertia[at]) @ turned.T
+            masses[body], centers[body], tensors[body] = compiled_inertia(model, at)
         made.body_mass.assign(masses)
         made.body_com.assign(centers)
         made.body_inertia.assign(tensors)
@@ -381,9 +379,7 @@ def _read_stage(path: Path, modified_ns: int, joints: tuple[str, ...]) -> _Stage
 
 def _matrix(transform: Vector) -> Vector:
     """(4, 4) of Newton's x y z, qx qy qz qw."""
-    from scipy.spatial.transform import Rotation
-
     pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(transform[3:]).as_matrix()
+    pose[:3, :3] = rotation_of(np.roll(transform[3:], 1))
     pose[:3, 3] = transform[:3]
     return pose

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 import mujoco
@@ -310,15 +310,18 @@ def run(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
-    """Step ``data`` on by the realization's own simulator, under constant controls and forces.
+    """Step ``data`` with the realization's simulator, under constant controls and forces.
 
     Args:
-        realization: what ``model`` is the bench of.
-        progress: called with the fraction done.
+        realization: the realization.
+        model: :func:`prepared_model` of it.
+        data: initial state; changed.
+        steps: number of steps.
+        progress: called with the fraction that is done, 0 to 1.
 
     Raises:
-        SpecError: what its simulator cannot step.
-        SimulationError: it diverged.
+        SpecError: its simulator cannot compute this motion.
+        SimulationError: the simulation diverged.
     """
     if realization.simulator == "newton":
         from pytest_twin.realization import newton
@@ -327,20 +330,27 @@ def run(
     return simulate(model, data, steps, progress=progress)
 
 
-def frame_poses(realization: Realization, qpos: Vector) -> Callable[[str], Vector]:
-    """Forward kinematics at ``qpos`` (nq,) by the realization's own simulator.
+def forward_kinematics(
+    realization: Realization,
+) -> Callable[[Vector, Iterable[str]], dict[str, Vector]]:
+    """Forward kinematics of the realization's simulator.
 
     Returns:
-        A function: name of a body or site -> ``transform_world_to_frame`` (4, 4), m.
+        Function from ``qpos`` (nq,) and names of bodies or sites to a dictionary: name ->
+        ``transform_world_to_frame`` (4, 4), m.
     """
     if realization.simulator == "newton":
         from pytest_twin.realization import newton
 
-        return newton.frame_poses(realization, qpos)
+        return newton.forward_kinematics(realization)
     data = mujoco.MjData(realization.model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(realization.model, data)
-    return lambda frame: realization.frame_pose(data, frame)
+
+    def poses(qpos: Vector, frames: Iterable[str]) -> dict[str, Vector]:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(realization.model, data)
+        return {frame: realization.frame_pose(data, frame) for frame in frames}
+
+    return poses
 
 
 def simulate(

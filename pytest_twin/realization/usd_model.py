@@ -6,21 +6,22 @@ what is stepped: Newton steps the stage itself (:mod:`pytest_twin.realization.ne
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
+from lxml import etree
 
 from pytest_twin.errors import ModelError
-from pytest_twin.realization.tree import TreeBody
+from pytest_twin.metrics.pose import pose_vector
+from pytest_twin.realization.inertia import six_components
+from pytest_twin.realization.mjcf_file import digits
+from pytest_twin.realization.tree import TreeBody, TreeJoint
 from pytest_twin.realization.usd_read import UsdJoint, UsdRobot, read
 
-Vector = NDArray[np.float64]
-_RATE = 500.0
-"""1/s; steps of a stage that states none: MuJoCo's default timestep of 2 ms."""
+_TIMESTEP = 0.002
+"""Timestep of a stage that states none, s: MuJoCo's default."""
 
 
 def as_mjcf(path: Path) -> bytes:
@@ -45,90 +46,68 @@ def as_mjcf(path: Path) -> bytes:
                 path=path,
                 expected="revolute, prismatic and fixed joints, one for each link",
             )
-    joints = [robot.joints[name] for name in robot.tree.joints]
-    lines = [
-        "<mujoco>",
-        '<compiler angle="radian" autolimits="true"/>',
-        f'<option timestep="{1.0 / _rate(path):.17g}">',
-        '<flag eulerdamp="disable"/>',
-        "</option>",
-        "<worldbody>",
-        *(line for body in by_parent[None] for line in _body(body, by_parent, robot)),
-        "</worldbody>",
-        "<actuator>",
-        *(_drive(joint) for joint in joints),
-        "</actuator>",
-        "<equality>",
-        *(
-            f"<joint joint1={quoteattr(follower)} joint2={quoteattr(leader)} "
-            f'polycoef="{_text([offset, multiplier, 0.0, 0.0, 0.0])}"/>'
-            for follower, (leader, multiplier, offset) in robot.mimics.items()
-        ),
-        "</equality>",
-        "</mujoco>",
-    ]
-    return "\n".join(lines).encode()
+    root = etree.Element("mujoco")
+    etree.SubElement(root, "compiler", angle="radian", autolimits="true")
+    timestep = _TIMESTEP if robot.timestep is None else robot.timestep
+    option = etree.SubElement(root, "option", timestep=digits([timestep]))
+    etree.SubElement(option, "flag", eulerdamp="disable")
+    _add_bodies(etree.SubElement(root, "worldbody"), None, by_parent, robot)
+    actuators = etree.SubElement(root, "actuator")
+    for name in robot.tree.joints:
+        _add_drive(actuators, robot.joints[name])
+    equalities = etree.SubElement(root, "equality")
+    for follower, (leader, multiplier, offset) in robot.mimics.items():
+        polynomial = digits([offset, multiplier, 0.0, 0.0, 0.0])
+        etree.SubElement(equalities, "joint", joint1=follower, joint2=leader, polycoef=polynomial)
+    return bytes(etree.tostring(root))
 
 
-def _rate(path: Path) -> float:
-    from pxr import Usd
-
-    stage = Usd.Stage.Open(str(path))
-    for prim in stage.Traverse():
-        attribute: Any = prim.GetAttribute("newton:timeStepsPerSecond")
-        if attribute and (attribute.Get() or 0) > 0:
-            return float(attribute.Get())
-    return _RATE
-
-
-def _body(
-    body: TreeBody, by_parent: dict[str | None, list[TreeBody]], robot: UsdRobot
-) -> Iterable[str]:
-    yield f"<body name={quoteattr(body.name)} {_pose(body.placement)}>"
-    if body.joint is not None:
-        anchor = body.joint.anchor
-        yield _joint(
-            robot.joints[body.joint.name],
-            f'type="{body.joint.kind}" pos="{_text(anchor[:3, 3])}" '
-            f'axis="{_text(anchor[:3, :3] @ body.joint.axis)}"',
+def _add_bodies(
+    above: Any, parent: str | None, by_parent: Mapping[str | None, list[TreeBody]], robot: UsdRobot
+) -> None:
+    """Add the bodies whose parent is ``parent``, with all bodies below them."""
+    for body in by_parent.get(parent, ()):
+        place = pose_vector(body.placement)
+        made = etree.SubElement(
+            above, "body", name=body.name, pos=digits(place[:3]), quat=digits(place[3:])
         )
-    if body.mass > 0.0:
-        tensor = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        yield (
-            f'<inertial pos="{_text(body.com)}" mass="{body.mass:.17g}" '
-            f'fullinertia="{_text(tensor)}"/>'
-        )
-    for child in by_parent.get(body.name, ()):
-        yield from _body(child, by_parent, robot)
-    yield "</body>"
+        if body.joint is not None:
+            _add_joint(made, body.joint, robot.joints[body.joint.name])
+        if body.mass > 0.0:
+            etree.SubElement(
+                made,
+                "inertial",
+                pos=digits(body.com),
+                mass=digits([body.mass]),
+                fullinertia=digits(six_components(body.inertia)),
+            )
+        _add_bodies(made, body.name, by_parent, robot)
 
 
-def _joint(joint: UsdJoint, place: str) -> str:
-    limits = "" if joint.limits is None else f' range="{_text(joint.limits)}"'
-    return (
-        f"<joint name={quoteattr(joint.name)} {place}{limits} "
-        f'damping="{joint.damping or 0.0:.17g}" frictionloss="{joint.friction or 0.0:.17g}"/>'
+def _add_joint(body: Any, degree: TreeJoint, joint: UsdJoint) -> None:
+    made = etree.SubElement(
+        body,
+        "joint",
+        name=joint.name,
+        type=degree.kind,
+        pos=digits(degree.anchor[:3, 3]),
+        axis=digits(degree.anchor[:3, :3] @ degree.axis),
+        damping=digits([joint.damping or 0.0]),
+        frictionloss=digits([joint.friction or 0.0]),
     )
+    if joint.limits is not None:
+        made.set("range", digits(joint.limits))
 
 
-def _drive(joint: UsdJoint) -> str:
-    names = f"name={quoteattr(joint.name)} joint={quoteattr(joint.name)}"
+def _add_drive(actuators: Any, joint: UsdJoint) -> None:
+    if joint.stiffness:
+        kind = "position"
+        gains = {"kp": digits([joint.stiffness]), "kv": digits([joint.drive_damping])}
+    elif joint.drive_damping:
+        kind, gains = "velocity", {"kv": digits([joint.drive_damping])}
+    else:
+        kind, gains = "motor", {}
+    made = etree.SubElement(actuators, kind, {"name": joint.name, "joint": joint.name, **gains})
     force = joint.max_force
     if force is not None and np.isfinite(force):
-        names += f' forcerange="{_text([-force, force])}"'
-    if joint.stiffness:
-        return f'<position {names} kp="{joint.stiffness:.17g}" kv="{joint.drive_damping:.17g}"/>'
-    if joint.drive_damping:
-        return f'<velocity {names} kv="{joint.drive_damping:.17g}"/>'
-    return f"<motor {names}/>"
-
-
-def _pose(pose: Vector) -> str:
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
-    return f'pos="{_text(pose[:3, 3])}" quat="{_text([w, x, y, z])}"'
-
-
-def _text(values: Iterable[float]) -> str:
-    return " ".join(f"{float(value):.17g}" for value in values)
+        made.set("forcerange", digits([-force, force]))

@@ -83,6 +83,7 @@ class UsdRobot:
         collisions: link -> its collision shapes.
         disabled_pairs: pairs of links that do not collide.
         materials: number of shapes with a physics material.
+        timestep: timestep that the stage states for Newton, s; None without one.
         attributes: names of attributes that belong to no schema, such as ``urdf:limit:effort``.
     """
 
@@ -93,6 +94,7 @@ class UsdRobot:
     collisions: Mapping[str, tuple[UsdShape, ...]]
     disabled_pairs: frozenset[frozenset[str]]
     materials: int
+    timestep: float | None
     attributes: frozenset[str] = field(default_factory=frozenset)
 
 
@@ -175,6 +177,7 @@ class _Reader:
             self._collisions(),
             frozenset(disabled),
             self._materials(),
+            self._timestep(),
             frozenset(
                 str(attribute.GetName())
                 for prim in self.stage.Traverse()
@@ -258,6 +261,14 @@ class _Reader:
             bool(api.GetCollisionEnabledAttr().Get()),
         )
         return joint, degree
+
+    def _timestep(self) -> float | None:
+        """1 / ``newton:timeStepsPerSecond`` of the first prim that states it, s."""
+        for prim in self.stage.Traverse():
+            rate = _finite_value(prim, "newton:timeStepsPerSecond")
+            if rate is not None and rate > 0.0:
+                return 1.0 / rate
+        return None
 
     def _link_of(self, relation: Any) -> str | None:
         targets = relation.GetTargets()

@@ -42,10 +42,13 @@ def simulated_fall(realization: Realization, seconds: float = 0.15) -> simulate.
 
 
 @needs_newton
-def test_frame_poses_agree_with_mujoco(both: tuple[Realization, Realization]) -> None:
-    mujoco, newton = (simulate.frame_poses(one, np.array([0.7, 0.2])) for one in both)
-    for frame in ("base", "upper", "lower", "tool"):
-        np.testing.assert_allclose(newton(frame), mujoco(frame), atol=2e-6)
+def test_forward_kinematics_agrees_with_mujoco(both: tuple[Realization, Realization]) -> None:
+    frames = ("base", "upper", "lower", "tool")
+    mujoco, newton = (
+        simulate.forward_kinematics(one)(np.array([0.7, 0.2]), frames) for one in both
+    )
+    for frame in frames:
+        np.testing.assert_allclose(newton[frame], mujoco[frame], atol=2e-6)
 
 
 @needs_newton
