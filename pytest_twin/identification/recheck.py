@@ -36,12 +36,12 @@ class Rechecked:
     Attributes:
         relative: |measured - predicted| / |measured|.
         rms: root mean square error, N*m or N.
-        is_slide: whether the joint is prismatic.
+        slide: whether the joint is prismatic.
     """
 
     relative: float
     rms: float
-    is_slide: bool
+    slide: bool
 
 
 def recheck(
