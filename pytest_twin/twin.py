@@ -568,9 +568,7 @@ class _Reader:
     def _realizations(self) -> dict[str, RealizationRef]:
         found: dict[str, RealizationRef] = {}
         if "model" in self.data:
-            found["mujoco"] = RealizationRef(
-                "mujoco", self._model(self.data["model"], "model", model_suffixes())
-            )
+            found["mujoco"] = RealizationRef("mujoco", self._model(self.data["model"], "model"))
         for name, declared in self.data.get("realizations", {}).items():
             where = f"realizations.{name}"
             if name in found:
@@ -581,21 +579,21 @@ class _Reader:
                     expected="another name",
                 )
             simulator = declared.get("simulator", "mujoco")
-            suffixes = USD_SUFFIXES if simulator == "newton" else model_suffixes()
-            file = self._model(declared["file"], f"{where}.file", suffixes)
+            file = self._model(declared["file"], f"{where}.file", simulator)
             found[name] = RealizationRef(name, file, simulator)
         return found
 
-    def _model(self, reference: str, where: str, suffixes: tuple[str, ...]) -> Path:
+    def _model(self, reference: str, where: str, simulator: Simulator = "mujoco") -> Path:
         suffix = Path(reference).suffix.lower()
-        if suffix not in suffixes:
-            if suffixes == USD_SUFFIXES:
+        if simulator == "newton":
+            if suffix not in USD_SUFFIXES:
                 raise self.section.error(
                     where,
                     "not a file that Newton steps",
                     value=reference,
                     expected="a USD stage (.usd, .usda, .usdc)",
                 )
+        elif suffix not in model_suffixes():
             if suffix in USD_SUFFIXES:
                 raise self.section.error(
                     where,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -117,21 +117,14 @@ class StructureSearch:
             return None
         fitted = as_fitted(self.problem, incumbent, result.jacobian)
         view = linearize_around(self.problem, ScoredModel(fitted, incumbent.validation))
-        models: list[Model] = []
-        over: OutOfTime | None = None
-        # If time runs out, the models that were simulated until then are compared.
-        try:
-            for simulated in self._simulated_proposals(view, incumbent):
-                models = simulated
-        except OutOfTime as error:
-            over = error
+        models, is_complete = self._simulated_proposals(view, incumbent)
         result.rivals = [(m, scorer.gain(m, incumbent)) for m in models]
         winner = self._winner(incumbent, models)
         for model, gain in sorted(result.rivals, key=lambda each: -each[1]):
             self._record(model, gain, incumbent, taken=model is winner)
         if winner is incumbent:
-            if over is not None:
-                raise over
+            if not is_complete:
+                raise OutOfTime
             return None
         try:
             better, jacobian = settled(scorer, winner, self.settings.refinements)
@@ -148,26 +141,33 @@ class StructureSearch:
             return None
         return Result(better, jacobian)
 
-    def _simulated_proposals(self, view: LinearizedView, incumbent: Model) -> Iterator[list[Model]]:
-        """The most promising proposals: simulated, then the best fitted, then others in addition.
+    def _simulated_proposals(
+        self, view: LinearizedView, incumbent: Model
+    ) -> tuple[list[Model], bool]:
+        """The most promising proposals, simulated, the best of them fitted.
+
+        Returns:
+            The models, and whether all were simulated and fitted before the time was over.
 
         Raises:
-            OutOfTime: the time of the search is over.
+            OutOfTime: the time was over before the proposals were simulated.
         """
         scorer, settings = self.scorer, self.settings
         found = proposals(scorer, view, settings)
         chosen = self._promising(found, incumbent)
         models = scorer.simulate([p.hypothesis for p in chosen])
-        yield models
-        models = self._fitted(view, models, incumbent, settings.finalists)
-        yield models
-        best = min(
-            [incumbent, *models],
-            key=lambda m: float(np.log(np.maximum(m.mean_square, 1e-30)).sum()),
-        )
-        if scorer.stands_out(best, 2.0 * VERDICT.stands_out).any():
-            scanned = self._scanned(incumbent, best)
-            yield models + self._fitted(view, scanned, incumbent, 3)
+        try:
+            models = self._fitted(view, models, incumbent, settings.finalists)
+            best = min(
+                [incumbent, *models],
+                key=lambda m: float(np.log(np.maximum(m.mean_square, 1e-30)).sum()),
+            )
+            if scorer.stands_out(best, 2.0 * VERDICT.stands_out).any():
+                scanned = self._scanned(incumbent, best)
+                models += self._fitted(view, scanned, incumbent, 3)
+        except OutOfTime:
+            return models, False
+        return models, True
 
     def _promising(self, found: Sequence[Proposal], incumbent: Model) -> list[Proposal]:
         """The proposals that are simulated: the best of each number of effects."""

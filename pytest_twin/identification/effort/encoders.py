@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.essential import SIGNIFICANT
+from pytest_twin.identification.effort.essential import SIGNIFICANT, shrinkage
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.least_squares import (
     Linear,
@@ -133,22 +133,21 @@ def widened(
 ) -> Solution:
     """A solution whose covariance and intervals allow for errors of the encoders.
 
-    Those that were corrected have the width of their own intervals. The others are held at zero,
-    and count as omitted parameters do: by how much larger they are than their own errors (see
-    :func:`~.essential.omission`). Where they are all noise, they add nothing.
+    Corrected errors contribute the width of their own intervals. The others are fixed at zero and
+    contribute as omitted parameters do (:func:`~.essential.omission`): by their estimates, shrunk
+    so that noise contributes nothing.
 
     Args:
-        problem: of the columns that the solution has values of.
-        solution: at the corrected positions, as if these were known.
-        slopes: (n, joints, k) of the readings, as :func:`slopes_of` has them.
-        encoders: with the readings.
+        problem: problem with the columns of the solution.
+        solution: fit at the corrected positions, as if these were exact.
+        slopes: (n, joints, k) derivatives of the efforts by the errors (:func:`slopes_of`).
+        encoders: estimated errors.
     """
     value = np.array([one.value for one in encoders.readings])
     std = np.array([one.half_width for one in encoders.readings]) / Z95
     corrected = {(one.joint, one.kind) for one in encoders.corrected}
     known = np.array([(one.joint, one.kind) in corrected for one in encoders.readings])
-    t = (value / std)[~known]
-    share = max(0.0, 1.0 - 1.0 / max(float(np.mean(t**2)), 1e-300)) if len(t) else 0.0
+    share = shrinkage((value / std)[~known])
     size = np.where(known, std, np.hypot(share * value, np.sqrt(share) * std))
     rows = weighed(problem.matrix, solution.weight)
     change = np.linalg.lstsq(rows, weighed(slopes, solution.weight), rcond=None)[0] * size

@@ -77,15 +77,25 @@ def _eliminated(problem: Linear, found: Solution) -> list[int]:
     return removed
 
 
+def shrinkage(t: FloatArray) -> float:
+    """Factor s of estimates that may be noise: 0 if they are noise only, 1 if they are exact.
+
+    Under Zellner's prior with the empirical width of George and Foster (Biometrika 87, 2000), the
+    true values of estimates b with covariance C have mean s b and covariance s C.
+
+    Args:
+        t: (k,) estimates divided by their standard deviations.
+    """
+    return max(0.0, 1.0 - 1.0 / max(float(np.mean(t**2)), 1e-300)) if len(t) else 0.0
+
+
 def omission(
     problem: Linear, kept: NDArray[np.intp], held: NDArray[np.intp], found: Solution
 ) -> FloatArray:
     """(k,) RMS bias of the kept parameters that the omission of the others causes.
 
     The omitted-variable bias is A beta, with A = (W_k^T W_k)^-1 W_k^T W_h. The omitted parameters
-    beta are those of the fit of all parameters, b with covariance C, shrunk by a factor s. Under
-    Zellner's prior with the empirical width of George and Foster (Biometrika 87, 2000), beta has
-    mean s b and covariance s C. If the omitted parameters are noise only, s is 0.
+    beta are those of the fit of all parameters, b with covariance C, shrunk by :func:`shrinkage`.
 
     Args:
         problem: problem with all columns.
@@ -102,8 +112,7 @@ def omission(
     every = said.covariance(np.arange(len(sizes)))[np.ix_(held, held)]
     estimate = (step / sizes)[held]
     deviation = np.sqrt(np.maximum(np.diag(every), 1e-300))
-    t = estimate / deviation
-    share = max(0.0, 1.0 - 1.0 / max(float(np.mean(t**2)), 1e-300))
+    share = shrinkage(estimate / deviation)
     among = (said.matrix / unit)[np.ix_(kept, kept)]
     pull = np.linalg.pinv(among, hermitian=True) @ (said.matrix / unit)[np.ix_(kept, held)]
     pull = pull * sizes[held] / sizes[kept][:, None]
