@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import subprocess
 import sys
@@ -106,6 +107,7 @@ def test_benchmarks_use_names_that_the_helpers_of_tests_define() -> None:
     assert missing == []
 
 
+@functools.cache
 def _names_of(module: Path) -> set[str]:
     """Names of a module's functions, classes, constants and imports."""
     tree = ast.parse(module.read_text("utf-8"))

@@ -39,11 +39,11 @@ RATE, SECONDS = 200.0, 16.0
 
 @dataclass(frozen=True)
 class EncoderErrors:
-    """Readings are ``(1 + scale) q + bias``.
+    """Errors of the encoders of an arm.
 
     Attributes:
-        bias: (joints,) rad.
-        scale: (joints,) shares.
+        bias: (joints,) zero errors, rad.
+        scale: (joints,) relative scale errors.
     """
 
     bias: np.ndarray = field(default_factory=lambda: np.zeros(len(JOINTS)))
@@ -51,15 +51,33 @@ class EncoderErrors:
 
     @staticmethod
     def drawn(random: np.random.Generator) -> EncoderErrors:
-        """One zero and one scale that are off."""
+        """A random error of one zero and of one scale."""
         errors = EncoderErrors()
         errors.bias[random.integers(len(JOINTS) - 1)] = random.uniform(-0.1, 0.1)
         errors.scale[random.integers(len(JOINTS))] = random.uniform(-0.05, 0.05)
         return errors
 
+    def readings(self, q: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """(n, joints) readings of the true positions, with noise, rad."""
+        noisy = q + 2e-5 * random.standard_normal(q.shape)
+        return noisy * (1.0 + self.scale) + self.bias
+
     def true_of(self, joint: str, kind: str) -> float:
-        """The true value of a reading of the identification."""
+        """True value of an encoder error that the identification estimates."""
         return float((self.bias if kind == BIAS else self.scale)[JOINTS.index(joint)])
+
+
+def effort_noise(shape: tuple[int, ...], rate: float, random: np.random.Generator) -> np.ndarray:
+    """(n, joints) noise of standard deviation 1 that is correlated over 20 ms.
+
+    Args:
+        shape: n and the number of joints.
+        rate: sampling rate, Hz.
+        random: random generator.
+    """
+    low = signal.butter(1, 8.0, fs=rate, output="sos")
+    noise = signal.sosfilt(low, random.standard_normal(shape), axis=0)
+    return np.asarray(noise / noise.std(axis=0))
 
 
 def record(
@@ -69,11 +87,8 @@ def record(
     time = np.arange(round(SECONDS * RATE)) / RATE
     q, v, a = fourier(random, time, 3, 6, 0.125, (0.1, 0.5))
     effort = needed_effort(robot.model, q, v, a)
-    low = signal.butter(1, 8.0, fs=RATE, output="sos")
-    noise = signal.sosfilt(low, random.standard_normal(effort.shape), axis=0)
-    effort += 0.03 * effort.std(axis=0) * noise / noise.std(axis=0)
-    q += 2e-5 * random.standard_normal(q.shape)
-    q = q * (1.0 + encoders.scale) + encoders.bias
+    effort += 0.03 * effort.std(axis=0) * effort_noise(effort.shape, RATE, random)
+    q = encoders.readings(q, random)
     return Measured(path, 0.0, JOINTS, time, q, None, effort, np.zeros(3, dtype=bool),
                     np.full(3, np.inf), {})  # fmt: skip
 

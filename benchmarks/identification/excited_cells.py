@@ -21,8 +21,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import yaml
-from coverage_of_intervals import EncoderErrors, covered
-from scipy import signal
+from coverage_of_intervals import EncoderErrors, covered, effort_noise
 from scipy.stats import norm
 
 from pytest_twin import cli
@@ -92,20 +91,17 @@ def driven(
     for step in range(steps):
         now = [np.interp(data.time, stamps, column) for column in wanted.T]
         data.ctrl[:] = now
-        mujoco.mj_step1(model, data)
-        mujoco.mj_step2(model, data)
+        before = data.qpos.copy()
+        mujoco.mj_step(model, data)
         if step % EVERY == 0:
-            # The force is that of the step that has just been made, from the state before it.
-            q.append(data.qpos - model.opt.timestep * data.qvel)
+            # The force of a step belongs to the state before it.
+            q.append(before)
             effort.append(data.qfrc_actuator.copy())
             command.append(now)
     rate = 1.0 / (EVERY * model.opt.timestep)
-    low = signal.butter(1, 8.0, fs=rate, output="sos")
-    noise = signal.sosfilt(low, random.standard_normal((len(effort), len(JOINTS))), axis=0)
     spread = 0.01 * np.array([most for *_, most in SERVOS])
-    measured = np.array(effort) + spread * noise / noise.std(axis=0)
-    seen = np.array(q) + 2e-5 * random.standard_normal((len(q), len(JOINTS)))
-    seen = seen * (1.0 + encoders.scale) + encoders.bias
+    measured = np.array(effort) + spread * effort_noise((len(q), len(JOINTS)), rate, random)
+    seen = encoders.readings(np.array(q), random)
     heads = [f"{name}.{what}" for what in ("position", "effort", "command") for name in JOINTS]
     table = np.column_stack([np.arange(len(q)) / rate, seen, measured, command])
     np.savetxt(out, table, delimiter=",", fmt="%.9g", header=",".join(["time", *heads]),
@@ -136,9 +132,7 @@ def wrong_stages(result: EffortResult, true: np.ndarray) -> list[str]:
     """Accepted stages one of whose parameters lies outside their joint 95 % interval."""
     off = np.abs(result.fitted.solution.values - true[result.fitted.kept])
     relative = off / result.fitted.solution.half_width * norm.ppf(0.975)
-    stages = np.array([result.stage_of[k] for k in np.flatnonzero(result.fitted.kept)]
-                      if result.fitted.kept.dtype == bool
-                      else [result.stage_of[k] for k in result.fitted.kept])  # fmt: skip
+    stages = np.array([result.stage_of[k] for k in result.fitted.kept])
     found = []
     for stage in result.stages:
         own = relative[stages == stage.name]
@@ -165,7 +159,8 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as scratch:
                 result, true, encoders = identified(seed, commands, Path(scratch))
             case = "encoders off" if np.any(encoders.scale) else "sound encoders"
-            inside[case] += covered(result, true).tolist()
+            hit, wrong_here = covered(result, true), wrong_stages(result, true)
+            inside[case] += hit.tolist()
             of_encoders += [
                 abs(one.value - encoders.true_of(one.joint, one.kind)) <= one.half_width
                 for one in result.encoders.readings
@@ -174,9 +169,8 @@ def main() -> None:
             held += [error.relative for error in result.errors.values()]
             nominal += [error.relative for error in result.nominal.values()]
             states.update(f"{one.name} {one.state}" for one in result.stages)
-            wrong.update(wrong_stages(result, true))
-            print(seed, case, f"{np.mean(covered(result, true)):.2f}", wrong_stages(result, true),
-                  flush=True)  # fmt: skip
+            wrong.update(wrong_here)
+            print(seed, case, f"{np.mean(hit):.2f}", wrong_here, flush=True)
     print(f"{args.arms} arms")
     for case, holds in inside.items():
         print(f"coverage, {case}: {100 * np.mean(holds):.1f} % of {len(holds)} (goal: 90 to 99 %)")
