@@ -65,8 +65,8 @@ class Structure:
     It determines which parts of the model the result of a check depends on. All names are those
     of the realization; ``world`` is the root body and has no parent. A *tree* is a moving body
     whose parent is fixed to the world, together with its descendants; its name is that of this
-    body. The methods return sets of part ids. They accept names that the model lacks: the set
-    then contains the id of the absent part, and the golden is reported as stale.
+    body. The methods return sets of part ids. For a name that the model lacks, the set contains the
+    id of the missing part, so that the golden is reported as stale.
 
     Attributes:
         realization: its name, the prefix of the part ids.

@@ -125,7 +125,7 @@ class _Target:
     def _place(self, name: str) -> PurePosixPath:
         place = PurePosixPath(name)
         if not name or name.startswith("/") or ".." in place.parts:
-            raise self.refuse("a name that leaves the archive", name, "a relative path")
+            raise self.refuse("a path outside the archive", name, "a relative path")
         if "\\" in name or ":" in place.parts[0]:
             raise self.refuse("a name of another system", name, "folders separated by '/'")
         if not name.isprintable():
@@ -144,7 +144,7 @@ class _Target:
         if too_long:
             raise self.limit("a name is too long", name, f"at most {self.limits.name_bytes} bytes")
         place = PurePosixPath(*parts)
-        # Refuse two names that are equal on file systems that ignore case or normalization.
+        # On some file systems, names that differ only in case name the same file.
         key = str(place).casefold()
         if key in self.names:
             raise FormatError(

@@ -47,7 +47,7 @@ def _duplicates(asset: Asset) -> Iterator[Finding]:
                 f"its name differs from '{alike}' in upper and lower case alone",
                 name,
                 None,
-                "names that differ by more than upper and lower case",
+                "names that differ even if written in lower case",
                 "some file systems and formats treat the two as one name",
                 "rename one of them",
             )

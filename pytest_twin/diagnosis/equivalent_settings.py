@@ -23,8 +23,8 @@ class EquivalentSetSettings:
             effect as many again that may be reported.
         fitted_along_motion: number of sets of all subsets that are fitted in the linearized motion.
         starts: number of starts of one set.
-        similar: smallest share of a squared change by effects of the final set that a single effect
-            must predict to be simulated in their place.
+        similar: a single effect is simulated instead of effects of the final set if it predicts at
+            least this fraction of the squared change that they cause.
         closest: number of such sets that are simulated, those with the fewest parameters first.
         simulated: number of sets that are simulated before they are fitted.
         with_same_parameters: of these, sets with the parameters of the effects that they replace.

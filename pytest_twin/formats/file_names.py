@@ -26,9 +26,9 @@ _DEVICE = re.compile(r"(?:con|prn|aux|nul|conin\$|conout\$|com[0-9]|lpt[0-9])(?:
 def portable_names(names: Iterable[str]) -> dict[str, str]:
     """Return name -> file name without suffix.
 
-    Two names never share a file, not even on systems that ignore case: names that would collide,
-    such as ``FFJ3`` and ``ffj3``, all get a part of their SHA-256. For all other names the file
-    name depends on the name alone, not on the other names or their order.
+    Every name gets a file name of its own, also on systems that ignore case: names that differ only
+    in case, such as ``FFJ3`` and ``ffj3``, all get a part of their SHA-256. The file name of any
+    other name does not depend on the other names or their order.
     """
     digits = dict.fromkeys(names, 0)
     for name in digits:
@@ -46,7 +46,7 @@ def portable_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def portable_name(name: str) -> str:
-    """Return the file name, without suffix, of a name that is alone in its folder."""
+    """Return the file name, without suffix, of the only name in a folder."""
     return portable_names([name])[name]
 
 

@@ -141,7 +141,8 @@ class Roots:
     def _leads_to_root(self, current: str, following: str, *, by_link: bool = True) -> bool:
         """Whether a path component stays in the roots, or in a parent folder of a root.
 
-        From inside a root only ``..`` may lead to a parent; any other name that does is a link.
+        From inside a root, only ``..`` may lead to a parent; any other component that does is a
+        link.
         """
         if self._holds(following):
             return True

@@ -185,7 +185,7 @@ class Cursor:
 
 
 def check_names(names: list[str]) -> None:
-    """Refuse joint names that are missing, repeated, empty or unprintable.
+    """Raise an error for missing, repeated, empty or unprintable joint names.
 
     Raises:
         MessageError: the names are unusable.

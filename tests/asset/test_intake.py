@@ -77,9 +77,9 @@ def test_files_are_stored_unchanged_and_read_only(
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("../out.txt", "a name that leaves the archive"),
-        ("/etc/out.txt", "a name that leaves the archive"),
-        ("a/../../out.txt", "a name that leaves the archive"),
+        ("../out.txt", "a path outside the archive"),
+        ("/etc/out.txt", "a path outside the archive"),
+        ("a/../../out.txt", "a path outside the archive"),
         ("C:/out.txt", "a name of another system"),
         ("a/\x1b[2J.txt", "a name with a control character"),
     ],

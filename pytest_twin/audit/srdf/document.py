@@ -21,7 +21,8 @@ _WHY: dict[Kind, str] = {
 MOST_GROUPS = 2000
 """Largest number of groups in a file: a humanoid has 30, and subgroups are resolved for each."""
 _MOST_OFFERED, _MOST_COMPARED = 200, 2000
-"""Largest numbers of unknown names that get a suggestion, and of names compared with each."""
+"""Suggestions are made for at most so many unknown names, each compared with at most so many known
+names."""
 _FREE_FLYER = "root_joint"
 """Pinocchio's name for the joint of a floating base; its SRDFs use it without a declaration."""
 
