@@ -29,7 +29,7 @@ from pytest_twin.errors import FormatError, LimitError, ModelError
 from pytest_twin.formats.paths import Roots, read_bytes
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.mesh import Triangles
-from pytest_twin.realization.usd import missing
+from pytest_twin.realization.usd import import_openusd, missing
 from pytest_twin.realization.usd_names import display_name
 
 WORLD = "world"
@@ -59,6 +59,7 @@ def read(path: Path, further: Sequence[Path] = (), *, limits: ModelLimits = LIMI
         ModelError: the stage has no rigid body.
     """
     try:
+        import_openusd()
         from pxr import Tf, Usd
     except ImportError:
         raise missing("USD cannot be read", path=path) from None

@@ -46,6 +46,20 @@ def missing(consequence: str, *, path: Path | None = None) -> UsdMissingError:
     )
 
 
+def import_openusd() -> None:
+    """Import OpenUSD with Newton's schemas, as far as they are installed.
+
+    OpenUSD finds a schema only if it was registered before the first stage of the process, so every
+    module that opens a stage begins here.
+
+    Raises:
+        ImportError: OpenUSD is not installed, or does not load.
+    """
+    if importlib.util.find_spec("newton_usd_schemas") is not None:
+        import newton_usd_schemas  # noqa: F401
+    from pxr import UsdPhysics  # noqa: F401
+
+
 def require() -> None:
     """Import OpenUSD and the converter.
 
@@ -57,8 +71,8 @@ def require() -> None:
             raise missing("USD is left out")
     try:
         with _quiet():
+            import_openusd()
             import urdf_usd_converter  # noqa: F401
-            from pxr import UsdPhysics  # noqa: F401
     except ImportError as error:
         # usd-core and usd-exchange (which the converter needs) both install the modules `pxr`, and
         # the later installation breaks the other.
