@@ -91,8 +91,6 @@ class Replayed:
         velocity: (n, j) rad/s or m/s, likewise.
         effort: (n, j) N*m or N at the joints, by actuators and applied efforts, likewise.
         qpos: (n, nq) configuration of the whole model.
-        tcp_pose: (n, 7) position (m) and quaternion (w x y z) of the twin's ``tcp`` in the world,
-            or None.
         error: where and why the simulation diverged; samples from then on are NaN.
         notes: assumptions of the replay, one line each.
     """
@@ -103,7 +101,6 @@ class Replayed:
     velocity: FloatArray
     effort: FloatArray
     qpos: FloatArray
-    tcp_pose: FloatArray | None = None
     error: SimulationError | None = None
     notes: tuple[str, ...] = ()
 
@@ -112,7 +109,6 @@ def replay(
     realization: Realization,
     trials: Sequence[Trial],
     *,
-    tcp: bool = True,
     threads: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> list[Replayed]:
@@ -123,7 +119,6 @@ def replay(
     Args:
         realization: the model to step.
         trials: their metadata may name ``controller`` and ``payload`` of the twin.
-        tcp: whether to compute the pose of the twin's ``tcp``, where it names one.
         threads: number of threads, 0 for all cores.
         progress: called with the fraction of steps that are done.
 
@@ -131,25 +126,16 @@ def replay(
         SpecError: a joint, actuator, controller or payload that the realization lacks.
     """
     variants: dict[tuple[str | None, str | None], Realization] = {}
-    rows, used, notes = [], [], []
+    rows, notes = [], []
     for trial in trials:
         controller, payload, said = _variant_ids(realization, trial)
         if (controller, payload) not in variants:
             variants[controller, payload] = realization.variant(controller, payload)
         variant = variants[controller, payload]
-        used.append(variant)
         notes.append(said)
         rows.append(Row(trial, variant.model, calibration_of(realization), realization.path))
     replayed = replay_rows(rows, threads=threads, progress=progress)
-    frame = realization.twin.tcp if tcp and realization.twin is not None else None
-    return [
-        replace(
-            result,
-            tcp_pose=None if frame is None else frame_poses(variant, result.qpos, frame),
-            notes=said,
-        )
-        for result, variant, said in zip(replayed, used, notes, strict=True)
-    ]
+    return [replace(result, notes=said) for result, said in zip(replayed, notes, strict=True)]
 
 
 def row_of(realization: Realization, trial: Trial) -> Row:

@@ -170,7 +170,7 @@ def _replayed(side: Side, trial: Trial) -> Replayed:
     patched = patched_of(side.realization)
     if patched is not None:
         return replay_whole(side.realization, patched, trial)
-    return replay(side.realization, [trial], tcp=False)[0]
+    return replay(side.realization, [trial])[0]
 
 
 def _active(log: Log) -> float:

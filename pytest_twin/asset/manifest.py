@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -45,10 +45,6 @@ class Manifest:
 
     asset: str
     states: Mapping[str, State] = field(default_factory=dict)
-
-    def with_state(self, name: str, state: State) -> Manifest:
-        """Return a copy with one state set."""
-        return replace(self, states={**self.states, name: state})
 
     def to_text(self) -> str:
         """Return JSON text that depends on the content only."""

@@ -7,7 +7,6 @@ its repair is accepted by name.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
@@ -520,8 +519,3 @@ def _number(word: str) -> float:
 def digits(values: Any) -> str:
     """Format numbers with the fewest digits that parse to the same values."""
     return " ".join(repr(float(value) + 0.0).removesuffix(".0") for value in values)
-
-
-def relative_to(path: Path, folder: Path) -> str:
-    """Return a path in the form of the manifest."""
-    return Path(os.path.relpath(path, folder)).as_posix()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 
@@ -113,7 +112,6 @@ CATEGORIES: tuple[Category, ...] = (
         ("replay", "task"),
     ),
 )
-BY_ID: Mapping[str, Category] = {one.id: one for one in CATEGORIES}
 
 _OF_RECORD = {
     "base_world": "frame_calibration",

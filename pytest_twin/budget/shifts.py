@@ -16,8 +16,6 @@ from pytest_twin.realization import Realization
 
 DELAYS = ("command_delay", "sensor_delay")
 _ZERO = "encoder_bias"
-LOADED = ("backlash", "joint_elasticity", "controller_gain")
-"""Effects whose shift depends on the load of the joint."""
 NO_RULE = "no rule carries it to the task; its uncertainty is stated"
 _STIFF = frozenset({"N*m/rad", "N/m"})
 _SOFT = frozenset({"rad/(N*m)", "m/N"})

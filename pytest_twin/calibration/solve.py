@@ -78,10 +78,6 @@ class Fit:
     jacobian: FloatArray
     degrees: float
 
-    def distances(self) -> list[FloatArray]:
-        """Return (m,) squared residuals of each term in units of the noise, summed over columns."""
-        return _distances(self.problem, self.residuals, self.noise)
-
 
 def robust_cost(problem: Problem, state: State) -> float:
     """Return the size of the residuals of the best third at a state, to compare starts.

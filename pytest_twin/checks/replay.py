@@ -325,7 +325,7 @@ def _replayed(realization: Realization, trial: Trial, progress: Progress) -> Rep
 
     patched = patched_of(realization)
     if patched is None:
-        return replay(realization, [trial], tcp=False, progress=progress)[0]
+        return replay(realization, [trial], progress=progress)[0]
     return replay_whole(realization, patched, trial, progress=progress)
 
 

@@ -41,7 +41,7 @@ def predict(
     from pytest_twin.replay import replay
 
     if patched is None:
-        results = replay(realization, trials, tcp=False, progress=progress)
+        results = replay(realization, trials, progress=progress)
         for result in results:
             if result.error is not None:
                 raise result.error

@@ -87,11 +87,6 @@ class Diagnosis:
     settled: Settled
     untried: tuple[str, ...]
 
-    @property
-    def has_held_out(self) -> bool:
-        """Whether any recording was held out."""
-        return bool(len(self.tested.prepared.problem.held_out))
-
     def to_json(self, *, realization: str) -> dict[str, Any]:
         """Content of ``diagnosis.json``, schema 1; errors in rad or m.
 

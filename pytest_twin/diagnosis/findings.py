@@ -97,14 +97,12 @@ class Explained:
     Attributes:
         findings: the one with the largest influence first.
         hypothesis: all terms with their parameters.
-        parameter_spread: intervals and correlations of the parameters.
         notes: one line each, for the reader.
         reduced_models: term -> hypothesis of the other terms, refitted without it.
     """
 
     findings: tuple[Finding, ...]
     hypothesis: Hypothesis
-    parameter_spread: Spread | None = None
     notes: list[str] = field(default_factory=list)
     reduced_models: Mapping[Term, Hypothesis] = field(default_factory=dict)
 
@@ -185,7 +183,7 @@ def explain(
         )
     found.sort(key=lambda f: -f.influence)
     reduced_models = dict(zip(hypothesis.terms, pruned.reduced_models, strict=True))
-    return Explained(tuple(found), hypothesis, width, pruned.notes, reduced_models)
+    return Explained(tuple(found), hypothesis, pruned.notes, reduced_models)
 
 
 def _worth_listing(rival: Rivalling) -> bool:

@@ -45,7 +45,7 @@ def _worst(realization: Realization, trials: Sequence[Trial]) -> Trial:
     """The trial with the largest RMS error relative to the travel of a joint."""
     if len(trials) == 1:
         return trials[0]
-    replayed = replay(realization, list(trials), tcp=False)
+    replayed = replay(realization, list(trials))
 
     def error(k: int) -> float:
         trial, moved = trials[k], np.ptp(trials[k].position, axis=0)

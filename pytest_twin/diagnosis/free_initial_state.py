@@ -56,12 +56,6 @@ class FreeInitialState:
         remaining: FloatArray = flat - self.response @ (self.solve @ flat)
         return remaining.reshape(residual.shape)
 
-    def freed_columns(self, residuals: FloatArray) -> FloatArray:
-        """As :meth:`freed`, for (samples, joints, k) residuals."""
-        flat = residuals.reshape(-1, residuals.shape[2])
-        remaining: FloatArray = flat - self.response @ (self.solve @ flat)
-        return remaining.reshape(residuals.shape)
-
     def motor_shift(self, residual: FloatArray) -> FloatArray:
         """(joints,) most probable shift of the initial motor positions, rad or m.
 

@@ -199,7 +199,7 @@ def _worst_part(
     if trial.duration <= QUICK.looked_at:
         return trial, 0.0
     if patched is None:
-        replayed = replay(realization, [trial], tcp=False)[0]
+        replayed = replay(realization, [trial])[0]
     else:
         replayed = replay_whole(realization, patched, trial)
     if replayed.error is not None:

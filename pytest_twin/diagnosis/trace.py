@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.hypothesis import Term
 
 Decision = Literal["accepted", "rejected", "shortlisted", "started", "ended"]
 MOST_STEPS = 2000
@@ -97,8 +97,3 @@ class Trace:
 def named(joints: Sequence[str], terms: Sequence[Term]) -> tuple[str, ...]:
     """Names of effects with their joints, for example ``viscous_friction at elbow``."""
     return tuple(t.effect if t.joint < 0 else f"{t.effect} at {joints[t.joint]}" for t in terms)
-
-
-def in_words(joints: Sequence[str], hypothesis: Hypothesis) -> str:
-    """Names of the effects of a hypothesis; ``the nominal model`` if it has none."""
-    return ", ".join(named(joints, hypothesis.terms)) or "the nominal model"

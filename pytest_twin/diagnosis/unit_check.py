@@ -95,7 +95,7 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
     starts = [_beginning(t, hinges) for t, hinges in zip(trials, angles, strict=True)]
     rows = [(t, hinges, s) for t, hinges in zip(starts, angles, strict=True) for s in scales]
     try:
-        read = replay(realization, [_scaled(*row) for row in rows], tcp=False)
+        read = replay(realization, [_scaled(*row) for row in rows])
     except SpecError:
         return None  # the search reports a missing controller or payload
     off = np.reshape(

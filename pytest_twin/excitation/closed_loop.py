@@ -14,7 +14,6 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.excitation.approved import Approved
 from pytest_twin.excitation.motion import Motion
-from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.first_state import follow_joint_equalities
 from pytest_twin.realization.inputs import LINEAR_GAINS, command_input, joint_inputs
 from pytest_twin.realization.model import Realization
@@ -202,8 +201,3 @@ def worse(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
     heavier.body_gravcomp[:] = heavier.body_gravcomp / factor
     mujoco.mj_setConst(heavier, mujoco.MjData(heavier))
     return heavier
-
-
-def as_read(realization: Realization, approved: Approved, position: FloatArray) -> FloatArray:
-    """Convert model positions (n, j) to encoder readings, the positions for the controller."""
-    return Encoders.of(calibration_of(realization), approved.names).read_position(position)

@@ -162,12 +162,6 @@ def read_identification_record(path: Path) -> IdentificationRecord:
         ) from None
 
 
-def _positive(value: Any) -> float:
-    if not number(value) > 0.0:
-        raise ValueError(f"{value!r} is not a positive encoder step")
-    return number(value)
-
-
 def _encoder(value: Mapping[str, Any]) -> Mapping[str, float]:
     found = {key: number(value[key]) for key in ("offset", "sign", "scale")}
     if abs(found["sign"]) != 1.0 or not found["scale"] > 0.0:

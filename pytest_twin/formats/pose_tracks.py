@@ -9,8 +9,6 @@ import numpy as np
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats import tosses
 from pytest_twin.formats.pose_track import PoseTrack, WrenchTrack
-from pytest_twin.formats.recordings import reader_of
-from pytest_twin.formats.recordings.base import BagReader
 from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
 from pytest_twin.formats.stamped_readings import WRENCH
 
@@ -20,15 +18,6 @@ _TRANSFORMS = ("/tf", "/tf_static")
 def holds_tosses(path: Path) -> bool:
     """Whether a path is an archive of tosses, judged by its suffix."""
     return path.suffix.lower() == tosses.SUFFIX
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path is a bag, which may contain poses.
-
-    Raises:
-        TwinError: the path is not a recording that can be read.
-    """
-    return isinstance(reader_of(path), BagReader)
 
 
 def read_pose_tracks(

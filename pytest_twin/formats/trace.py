@@ -17,7 +17,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import FormatError, LimitError
-from pytest_twin.formats import atomic, limits
+from pytest_twin.formats import limits
 from pytest_twin.formats.digest import only_line_endings
 from pytest_twin.formats.paths import decode_text, read_bytes
 from pytest_twin.trace import Trace
@@ -137,13 +137,6 @@ def trace_text(trace: Trace) -> str:
     # Refuse to write a trace that cannot be read back.
     parse_trace(text, Path("<trace>"))
     return text
-
-
-def write_trace(path: Path, trace: Trace) -> str:
-    """Write a trace atomically; return its SHA-256, hex. Raises as :func:`trace_text`."""
-    data = trace_text(trace).encode("utf-8")
-    atomic.write_bytes(path, data)
-    return hashlib.sha256(data).hexdigest()
 
 
 def _headings(line: str, path: Path) -> list[tuple[str, str]]:

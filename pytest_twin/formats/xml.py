@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import codecs
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 from xml.parsers import expat
 
-import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 
-from pytest_twin.errors import FormatError, LimitError, ModelError
+from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import read_bytes
 
@@ -34,7 +31,6 @@ _TOLERATED = {
 # Sections in which a comment's delimiters have no meaning, and comments.
 _SECTIONS = re.compile(rb"<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<!--.*?-->", re.DOTALL)
 # Plain decimal text: float() alone would also take '1_0', 'infinity' and other scripts' digits.
-_NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,94 +160,6 @@ def _blank_comments(data: bytes) -> bytes:
         return b"<!--" + b"\n" * part.count(b"\n") + b"-->"
 
     return _SECTIONS.sub(blank, data)
-
-
-def float_attribute(
-    element: Element,
-    name: str,
-    path: Path,
-    *,
-    unit: str | None = None,
-    default: float | None = None,
-) -> float:
-    """Return one finite number from an attribute.
-
-    Raises:
-        ModelError: missing without a ``default``, not a number, or not finite; with the line.
-    """
-    text = element.get(name)
-    if text is None:
-        if default is not None:
-            return default
-        raise ModelError(
-            f"attribute {name!r} is missing",
-            path=path,
-            line=_line(element),
-            where=describe(element),
-            expected="a number" + (f" in {unit}" if unit else ""),
-        )
-    return _number(text.strip(), element, name, path, unit)
-
-
-def vector_attribute(
-    element: Element,
-    name: str,
-    path: Path,
-    *,
-    size: int | None = None,
-    unit: str | None = None,
-    default: tuple[float, ...] | None = None,
-) -> NDArray[np.float64]:
-    """Return finite numbers from an attribute, separated by white space; shape ``(size,)``.
-
-    Raises:
-        ModelError: missing without a ``default``, another count than ``size``, not numbers, or
-            not finite; with the line.
-    """
-    text = element.get(name)
-    wanted = ("numbers" if size is None else f"{size} numbers") + (f" in {unit}" if unit else "")
-    if text is None:
-        if default is not None:
-            return np.array(default, dtype=np.float64)
-        raise ModelError(
-            f"attribute {name!r} is missing",
-            path=path,
-            line=_line(element),
-            where=describe(element),
-            expected=wanted,
-        )
-    parts = text.split()
-    if size is not None and len(parts) != size:
-        raise ModelError(
-            f"attribute {name!r} holds {len(parts)} numbers",
-            path=path,
-            line=_line(element),
-            where=describe(element),
-            value=text,
-            expected=wanted,
-        )
-    return np.array([_number(part, element, name, path, unit) for part in parts], dtype=np.float64)
-
-
-def describe(element: Element) -> str:
-    """Return an element's description for messages, such as ``link 'wrist'``."""
-    tag = str(element.tag)
-    name = element.get("name")
-    return tag if name is None else f"{tag} {name!r}"
-
-
-def _number(text: str, element: Element, name: str, path: Path, unit: str | None) -> float:
-    value = float(text) if len(text) <= 400 and _NUMBER.fullmatch(text) else math.nan
-    if not math.isfinite(value):
-        raise ModelError(
-            f"attribute {name!r} is not a finite number",
-            path=path,
-            line=_line(element),
-            where=describe(element),
-            value=text,
-            expected="a finite number" + (f" in {unit}" if unit else ""),
-        )
-    return value
 
 
 def _line(element: Element) -> int | None:

@@ -96,7 +96,7 @@ def _errors(realization: Realization, trials: Sequence[Trial]) -> dict[str, floa
     from pytest_twin.replay import replay
 
     each: dict[str, list[float]] = {}
-    results = replay(realization, list(trials), tcp=False)
+    results = replay(realization, list(trials))
     for trial, result in zip(trials, results, strict=True):
         if result.error is not None:
             raise result.error

@@ -58,7 +58,7 @@ def simulated_positions(
     if patched is not None:
         predicted = replay_patched(realization, patched, trials)
         return [dict(zip(patched.joints, p.position.T, strict=True)) for p in predicted]
-    replayed = replay(realization, trials, tcp=False)
+    replayed = replay(realization, trials)
     for result in replayed:
         if result.error is not None:
             raise result.error

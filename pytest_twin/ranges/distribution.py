@@ -160,11 +160,6 @@ class Distribution:
         )
         return replace(self, coordinates=widened)
 
-    def without_variation(self) -> Distribution:
-        """Return the distribution with zero variance, at the means."""
-        still = tuple(replace(one, std=0.0) for one in self.coordinates)
-        return replace(self, coordinates=still)
-
 
 def distribution_of(
     coordinates: Sequence[Coordinate], covariance: FloatArray, *, floor: float = 0.0

@@ -6,15 +6,12 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError
 from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.rigid import RigidModel, add_inertia, moments
 from pytest_twin.realization.urdf import Robot
-
-Vector = NDArray[np.float64]
 
 _KINEMATIC = frozenset({"pos", "quat", "axis", "ref"})
 _KEPT_TAGS = frozenset(

@@ -18,15 +18,13 @@ Vector = NDArray[np.float64]
 OBJECT = "object"
 FLOOR = "floor"
 _PREFIX = "twin:"  # distinguishes the names of the scene from those of the robot
-_SHAPES = {
+SHAPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
 }
-SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
-"""Number of size parameters of a shape: half sizes x y z; radius; radius and half length along z.
-They are in m."""
+"""Shape of an object -> MuJoCo's type of geometry."""
 _ALL_GROUPS = 2**31 - 1
 _MAX_DISTANCE = 100.0  # m, largest distance that is computed
 
@@ -36,7 +34,7 @@ class FreeObject:
     """A rigid body with a free joint in the scene.
 
     Attributes:
-        shape: a key of ``SIZES``.
+        shape: a key of ``SHAPES``.
         size: half sizes, m.
         mass: kg.
         friction: sliding friction coefficient; None: the other geom determines all contact
@@ -113,7 +111,7 @@ def scene_of(
             )
             body.add_freejoint(name=_PREFIX + OBJECT)
             geom = body.add_geom(
-                name=_PREFIX + OBJECT, type=_SHAPES[free.shape], size=[*free.size, 0.0, 0.0][:3]
+                name=_PREFIX + OBJECT, type=SHAPES[free.shape], size=[*free.size, 0.0, 0.0][:3]
             )
             _collides_with_all(geom)
             if free.friction is None:

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pytest_twin.realization.node import Node
 
 if TYPE_CHECKING:
     from pytest_twin.realization.urdf import Link
 
-Vector = NDArray[np.float64]
 
 _APPLIED = frozenset(
     {"meshdir", "assetdir", "texturedir", "strippath"}

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.formats.sensor_record import CAMERA, FORCE_TORQUE, IMU, JOINT_TORQUE, SensorFields
+from pytest_twin.formats.sensor_record import FORCE_TORQUE, IMU, JOINT_TORQUE, SensorFields
 from pytest_twin.sensors import force_torque, imu
-from pytest_twin.sensors.camera import CameraTiming
 from pytest_twin.sensors.force_torque import ForceTorqueSensor
 from pytest_twin.sensors.imu import ImuSensor
 from pytest_twin.sensors.joint_torque import JointTorqueSensor
@@ -53,9 +52,3 @@ def readings_of(stated: SensorFields, true: FloatArray, period: float) -> FloatA
         return joint.measured(true, period)
     wrist = ForceTorqueSensor(bias[0], matrix[0], stated.time_constant, limit)
     return wrist.measured(true, period)
-
-
-def timing_of(stated: SensorFields) -> CameraTiming:
-    """Return the timing of a camera from a record."""
-    assert stated.kind == CAMERA
-    return CameraTiming(stated.delay, stated.period, stated.jitter, stated.lost)

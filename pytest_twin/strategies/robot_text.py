@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 
 from pytest_twin.metrics.pose import quaternion_of
 from pytest_twin.realization.urdf import rotation
 from pytest_twin.strategies.drawn import DrawnJoint, DrawnLink, DrawnShape, Triple
 
-Vector = NDArray[np.float64]
 _Element = Any
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import numpy as np
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from pytest_twin.strategies.drawn import (
     MOVING,
@@ -19,7 +17,6 @@ from pytest_twin.strategies.drawn import (
 )
 from pytest_twin.strategies.drawn_robot import DrawnRobot
 
-Vector = NDArray[np.float64]
 _KINDS: tuple[JointKind, ...] = ("revolute", "continuous", "prismatic", "fixed")
 _UNIT_AXES: tuple[Triple, ...] = (
     *((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from pytest_twin.errors import FormatError, LimitError, ModelError, PathError
+from pytest_twin.errors import FormatError, LimitError, PathError
 from pytest_twin.formats import xml
 
 PATH = Path("robot.urdf")
@@ -101,30 +100,3 @@ def test_a_symbolic_link_to_an_xml_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "robot.urdf").symlink_to("real.urdf")
     with pytest.raises(PathError, match="is a symbolic link"):
         xml.parse(tmp_path / "robot.urdf")
-
-
-def test_invalid_numbers_are_reported_with_line_attribute_and_unit() -> None:
-    element = parse("<r>\n<joint name='elbow' d='0.5' axis='0 0 1' bad='1_0' n='nan'/></r>")[0]
-    assert xml.float_attribute(element, "d", PATH, unit="N*m*s/rad") == 0.5
-    assert xml.float_attribute(element, "none", PATH, default=2.0) == 2.0
-    np.testing.assert_array_equal(xml.vector_attribute(element, "axis", PATH, size=3), [0, 0, 1])
-    with pytest.raises(ModelError) as caught:
-        xml.float_attribute(element, "n", PATH, unit="kg")
-    assert str(caught.value) == (
-        "robot.urdf:2: joint 'elbow': attribute 'n' is not a finite number "
-        "(got 'nan'; expected a finite number in kg)"
-    )
-    with pytest.raises(ModelError, match="attribute 'bad' is not a finite number"):
-        xml.float_attribute(element, "bad", PATH)
-    with pytest.raises(ModelError, match="attribute 'mass' is missing"):
-        xml.float_attribute(element, "mass", PATH)
-    with pytest.raises(ModelError, match=r"holds 3 numbers .*expected 4 numbers in m"):
-        xml.vector_attribute(element, "axis", PATH, size=4, unit="m")
-
-
-@pytest.mark.parametrize("text", ["1e400", "inf", "infinity", "0x10", "", "1 2", "٣", "1e", "--1"])
-def test_texts_that_are_not_plain_finite_numbers_are_refused(text: str) -> None:
-    element = parse("<r/>")
-    element.set("a", text)
-    with pytest.raises(ModelError):
-        xml.float_attribute(element, "a", PATH)

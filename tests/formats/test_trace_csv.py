@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from pytest_twin.errors import FormatError, LimitError
-from pytest_twin.formats.trace import parse_trace, read_trace, trace_text, write_trace
+from pytest_twin.formats.trace import parse_trace, read_trace, trace_text
 from pytest_twin.trace import Trace
 
 PATH = Path("trace.csv")
@@ -25,6 +25,13 @@ def trace(**columns: list[float]) -> Trace:
         np.arange(length) * 0.5,
         {name: ("rad", np.array(values)) for name, values in columns.items()},
     )
+
+
+def write(path: Path, trace: Trace) -> str:
+    """Write a trace; return its SHA-256, hex."""
+    data = trace_text(trace).encode("utf-8")
+    path.write_bytes(data)
+    return hashlib.sha256(data).hexdigest()
 
 
 def test_a_trace_is_written_as_csv_with_units_in_the_header() -> None:
@@ -66,7 +73,7 @@ def test_special_characters_in_headings_are_escaped() -> None:
 
 def test_changed_line_endings_are_reported_as_the_cause(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    digest = write_trace(path, trace(elbow=[1.0, 2.0]))
+    digest = write(path, trace(elbow=[1.0, 2.0]))
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
     with pytest.raises(FormatError, match=r"has CR LF line endings where LF was recorded.*-text"):
         read_trace(path, digest)
@@ -77,7 +84,7 @@ def test_changed_line_endings_are_reported_as_the_cause(tmp_path: Path) -> None:
 
 def test_a_trace_with_another_digest_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    digest = write_trace(path, trace(elbow=[1.0, 2.0]))
+    digest = write(path, trace(elbow=[1.0, 2.0]))
     assert digest == hashlib.sha256(path.read_bytes()).hexdigest()
     np.testing.assert_array_equal(read_trace(path, digest).columns["elbow"][1], [1.0, 2.0])
     path.write_text(path.read_text().replace("2.0", "2.5"))

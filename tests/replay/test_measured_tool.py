@@ -74,7 +74,7 @@ def cell(folder: Path, frame: str = "world", late: float = 0.0) -> Path:
     write_recording(path, [series("/joint_states", joints, time, position=still), sent], {})
     robot = load(folder / "arm.xml", twin=load_twin(folder / "twin.yaml"))
     trial = make_trial(read_recording(path))
-    (result,) = replay(robot, [trial], tcp=False)
+    (result,) = replay(robot, [trial])
     state = series("/joint_states", joints, time, position=result.position)
     write_recording(path, [state, sent], {})
     at = np.arange(0.0125, 1.9, 0.025)

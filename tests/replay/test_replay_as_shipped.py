@@ -231,7 +231,7 @@ def test_replay_supports_effort_and_position_commands_in_one_robot(bench: Bench)
         ]
 
     made: Trial = make_trial(recording(*both(start)), arm.structure)
-    (result,) = replay(arm, [made], tcp=False)
+    (result,) = replay(arm, [made])
     write_recording(bench.folder / "moves.mcap", both(result.position), {})
     found = bench.replay()
     assert found["command_mode"] == "mixed"

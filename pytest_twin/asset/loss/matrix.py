@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -92,9 +91,3 @@ class Matrix:
     def to_json(self) -> dict[str, Any]:
         """JSON-able fields."""
         return {"schema": 1, **asdict(self), "critical": self.critical}
-
-
-def worst(verdicts: Sequence[Verdict]) -> Verdict:
-    """Return the most severe verdict, in the order lost, changed, kept, none."""
-    order: tuple[Verdict, ...] = ("lost", "changed", "kept", "none")
-    return min(verdicts, key=order.index, default="none")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,16 +108,6 @@ def refined_pose(
     if not np.isfinite(rows).all() or pose[0, 2, 3] <= 0.0:
         return None
     return TargetPose(pose[0], rows.T @ rows, float(np.sqrt(cost / residual.size)))
-
-
-def pixel_noise(detections: Sequence[Detection], poses: Sequence[TargetPose]) -> float:
-    """Standard deviation of the corners, px, from the residuals of the poses of single images.
-
-    Each pose uses six degrees of freedom.
-    """
-    squares = sum(2 * len(d.corner_ids) * p.rms**2 for d, p in zip(detections, poses, strict=True))
-    freedom = sum(2 * len(d.corner_ids) - 6 for d in detections)
-    return float(np.sqrt(squares / max(freedom, 1)))
 
 
 def _same(one: TargetPose, other: TargetPose) -> bool:

@@ -56,7 +56,7 @@ def _predicted(realization: Realization, trial: Trial) -> dict[str, FloatArray]:
     patched = patched_of(realization)
     try:
         if patched is None:
-            result = replay(realization, [trial], tcp=False)[0]
+            result = replay(realization, [trial])[0]
             if result.error is not None:
                 return {}
             return dict(zip(trial.joints, result.position.T, strict=True))

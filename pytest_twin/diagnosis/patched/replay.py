@@ -109,7 +109,7 @@ def replay_whole(
     Raises:
         RecordingError, SimulationError: as :func:`replay_patched`.
     """
-    plain = replay(realization, [trial], tcp=False, progress=progress)[0]
+    plain = replay(realization, [trial], progress=progress)[0]
     predicted = replay_patched(realization, patched, [trial])[0]
     columns = [trial.joints.index(joint) for joint in patched.joints]
     encoders = Encoders.of(calibration_of(realization), patched.joints)

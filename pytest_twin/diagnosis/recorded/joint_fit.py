@@ -62,7 +62,6 @@ class JointFit:
         slopes: (samples, parameters, joints) derivatives of each joint's prediction with respect to
             its own parameters.
         theta: (parameters, joints) scaled parameters, in the order of :data:`PRIORS`.
-        log_posterior: logarithm of the posterior, without a constant.
         has_converged: whether another step would gain nothing.
     """
 
@@ -70,7 +69,6 @@ class JointFit:
     nominal: FloatArray
     slopes: FloatArray
     theta: FloatArray
-    log_posterior: float
     has_converged: bool
 
 
@@ -124,7 +122,7 @@ def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
             state.has_converged = True
             states[i] = better if better.score > state.score else state
     return [
-        JointFit(s.residual, before, slopes, s.theta, s.score, s.has_converged)
+        JointFit(s.residual, before, slopes, s.theta, s.has_converged)
         for s, before in zip(states, nominal, strict=True)
     ]
 

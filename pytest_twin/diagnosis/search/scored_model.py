@@ -166,8 +166,3 @@ def compare_below_floor(rival: ScoredModel, other: ScoredModel, floor: FloatArra
         each.append(more(other.held_residual, rival.held_residual))
     clearly = np.log(SELECTION.clearly_less)
     return int(min(each) >= clearly) - int(max(each) <= -clearly)
-
-
-def describe_models(h: Hypothesis) -> str:
-    """Terms with columns of their joints and scaled parameters, for messages of failed tests."""
-    return " + ".join(f"{t.effect}@{t.joint}{np.round(h.theta[h.slice_of(t)], 3)}" for t in h.terms)

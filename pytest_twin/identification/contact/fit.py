@@ -23,7 +23,6 @@ from pytest_twin.identification.contact.parameters import (
     FRICTION,
     ROLLING,
     TORSIONAL,
-    UNITS,
     ContactModel,
 )
 from pytest_twin.identification.contact.search import Loss, minimized, starts
@@ -394,9 +393,3 @@ def _variants(
         found.append(Variant(name, {n: own[n] for n in contact.names}, *errors))
         progress(0.75 + 0.24 * done / len(changes))
     return found
-
-
-def deviations(fit: ContactFit) -> dict[str, float]:
-    """Parameter -> standard deviation in its unit (``UNITS``)."""
-    spread = np.sqrt(np.diag(fit.covariance).clip(0.0))
-    return {name: float(one) for name, one in zip(fit.names, spread, strict=True) if name in UNITS}
