@@ -132,6 +132,8 @@ class Parameter:
         relation: how the reported value relates to the model's own: ``added`` to it, ``relative``
             to it (0.1: 10 % above), or empty for a value by itself.
         choices: one phrase for each value in ``starts`` of a choice.
+        part_of: quantity of the joint that contains it, so that it is never larger; ``damping``
+            for back-EMF, which models hold as passive damping.
     """
 
     name: str
@@ -149,6 +151,7 @@ class Parameter:
     meaning: str = ""
     relation: Literal["", "added", "relative"] = ""
     choices: tuple[str, ...] = ()
+    part_of: Literal["", "damping"] = ""
 
     @property
     def absent(self) -> float:

@@ -42,7 +42,7 @@ class TorqueRolloff(Effect):
         ),
         Parameter(
             "back_emf", "damping", None, 0.0, 3.0, (0.0, 0.3), "damping",
-            meaning="damping by back-EMF",
+            meaning="damping by back-EMF", part_of="damping",
         ),
     )  # fmt: skip
     confused_with: ClassVar = {
@@ -85,7 +85,7 @@ class WatchdogTimeout(Effect):
         ),
         Parameter(
             "back_emf", "damping", None, 0.0, 3.0, (0.0, 0.3), "damping",
-            meaning="damping by back-EMF",
+            meaning="damping by back-EMF", part_of="damping",
         ),
     )  # fmt: skip
     remembers = True

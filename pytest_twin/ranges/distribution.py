@@ -11,10 +11,9 @@ from scipy.special import ndtr, ndtri
 
 from pytest_twin.arrays import FloatArray
 
-Support = Literal["any", "positive"]
-_NEVER_NEGATIVE = 8.0
-"""Distance of the mean from zero, in standard deviations, above which a double-precision draw is
-never negative."""
+_NEVER_BEYOND = 8.0
+"""Distance of the mean from a bound, in standard deviations, above which a double-precision draw
+never reaches it."""
 _LARGEST = 1.0 - 2.0**-53
 
 
@@ -42,14 +41,31 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
+class Whole:
+    """Coordinate of which another one is a part, as back-EMF is of a joint's damping.
+
+    Attributes:
+        name: name of the coordinate.
+        rest: constant that the whole has besides this coordinate, in its unit.
+    """
+
+    name: str
+    rest: float = 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able fields."""
+        return {"name": self.name, "rest": self.rest}
+
+
+@dataclass(frozen=True, slots=True)
 class Coordinate:
     """One random parameter, which differs between robots or episodes.
 
     Attributes:
         name: such as ``elbow.viscous_friction``.
         unit: SI unit.
-        mean, std: of the normal distribution; truncated at zero for ``positive`` support.
-        support: admissible values.
+        mean, std: of the normal distribution before it is truncated at ``lower`` and ``upper``.
+        lower, upper: values that no robot exceeds; infinite for none.
         joint: joint whose motion it affects directly, or None.
         body, index: for a body's inertia: name of the body, and index of the coordinate.
         effect, parameter: for a catalogued effect: name of the effect and of its parameter.
@@ -57,6 +73,7 @@ class Coordinate:
         field: for a joint of the model: ``damping``, ``frictionloss`` or ``armature``.
         is_condition: whether it is a condition of the trials, such as their temperature, without
             direct effect on the motion.
+        part_of: coordinate that it cannot exceed, because it is a part of it; or None.
         sources: sources of its variance.
     """
 
@@ -64,7 +81,8 @@ class Coordinate:
     unit: str
     mean: float
     std: float
-    support: Support = "any"
+    lower: float = -np.inf
+    upper: float = np.inf
     joint: str | None = None
     body: str | None = None
     index: int = 0
@@ -73,7 +91,16 @@ class Coordinate:
     is_relative: bool = False
     field: str | None = None
     is_condition: bool = False
+    part_of: Whole | None = None
     sources: tuple[Source, ...] = ()
+
+    @property
+    def law(self) -> str:
+        """Name of the distribution."""
+        if not (np.isfinite(self.lower) or np.isfinite(self.upper)):
+            return "normal"
+        at_zero = self.lower == 0.0 and not np.isfinite(self.upper)
+        return "normal cut off at zero" if at_zero else "normal cut off at bounds"
 
     def values(self, normal: FloatArray) -> FloatArray:
         """Map standard normal values to values of the normal or truncated normal distribution.
@@ -84,13 +111,18 @@ class Coordinate:
         """
         if self.std == 0.0:
             return np.full(normal.shape, self.mean)
-        ratio = self.mean / self.std
-        if self.support == "any" or ratio > _NEVER_NEGATIVE:
+        low, high = (self.lower - self.mean) / self.std, (self.upper - self.mean) / self.std
+        if low < -_NEVER_BEYOND and high > _NEVER_BEYOND:
             return np.asarray(self.mean + self.std * normal)
-        # The upper tail is used to keep precision if most of the normal distribution is below zero.
-        above = ndtr(-normal) * ndtr(ratio)
-        cut = np.asarray(self.mean - self.std * ndtri(np.clip(above, 1e-300, _LARGEST)))
-        return np.maximum(cut, np.finfo(float).tiny)
+        # The probability of larger values keeps its precision where most of the normal
+        # distribution is below the bounds. Where most of it is above, both signs are changed.
+        side = -1.0 if high < 0.0 else 1.0
+        if side < 0.0:
+            low, high = -high, -low
+        above = ndtr(-high) + ndtr(-side * normal) * (ndtr(-low) - ndtr(-high))
+        cut = self.mean - side * self.std * ndtri(np.clip(above, 1e-300, _LARGEST))
+        least = np.finfo(float).tiny if self.lower == 0.0 else self.lower
+        return np.asarray(np.clip(cut, least, self.upper))
 
     def interval(self, share: float) -> tuple[float, float]:
         """Return the central interval that contains this fraction of the values."""
@@ -144,6 +176,11 @@ class Distribution:
     def values(self, normals: FloatArray) -> FloatArray:
         """(count, p) values of the coordinates at (count, p) standard normal variables."""
         columns = [one.values(normals[:, k]) for k, one in enumerate(self.coordinates)]
+        at = {one.name: k for k, one in enumerate(self.coordinates)}
+        for k, one in enumerate(self.coordinates):
+            if one.part_of is not None:
+                whole = columns[at[one.part_of.name]] + one.part_of.rest
+                columns[k] = np.minimum(columns[k], whole)
         return np.stack(columns, axis=1) if columns else np.zeros((len(normals), 0))
 
     def widened(self, factors: Sequence[float], why: str) -> Distribution:

@@ -16,6 +16,7 @@ from pytest_twin.ranges.bodies import Body
 from pytest_twin.ranges.calibrated import zeros_of
 from pytest_twin.ranges.distribution import Coordinate, Distribution, Source, distribution_of
 from pytest_twin.ranges.identified import Gathered, gathered
+from pytest_twin.ranges.passive import with_passive_joints
 from pytest_twin.ranges.tolerances import with_tolerances
 from pytest_twin.ranges.trials import spread_over_trials
 from pytest_twin.realization import Realization
@@ -73,6 +74,7 @@ def uncertain(twin: Twin, realization: Realization, patched: Patched | None) -> 
             where="fit",
             expected="records whose parameters have standard deviations",
         )
+    distribution = with_passive_joints(distribution, realization, patched, notes)
     moving = {one.body for one in distribution.coordinates}
     return Uncertain(
         distribution,

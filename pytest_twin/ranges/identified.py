@@ -17,7 +17,7 @@ from pytest_twin.errors import FormatError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.ranges.bodies import AXES, COUNT, Body, bodies_of
-from pytest_twin.ranges.distribution import Coordinate, Support
+from pytest_twin.ranges.distribution import Coordinate
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inverse_dynamics import INERTIAL
 
@@ -152,12 +152,13 @@ def _coordinate(
         return None
     own_law = known[0]
     relative = own_law.relation == "relative"
+    total = _total(own_law, effect, joint, stated, realization, patched)
     return Coordinate(
         name,
         record.units.get(name, "1"),
         1.0 + stated if relative else stated,
         0.0,
-        _support(own_law, stated),
+        *bounds(own_law, stated, total),
         joint=joint,
         effect=effect,
         parameter=own_law.name,
@@ -165,16 +166,60 @@ def _coordinate(
     )
 
 
-def _support(law: Parameter, stated: float) -> Support:
-    """Return whether a parameter of an effect must be positive.
+def bounds(law: Parameter, stated: float, total: float | None) -> tuple[float, float]:
+    """Return the smallest and the largest value of a parameter that a robot can have.
 
-    Factors and parameters with a lower bound of zero must be positive. An addition to the model's
-    friction or mass may be negative only if the fitted value is negative.
+    A passive joint generates no energy: damping, dry friction, armature and spring of the model and
+    the addition to it are together at least zero. Where a law states its bounds in SI units, as for
+    friction per unit of effort, they hold for every robot. Other bounds depend on a recording; of
+    these only zero counts.
+
+    Args:
+        law: parameter of the effect.
+        stated: value in the twin's realization, SI units.
+        total: sum of the model's value and this addition, SI units; None if it is no addition to a
+            value of the joint.
     """
-    if law.relation == "relative" or law.lower >= 0.0:
-        return "positive"
+    if law.relation == "relative":
+        return 0.0, np.inf
+    if total is not None:
+        return min(stated - total, stated), np.inf
+    if law.reference == "one" and not law.relation:
+        return min(law.lower, stated), max(law.upper, stated)
     added = law.relation == "added" or law.quantity in ("mass", "inertia", "damping")
-    return "positive" if added and stated >= 0.0 else "any"
+    positive = law.lower >= 0.0 or (added and stated >= 0.0)
+    return (0.0 if positive else -np.inf), np.inf
+
+
+_TOTALS: Mapping[str, str] = {
+    "damping": "dof_damping", "inertia": "dof_armature", "effort": "dof_frictionloss",
+}  # fmt: skip
+"""Quantity of an addition -> field of the model's degree of freedom that it is added to."""
+
+
+def _total(
+    law: Parameter,
+    effect: str,
+    joint: str | None,
+    stated: float,
+    realization: Realization,
+    patched: Patched | None,
+) -> float | None:
+    """Return the sum of the model's value and an addition to it; None if it is no addition."""
+    if law.relation != "added" or joint is None:
+        return None
+    model = realization.model
+    if law.quantity == "stiffness":
+        own = float(model.jnt_stiffness[model.joint(joint).id])
+    elif law.quantity in _TOTALS:
+        dof = realization.joint_dof_index(joint)
+        own = float(getattr(model, _TOTALS[law.quantity])[dof])
+    else:
+        return None
+    written = patched is not None and any(
+        (one.effect, one.joint) == (effect, joint) and one.is_in_mjcf for one in patched.effects
+    )
+    return own if written else own + stated
 
 
 def _of_joint(
@@ -194,9 +239,7 @@ def joint_coordinate(realization: Realization, joint: str, kind: str, unit: str)
     """
     dof = realization.joint_dof_index(joint)
     stated = float(getattr(realization.model, f"dof_{FIELDS[kind]}")[dof])
-    return Coordinate(
-        f"{joint}.{kind}", unit, stated, 0.0, "positive", joint=joint, field=FIELDS[kind]
-    )
+    return Coordinate(f"{joint}.{kind}", unit, stated, 0.0, 0.0, joint=joint, field=FIELDS[kind])
 
 
 def _stated(patched: Patched, effect: str, joint: str | None, parameter: str) -> float | None:

@@ -79,13 +79,17 @@ def quantities(distribution: Distribution, bodies: Sequence[Body], share: float)
         share: fraction of the robots that a range contains.
     """
     draws = distribution.draws(_DRAWS, _SEED)
-    found = [
-        Quantity(one.name, one.unit, one.mean, one.interval(share), draws[:, column], one.joint,
-                 is_condition=one.is_condition)
-        for column, one in enumerate(distribution.coordinates)
-        if one.body is None
-    ]  # fmt: skip
     tails = 0.5 - 0.5 * share, 0.5 + 0.5 * share
+    found = []
+    for column, one in enumerate(distribution.coordinates):
+        if one.body is None:
+            low, high = one.interval(share)
+            if one.part_of is not None:
+                low, high = np.quantile(draws[:, column], tails).tolist()
+            found.append(
+                Quantity(one.name, one.unit, one.mean, (low, high), draws[:, column], one.joint,
+                         is_condition=one.is_condition)
+            )  # fmt: skip
     for body in bodies:
         for name, unit, values, nominal in _of_body(body, distribution, draws):
             if values.std() > _ROUNDING * (np.abs(values).max() + _SMALL[unit]):

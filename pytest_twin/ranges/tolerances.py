@@ -116,7 +116,7 @@ def _declared(tolerance: Tolerance, where: str, twin: Twin, realization: Realiza
     if kind == EncoderBias.id:
         return encoder_zero(joint, structure)
     return Coordinate(
-        tolerance.parameter, "s", 0.0, 0.0, "positive", joint=joint, effect=kind, parameter="delay"
+        tolerance.parameter, "s", 0.0, 0.0, 0.0, joint=joint, effect=kind, parameter="delay"
     )
 
 

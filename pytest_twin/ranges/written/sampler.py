@@ -20,9 +20,9 @@ from statistics import NormalDist
 
 import numpy as np
 
-NEVER_NEGATIVE = 8.0
-"""Distance of the mean from zero, in standard deviations, above which a double-precision draw is
-never negative."""
+NEVER_BEYOND = 8.0
+"""Distance of the mean from a bound, in standard deviations, above which a double-precision draw
+never reaches it."""
 _below = np.vectorize(lambda x: 0.5 * math.erfc(-x / math.sqrt(2.0)), otypes=[float])
 _quantile = np.vectorize(NormalDist().inv_cdf, otypes=[float])
 
@@ -62,6 +62,10 @@ class Ranges:
         for column, one in enumerate(self.coordinates):
             values = _values(one, normal[:, column])
             (found if one["body"] is None else inertial)[one["name"]] = values
+        for one in self.coordinates:
+            if one["part_of"] is not None:  # back-EMF is a part of the joint's damping
+                whole = found[one["part_of"]["name"]] + one["part_of"]["rest"]
+                found[one["name"]] = np.minimum(found[one["name"]], whole)
         for body in self.bodies:
             found |= _body(body, inertial, count)
         return found
@@ -95,13 +99,20 @@ class Ranges:
 
 
 def _values(one: dict, normal: np.ndarray) -> np.ndarray:
-    """Values of the normal distribution, or of the normal distribution truncated at zero."""
+    """Values of the normal distribution, truncated at the bounds that the coordinate has."""
     mean, std = one["mean"], one["std"]
-    if one["law"] == "normal" or mean > NEVER_NEGATIVE * std:
+    lower = -math.inf if one["lower"] is None else one["lower"]
+    upper = math.inf if one["upper"] is None else one["upper"]
+    low, high = (lower - mean) / std, (upper - mean) / std
+    if low < -NEVER_BEYOND and high > NEVER_BEYOND:
         return mean + std * normal
-    above = _below(-normal) * _below(mean / std)
-    cut = mean - std * _quantile(np.clip(above, 1e-300, 1.0 - 2.0**-53))
-    return np.maximum(cut, np.finfo(float).tiny)
+    side = -1.0 if high < 0.0 else 1.0
+    if side < 0.0:
+        low, high = -high, -low
+    beyond = float(_below(-high))
+    above = beyond + _below(-side * normal) * (float(_below(-low)) - beyond)
+    cut = mean - side * std * _quantile(np.clip(above, 1e-300, 1.0 - 2.0**-53))
+    return np.clip(cut, np.finfo(float).tiny if lower == 0.0 else lower, upper)
 
 
 def _body(body: dict, inertial: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:

@@ -1,0 +1,186 @@
+"""Drawn joints generate no energy, and drawn values keep the bounds of their laws."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.effects import catalogue
+from pytest_twin.formats.mcap import write_recording
+from pytest_twin.formats.recording import JointSeries
+from pytest_twin.ranges import gather
+from pytest_twin.ranges.distribution import Coordinate
+from pytest_twin.ranges.files import write_files
+from pytest_twin.ranges.gather import uncertain
+from pytest_twin.ranges.identified import bounds
+from pytest_twin.ranges.recordings import checked_recordings
+from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.simulate import Fleet
+from pytest_twin.realization import load
+from pytest_twin.twin import load_twin
+
+DAMPING, BACK_EMF, STD, CORRELATION = 0.06, 0.055, 0.02, 0.9
+MODEL = f"""<mujoco>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body name="arm">
+      <inertial pos="0 0 -0.1" mass="0.5" diaginertia="1e-4 1e-4 1e-4"/>
+      <joint name="a" axis="0 -1 0" damping="{DAMPING}" armature="0.001"/>
+    </body>
+  </worldbody>
+  <actuator><position name="servo" joint="a" kp="1.0"/></actuator>
+</mujoco>
+"""
+WATCHDOG = {"inverse_timeout": 10.0, "back_emf": BACK_EMF}
+"""A drive that switches off 0.1 s after its command has stopped."""
+NAMES = {"a.viscous_friction": DAMPING, "a.watchdog_timeout.back_emf": BACK_EMF}
+
+
+def make_twin(folder: Path, names: dict[str, float] = NAMES) -> Path:
+    """A pendulum whose back-EMF is most of its damping; both are correlated."""
+    (folder / "fit").mkdir(parents=True)
+    (folder / "fit/model.xml").write_text(MODEL)
+    effect = {"effect": "watchdog_timeout", "joint": "a", "values": WATCHDOG, "in_model": False}
+    effects = {"schema": 1, "joints": ["a"], "effects": [effect]}
+    (folder / "fit/effects.json").write_text(json.dumps(effects))
+    matrix = np.full((len(names),) * 2, CORRELATION * STD**2)
+    np.fill_diagonal(matrix, STD**2)
+    record = {
+        "schema": 1,
+        "identification": "fitted",
+        "verdict": "accepted",
+        "stages": [{"stage": "drive", "state": "accepted"}],
+        "parameters": {
+            name: {"value": value, "unit": "N*m*s/rad", "ci95": [value - STD, value + STD]}
+            for name, value in names.items()
+        },
+        "covariance": {"names": list(names), "matrix": matrix.tolist()},
+        "held_out": {"a": {"position_rms": 0.1, "position_unit": "rad"}},
+        "trials": {"fit": ["a.mcap"], "held_out": ["b.mcap"]},
+        "fit": {},
+    }
+    (folder / "record.json").write_text(json.dumps(record))
+    path = folder / "twin.yaml"
+    path.write_text("model: fit\ncommand_between: held\nfit:\n  - {file: record.json}\n")
+    return path
+
+
+def record_release(path: Path) -> Path:
+    """A recording of 5 s whose command does not change, so that the drive switches off."""
+    stamps = (1e7 * np.arange(500)).astype(np.int64) + 10**18
+    states, commands = np.full((500, 1), 0.6), np.full((500, 1), 1.0)
+    series = [
+        JointSeries(topic, ("a",), stamps, stamps, table, None, None)
+        for topic, table in (("/joint_states", states), ("/joint_commands", commands))
+    ]
+    write_recording(path, series, {"command_between": "held", "role": "final"})
+    return path
+
+
+def turns(folder: Path) -> np.ndarray:
+    """Largest distance of each of 64 drawn robots from its lowest position, in turns."""
+    twin = load_twin(make_twin(folder))
+    robot = load(twin.first_realization.file, twin=twin)
+    patched = patched_of(robot)
+    found = uncertain(twin, robot, patched)
+    paths = [record_release(folder / "final.mcap")]
+    trials = checked_recordings(twin, robot, paths, [], twin.recordings, twin.topics).final
+    fleet = Fleet(robot, patched, found.distribution.coordinates, found.bodies, 2**32)
+    (traces,) = fleet.simulate(trials, found.distribution.draws(64, 1))
+    return np.abs(traces.robots[:, :, 0]).max(axis=1) / (2.0 * np.pi)
+
+
+def test_no_drawn_joint_turns_faster_and_faster_after_its_drive_switched_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert turns(tmp_path / "passive").max() < 0.5
+    # Without the rule a part of the robots generates energy and turns over.
+    monkeypatch.setattr(gather, "with_passive_joints", lambda distribution, *others: distribution)
+    assert (turns(tmp_path / "as_drawn") > 1.0).mean() > 0.1
+
+
+def test_drawn_back_emf_is_a_part_of_the_drawn_damping_in_both_samplers(tmp_path: Path) -> None:
+    twin = load_twin(make_twin(tmp_path))
+    robot = load(twin.first_realization.file, twin=twin)
+    found = uncertain(twin, robot, patched_of(robot)).distribution
+    whole, part = found.draws(10_000, 0).T
+    assert (part <= whole).all()
+    apart = STD * np.sqrt(2.0 * (1.0 - CORRELATION))
+    share = stats.norm.cdf((BACK_EMF - DAMPING) / apart)
+    assert (part == whole).mean() == pytest.approx(share, abs=0.03)
+    (tmp_path / "ranges.json").write_text(json.dumps(ranges_of_file(str(twin.path))))
+    write_files(tmp_path)
+    code = (
+        "import sys; sys.modules['pytest_twin'] = sys.modules['scipy'] = None\n"
+        "from sampler import Ranges; robots = Ranges.load().draw(10_000, seed=1)\n"
+        "whole, part = robots['a.viscous_friction'], robots['a.watchdog_timeout.back_emf']\n"
+        "assert (part <= whole).all() and (part == whole).any() and (part < whole).any()\n"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "bound"),
+    [
+        ("a.viscous_friction", "lower", BACK_EMF),
+        ("a.watchdog_timeout.back_emf", "upper", DAMPING),
+    ],
+)
+def test_a_part_or_whole_that_does_not_vary_is_the_bound_of_the_other(
+    tmp_path: Path, name: str, side: str, bound: float
+) -> None:
+    twin = load_twin(make_twin(tmp_path, {name: NAMES[name]}))
+    robot = load(twin.first_realization.file, twin=twin)
+    (one,) = uncertain(twin, robot, patched_of(robot)).distribution.coordinates
+    assert getattr(one, side) == pytest.approx(bound)
+    drawn = one.values(np.random.default_rng(0).standard_normal(2000))
+    assert (drawn >= bound).all() if side == "lower" else (drawn <= bound).all()
+
+
+def test_a_twin_whose_back_emf_exceeds_its_damping_is_named(tmp_path: Path) -> None:
+    path = make_twin(tmp_path)
+    (tmp_path / "fit/model.xml").write_text(MODEL.replace(str(DAMPING), "0.03"))
+    notes = ranges_of_file(str(path))["notes"]
+    expected = "a: the back-EMF of watchdog_timeout (0.055) exceeds the whole damping of the joint"
+    assert any(note.startswith(expected) for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "stated", "total", "expected"),
+    [
+        ("load_dependent_friction", "coefficient", 0.3, None, (0.0, 0.8)),
+        ("command_delay", "delay", 0.01, None, (0.0, 0.3)),
+        ("controller_gain", "stiffness_error", -0.2, None, (0.0, np.inf)),
+        ("stribeck_friction", "coulomb", -0.1, 0.2, (-0.3, np.inf)),
+        ("torque_rolloff", "back_emf", 0.05, None, (0.0, np.inf)),
+    ],
+)
+def test_drawn_values_keep_the_physical_bounds_of_their_law(
+    effect: str, parameter: str, stated: float, total: float | None, expected: tuple[float, float]
+) -> None:
+    """An addition may be negative as long as the sum with the model's value is not."""
+    (law,) = (one for one in catalogue()[effect].parameters if one.name == parameter)
+    assert bounds(law, stated, total) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("mean", "lower", "upper"),
+    [(0.3, 0.0, 0.8), (0.3, 0.25, 0.31), (-1.0, 0.0, 0.8), (3.0, 0.0, 0.8), (0.5, -np.inf, 0.4)],
+)
+def test_a_coordinate_with_bounds_has_a_truncated_normal_distribution(
+    mean: float, lower: float, upper: float
+) -> None:
+    one = Coordinate("x", "1", mean, 0.2, lower, upper)
+    drawn = one.values(np.random.default_rng(0).standard_normal(20_000))
+    law = stats.truncnorm((lower - mean) / 0.2, (upper - mean) / 0.2, loc=mean, scale=0.2)
+    assert stats.kstest(drawn, law.cdf).pvalue > 0.01
+    assert lower <= drawn.min()
+    assert drawn.max() <= upper
+    assert one.values(np.array([-1.0, 0.0, 1.0])).tolist() == sorted(one.values(np.arange(-1.0, 2)))
