@@ -203,6 +203,11 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
         f"not observable: {', '.join(names)}; to identify it: {motion}"
         for motion, names in identification.by_motion(document).items()
     ]
+    if design := identification.mechanisms(document):
+        lines.append(
+            "pytest-twin excite designs such motions: excitation: mechanisms: "
+            f"[{', '.join(design)}] in twin.yaml"
+        )
     lines += [
         f"correlated: {' and '.join(one['pair'])} ({one['correlation']:+.2f})"
         for one in document.get("correlated", ())

@@ -14,6 +14,7 @@ from pytest_twin.identification.effort.estimate import SQUARES
 from pytest_twin.identification.effort.groups import FRICTION
 from pytest_twin.identification.effort.identify import EffortResult
 from pytest_twin.identification.effort.judging import parameter_name
+from pytest_twin.identification.motions import undetermined_by_effort
 from pytest_twin.identification.stages import Stage, in_order
 from pytest_twin.metrics.joint_covariance import with_deviations
 
@@ -226,21 +227,8 @@ def _unobservable(result: EffortResult) -> list[dict[str, str]]:
     for i in np.flatnonzero(result.unobservable | result.unsure):
         column = result.base.columns[result.base.independent[i]]
         found.append(
-            {
-                "expression": result.base.expressions[i],
-                "motion": _motion(result.stage_of[i], column.joint, column.kind),
-            }
+            undetermined_by_effort(
+                result.base.expressions[i], result.stage_of[i], column.joint, column.kind
+            )
         )
     return found
-
-
-def _motion(stage: str, joint: str, kind: str) -> str:
-    if stage == "gravity":
-        return f"hold poses in which gravity acts on the link of {joint} from several sides"
-    if stage == "inertia":
-        return f"accelerate {joint}, and the joints before it, in several poses at once"
-    if kind.endswith("viscous_friction"):
-        return f"move {joint} at two constant speeds a factor of four apart, both ways"
-    if stage == "friction":
-        return f"move {joint} slowly to and fro over the same path"
-    return f"move {joint} both ways at several loads"

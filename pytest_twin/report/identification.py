@@ -36,6 +36,7 @@ def render(document: Mapping[str, Any]) -> str:
         mood=mood,
         errors=error_lines(document),
         open=by_motion(document),
+        mechanisms=mechanisms(document),
         signals=signal_rows(document),
         encoders=encoder_rows(document),
         spread=spread_rows(document),
@@ -149,6 +150,12 @@ def by_motion(document: Mapping[str, Any]) -> dict[str, list[str]]:
     for one in document.get("unobservable", ()):
         found.setdefault(one["motion"], []).append(one["expression"])
     return found
+
+
+def mechanisms(document: Mapping[str, Any]) -> list[str]:
+    """Return the mechanisms for which ``pytest-twin excite`` designs the missing motions."""
+    named = [one.get("mechanism") for one in document.get("unobservable", ())]
+    return [name for name in dict.fromkeys(named) if name]
 
 
 def spread_rows(document: Mapping[str, Any]) -> list[tuple[str, list[str]]]:

@@ -74,6 +74,26 @@ def test_friction_and_controller_gain_are_identified(found: tuple[Path, dict]) -
     assert gain["value"] == pytest.approx(-0.2, abs=0.05)
 
 
+def test_a_stage_that_the_joint_fit_moves_is_reopened_with_the_reason(
+    found: tuple[Path, dict],
+) -> None:
+    stages = {one["stage"]: one for one in found[1]["stages"]}
+    assert stages["drive"]["state"] == "reopened"
+    assert "all accepted parameters fitted together move it" in stages["drive"]["why"]
+    together = stages["closed_loop"]["held_out"]
+    assert together["after"] < together["before"]
+    assert f"to {together['after']:.3g} noise floors" in stages["drive"]["why"]
+
+
+def test_effects_that_the_motion_excludes_are_not_called_undetermined(
+    found: tuple[Path, dict],
+) -> None:
+    assert found[1]["unobservable"] == []
+    for name in ("delay", "encoder", "gravity"):
+        (stage,) = (one for one in found[1]["stages"] if one["stage"] == name)
+        assert stage["why"].startswith("the model's values hold")
+
+
 def test_held_out_positions_are_predicted(found: tuple[Path, dict]) -> None:
     error = found[1]["held_out"]["swing"]
     assert error["position_rms"] < 0.1 * error["position_rms_nominal"]

@@ -54,6 +54,12 @@ def test_two_payloads_identify_the_effort_scale_of_each_joint(tmp_path: Path) ->
     assert {"shoulder.effort_scale", "elbow.effort_scale"} <= set(drive.parameters)
     values = dict(zip(result.base.expressions, result.fitted.values, strict=True))
     assert values["fv1"] == pytest.approx(REAL["damping"], rel=0.05)
+    # The scale changes all parameters that were fitted before.
+    for name in ("gravity", "inertia", "friction"):
+        stage = next(stage for stage in result.stages if stage.name == name)
+        assert stage.state == "reopened"
+        assert "the scale of the efforts, which known payloads show, moves it beyond" in stage.why
+        assert stage.held_out is not None
 
 
 def test_with_only_one_payload_no_effort_scale_is_identified(tmp_path: Path) -> None:
@@ -64,3 +70,4 @@ def test_a_correct_effort_scale_is_not_significant(tmp_path: Path) -> None:
     result = identified(tmp_path, [1.0, 1.0], ["kg3", None, None])
     assert not any(scale.is_significant for scale in result.scales.values())
     assert result.scales["elbow"].value == pytest.approx(1.0, abs=0.05)
+    assert not any(stage.state == "reopened" for stage in result.stages)

@@ -21,6 +21,7 @@ from pytest_twin.identification.effort.least_squares import (
 from pytest_twin.identification.effort.sampled import predicted
 from pytest_twin.identification.effort.scale import payload_parameters
 from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.motions import entry
 from pytest_twin.identification.regressor import BaseParameters, Regressor
 from pytest_twin.realization import Realization
 
@@ -230,6 +231,6 @@ def undetermined_entries(undetermined: Sequence[tuple[str, str]]) -> list[dict[s
         SCALE: "hold poses over the whole range of {}, with and without a known payload",
     }
     return [
-        {"expression": f"{joint}.{kind}", "motion": motion[kind].format(joint)}
+        entry(f"{joint}.{kind}", motion[kind].format(joint), "payload")
         for joint, kind in undetermined
     ]

@@ -13,6 +13,7 @@ from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.physical_totals import impossible
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
+from pytest_twin.identification.motions import undetermined_by_command
 from pytest_twin.identification.records import correlated, verdict_of
 from pytest_twin.identification.simulation.identify import SimulationResult, place_of
 
@@ -83,7 +84,10 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
             ],
         },
         "suspected": [],
-        "unobservable": [],
+        "unobservable": [
+            undetermined_by_command(stage, place_of(problem, term), term.effect)
+            for term, stage in result.undetermined.items()
+        ],
         "notes": list(dict.fromkeys(result.notes)),
         "software": {"pytest-twin": __version__},
     }

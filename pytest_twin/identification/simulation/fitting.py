@@ -107,6 +107,13 @@ def where_better(problem: Problem, before: Hypothesis, after: Hypothesis) -> Hyp
     return EMPTY.with_terms(chosen)
 
 
+def with_slopes(problem: Problem, hypothesis: Hypothesis) -> Fitted:
+    """The hypothesis as it is, with the derivatives of its prediction."""
+    residual = problem.residuals([hypothesis], problem.fit)[0]
+    weights = problem.weights(np.mean(residual**2, axis=0))
+    return fit(problem, [hypothesis], weights, problem.fit, iterations=0)[0]
+
+
 def held_out_error(problem: Problem, hypothesis: Hypothesis) -> float:
     """Root mean square of all position errors in noise floors, on what is held out."""
     value = float(np.sqrt(np.mean(_in_floors(problem, hypothesis) ** 2)))

@@ -5,13 +5,13 @@ Each stage is a fit of the diagnosis with a given list of effects; nothing is se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, parameter_spread
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -30,6 +30,7 @@ from pytest_twin.identification.simulation.fitting import (
     held_out_error,
     possible,
     where_better,
+    with_slopes,
 )
 from pytest_twin.identification.simulation.stage_effects import (
     EXCLUDES,
@@ -39,6 +40,7 @@ from pytest_twin.identification.simulation.stage_effects import (
     start,
     terms_of,
 )
+from pytest_twin.identification.simulation.undetermined import undetermined_terms
 from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
 from pytest_twin.realization import Realization
 
@@ -56,6 +58,7 @@ class SimulationResult:
         stage_of: term -> stage that accepted it.
         spread: of the final parameters.
         stages: in order.
+        undetermined: term that may act unnoticed -> stage that fits it.
         errors: joint -> error on what is held out, or fitted where nothing is.
         settled: what the recordings are.
         trials: as they were used.
@@ -67,6 +70,7 @@ class SimulationResult:
     stage_of: dict[Term, StageName]
     spread: Spread
     stages: tuple[Stage, ...]
+    undetermined: dict[Term, StageName]
     errors: dict[str, JointError]
     settled: Settled
     trials: TrialSet
@@ -116,14 +120,15 @@ def identify_simulation(
                 stage_of[term] = name
             progress((k + 1) / (len(SIMULATED) + 1))
         found, last, whole = _together(problem, found, stage_of, stages, modes)
-        stages = [*last, whole]
-        spread = parameter_spread(problem, _with_slopes(problem, found))
+        undetermined = undetermined_terms(problem, found, modes)
+        stages = [*(_as_the_model_says(one, undetermined) for one in last), whole]
+        spread = parameter_spread(problem, with_slopes(problem, found))
         # The errors that are reported count every recording alike.
         problem.position_weights = {}
         before, after = (residuals_everywhere(problem, h) for h in (EMPTY, found))
         errors = joint_errors(prepared, before, after)
     return SimulationResult(
-        prepared, found, stage_of, spread, tuple(stages), errors, settled, used,
+        prepared, found, stage_of, spread, tuple(stages), undetermined, errors, settled, used,
         (*used.notes, *notes),
     )  # fmt: skip
 
@@ -167,6 +172,17 @@ def _stage(
     return stage, kept
 
 
+def _as_the_model_says(stage: Stage, undetermined: Mapping[Term, StageName]) -> Stage:
+    """The stage; where the motion excludes what it fits, the reason says so."""
+    if stage.state != "not_observable" or stage.name in undetermined.values():
+        return stage
+    why = (
+        "the model's values hold: the motion would show a difference, and at no joint does the "
+        "held-out error fall by more than chance explains"
+    )
+    return replace(stage, why=why)
+
+
 def _together(
     problem: Problem,
     found: Hypothesis,
@@ -196,7 +212,7 @@ def _together(
     stage = judged(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
     if stage.state != "accepted":
         return found, list(stages), stage
-    half = parameter_spread(problem, _with_slopes(problem, whole)).half_width
+    half = parameter_spread(problem, with_slopes(problem, whole)).half_width
     reopened = {stage_of[t] for t in added}
     for term in found.terms:
         if term in whole.terms:
@@ -241,12 +257,6 @@ def _balanced(problem: Problem, hypothesis: Hypothesis) -> dict[int, FloatArray]
     return {
         int(s): problem.position_weights.get(int(s), ones) * weights[s] for s in problem.everywhere
     }
-
-
-def _with_slopes(problem: Problem, hypothesis: Hypothesis) -> Fitted:
-    residual = problem.residuals([hypothesis], problem.fit)[0]
-    weights = problem.weights(np.mean(residual**2, axis=0))
-    return fit(problem, [hypothesis], weights, problem.fit, iterations=0)[0]
 
 
 def place_of(problem: Problem, term: Term) -> str:
