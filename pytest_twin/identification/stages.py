@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
 
 StageName = Literal[
     "delay",
@@ -51,6 +55,7 @@ class Stage:
         parameters: names of what it fitted.
         held_out: where it was tested.
         excludes: what could compensate for it, and how that was kept out.
+        data: recording -> its share of the information on the stage's parameters.
     """
 
     name: StageName
@@ -59,6 +64,7 @@ class Stage:
     parameters: tuple[str, ...] = ()
     held_out: HeldOut | None = None
     excludes: str = ""
+    data: Mapping[str, float] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Content for ``identification.json``."""
@@ -69,6 +75,8 @@ class Stage:
             "parameters": list(self.parameters),
             "excludes": self.excludes,
         }
+        if self.data:
+            found["data"] = dict(self.data)
         if self.held_out is not None:
             found["held_out"] = {
                 "before": self.held_out.before,
@@ -81,6 +89,23 @@ class Stage:
 def in_order(stages: Sequence[Stage]) -> tuple[Stage, ...]:
     """The stages in the order in which they are fitted."""
     return tuple(sorted(stages, key=lambda stage: STAGES.index(stage.name)))
+
+
+def shares(recordings: Sequence[str], information: FloatArray) -> dict[str, float]:
+    """Return recording -> mean share of the information on several parameters.
+
+    Args:
+        recordings: name of the recording of each block of samples; names may repeat.
+        information: (blocks, parameters) diagonals of the information matrices.
+    """
+    total = information.sum(axis=0)
+    shown = total > 0.0
+    if not shown.any():
+        return {}
+    found = dict.fromkeys(recordings, 0.0)
+    for name, own in zip(recordings, information[:, shown] / total[shown], strict=True):
+        found[name] += float(np.mean(own))
+    return found
 
 
 def judged(stage: Stage, held_out: HeldOut, tolerance: float = 0.0) -> Stage:

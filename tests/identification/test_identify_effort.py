@@ -44,6 +44,13 @@ def test_the_document_is_valid_and_the_result_is_accepted(found: dict) -> None:
     ]  # fmt: skip
 
 
+def test_each_accepted_stage_names_its_data(found: dict) -> None:
+    for stage in found["stages"]:
+        if stage["state"] == "accepted":
+            assert set(stage["data"]) == {"one.csv", "two.csv"}
+            assert sum(stage["data"].values()) == pytest.approx(1.0)
+
+
 def test_the_true_parameters_lie_in_their_intervals(found: dict) -> None:
     true = {
         "shoulder.viscous_friction": REAL["damping"],
@@ -88,6 +95,8 @@ def test_the_page_gives_the_reason_of_every_stage(cell: Path, found: dict) -> No
     page = (cell / "identified/identification.html").read_text()
     for stage in found["stages"]:
         assert stage["why"].replace("'", "&#39;") in page
+        for name, share in stage.get("data", {}).items():
+            assert f"{name} {100 * share:.0f} %" in page
 
 
 def test_without_held_out_recording_the_result_is_not_accepted(

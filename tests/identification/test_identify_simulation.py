@@ -80,6 +80,8 @@ def test_a_stage_that_the_joint_fit_moves_is_reopened_with_the_reason(
     stages = {one["stage"]: one for one in found[1]["stages"]}
     assert stages["drive"]["state"] == "reopened"
     assert "all accepted parameters fitted together move it" in stages["drive"]["why"]
+    assert set(stages["drive"]["data"]) == {"one.csv", "two.csv"}
+    assert sum(stages["drive"]["data"].values()) == pytest.approx(1.0)
     together = stages["closed_loop"]["held_out"]
     assert together["after"] < together["before"]
     assert f"to {together['after']:.3g} noise floors" in stages["drive"]["why"]

@@ -35,6 +35,7 @@ from pytest_twin.identification.effort.judging import (
     accepted_values,
     compare_stages,
     errors_of,
+    with_data,
 )
 from pytest_twin.identification.effort.least_squares import (
     Linear,
@@ -454,6 +455,7 @@ def _identify(
         along_commands(tested) if quiet else tested,
         fitted, stage_of, prior, base, bool(held),
     )  # fmt: skip
+    stages = with_data(stages, problem, fitted, stage_of, [rows.name for rows in fit])
     values = accepted_values(fitted, stages, stage_of, prior)
     full = solve(shown, intervals=False)
     if found.estimator == INSTRUMENTS:

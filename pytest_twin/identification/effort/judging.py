@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from pytest_twin.identification.effort.least_squares import (
     solve,
 )
 from pytest_twin.identification.regressor import BaseParameters
-from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
+from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged, shares
 
 _LINEAR_STAGES: tuple[StageName, ...] = ("gravity", "inertia", "friction", "drive")
 _ENOUGH_MOVING = 10
@@ -94,6 +94,32 @@ def compare_stages(
         stage = Stage(name, "accepted", why, words, None, EXCLUDES[name])
         found.append(judged(stage, one, chance))
     return tuple(found)
+
+
+def with_data(
+    stages: Sequence[Stage],
+    problem: Linear,
+    fitted: Essential,
+    stage_of: Sequence[StageName],
+    recordings: Sequence[str],
+) -> tuple[Stage, ...]:
+    """Return the stages with the share of each recording in the information on their parameters.
+
+    Args:
+        stages: stages of the linear problem.
+        problem: rows of the fitted recordings.
+        fitted: fit of the essential parameters.
+        stage_of: (b,) stage of each parameter.
+        recordings: names of the recordings, in the order of the rows.
+    """
+    own = np.array(stage_of)[fitted.kept]
+    columns = problem.matrix[..., fitted.kept] * fitted.solution.weight[..., None]
+    each = np.split(np.sum(columns**2, axis=1), np.cumsum(problem.lengths)[:-1])
+    information = np.array([rows.sum(axis=0) for rows in each])
+    return tuple(
+        replace(stage, data=shares(recordings, information[:, own == stage.name]))
+        for stage in stages
+    )
 
 
 def accepted_values(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, parameter_spread
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -41,7 +41,7 @@ from pytest_twin.identification.simulation.stage_effects import (
     terms_of,
 )
 from pytest_twin.identification.simulation.undetermined import undetermined_terms
-from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
+from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged, shares
 from pytest_twin.realization import Realization
 
 _LAST = 10
@@ -122,7 +122,9 @@ def identify_simulation(
         found, last, whole = _together(problem, found, stage_of, stages, modes)
         undetermined = undetermined_terms(problem, found, modes)
         stages = [*(_as_the_model_says(one, undetermined) for one in last), whole]
-        spread = parameter_spread(problem, with_slopes(problem, found))
+        slopes = with_slopes(problem, found)
+        spread = parameter_spread(problem, slopes)
+        stages = [_with_data(one, problem, slopes, stage_of, used) for one in stages]
         # The errors that are reported count every recording alike.
         problem.position_weights = {}
         before, after = (residuals_everywhere(problem, h) for h in (EMPTY, found))
@@ -181,6 +183,26 @@ def _as_the_model_says(stage: Stage, undetermined: Mapping[Term, StageName]) -> 
         "held-out error fall by more than chance explains"
     )
     return replace(stage, why=why)
+
+
+def _with_data(
+    stage: Stage,
+    problem: Problem,
+    slopes: Fitted,
+    stage_of: Mapping[Term, StageName],
+    trials: TrialSet,
+) -> Stage:
+    """The stage with the share of each recording in the information on its parameters."""
+    whole = stage.name == "closed_loop"
+    others = [t for t in slopes.hypothesis.terms if not whole and stage_of[t] != stage.name]
+    columns = slopes.hypothesis.parameters_without(*others)
+    if stage.state not in ("accepted", "reopened") or not columns.any():
+        return stage
+    weights = 1.0 / np.maximum(slopes.mean_square, problem.signal_floor**2)
+    rows = np.einsum("tsp,s->tp", slopes.jacobian[..., columns] ** 2, weights)
+    each = np.split(rows, np.cumsum(problem.lengths(problem.fit))[:-1])
+    names = [trials.fit[problem.simulator.segments[s].trial].path.name for s in problem.fit]
+    return replace(stage, data=shares(names, np.array([own.sum(axis=0) for own in each])))
 
 
 def _together(
