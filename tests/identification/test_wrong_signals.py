@@ -139,6 +139,31 @@ def test_friction_that_decreases_during_a_recording_is_reported(tmp_path: Path) 
     assert not suspect.is_fatal
 
 
+def drifting(share: float, column) -> object:
+    """A change that adds (1/2 - t/T) times ``share`` times a column to the shoulder's effort."""
+
+    def drifted(one: Measured) -> Measured:
+        effort = one.effort.copy()
+        fall = share * (0.5 - one.time / one.time[-1])
+        effort[:, 0] += fall * column(np.gradient(one.position[:, 0], one.time))
+        return replace(one, effort=effort)
+
+    return drifted
+
+
+def test_viscous_friction_that_decreases_during_a_recording_is_reported(tmp_path: Path) -> None:
+    (suspect,) = identified(tmp_path, drifting(REAL["damping"], lambda v: v)).suspected
+    assert suspect.what.startswith("shoulder: viscous friction changes by -")
+    assert not suspect.is_fatal
+
+
+def test_a_zero_of_the_effort_that_drifts_is_reported(tmp_path: Path) -> None:
+    (suspect,) = identified(tmp_path, drifting(4.0, np.ones_like)).suspected
+    assert suspect.what.startswith("shoulder: the constant effort changes by -")
+    assert "the zero of its sensor drifts" in suspect.what
+    assert not suspect.is_fatal
+
+
 @pytest.mark.parametrize("late", [0.012, -0.008])
 def test_a_delay_of_the_efforts_is_identified_and_corrected(tmp_path: Path, late: float) -> None:
     def delayed(one: Measured) -> Measured:

@@ -12,6 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.delay import LAG, Delay, delay_of, without_delay
+from pytest_twin.identification.effort.drift import drifts
 from pytest_twin.identification.effort.encoders import (
     Encoders,
     Reading,
@@ -52,7 +53,7 @@ from pytest_twin.identification.effort.scale import (
     payload_scales,
     scaled,
 )
-from pytest_twin.identification.effort.suspects import Suspect, drifts, suspects
+from pytest_twin.identification.effort.suspects import Suspect, suspects
 from pytest_twin.identification.measured import MeasuredSet
 from pytest_twin.identification.physical import Physical, physical
 from pytest_twin.identification.regressor import (
@@ -467,9 +468,11 @@ def _identify(
     rate = 1.0 / float(np.median(np.diff(fit[0].time)))
     late = delay_of(problem.only(fitted.kept), recorded, rate) if len(fitted.kept) else None
     gears = [signals.of(joint).gear for joint in joints]
+    named = dict(zip((base.names[i] for i in columns), full.values.tolist(), strict=True))
+    viscous = {joint: named.get(f"{joint}.viscous_friction", 0.0) for joint in joints}
     suspected = [
         *suspects(realization, measured.fit, fit, regressor, gears),
-        *drifts(problem.only(fitted.kept), fitted.solution, fit, joints),
+        *drifts(shown, full, fit, viscous),
     ]
     result = EffortResult(
         regressor=regressor,

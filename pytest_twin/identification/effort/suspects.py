@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.filtering import choose_filter
-from pytest_twin.identification.effort.least_squares import Linear, Solution, dry_levels, solve
+from pytest_twin.identification.effort.least_squares import Linear, Solution, solve
 from pytest_twin.identification.effort.sampled import Sampled, sample
 from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.regressor import Regressor
@@ -23,10 +23,6 @@ _FAR = 4.0
 Inertia of CAD models is right to 30 %; rotors double the accelerated inertia of a joint at most."""
 _LIKE = 0.25
 """Largest logarithmic distance between a ratio and the stated gear ratio."""
-_DRIFT = 0.15
-"""Relative change of dry or viscous friction over a recording above which it is reported."""
-_FEWEST_ROWS, _BLOCKS = 100, 10
-"""Fewest samples of a moving joint for a trend, and number of time blocks."""
 _OUTSIDE = 3.0
 """Ratio of the span of positions to the joint's range above which they may be in degrees."""
 _MANY_TURNS = 4.0 * math.pi
@@ -97,44 +93,6 @@ def suspects(
             ))  # fmt: skip
         elif not unscaled and factor > _SURE * std[0] and abs(math.log(factor)) > math.log(_FAR):
             found.append(_factor(joint, float(factor), abs(gears[k])))
-    return found
-
-
-def drifts(
-    problem: Linear, fitted: Solution, samples: Sequence[Sampled], names: Sequence[str]
-) -> list[Suspect]:
-    """Detect joints whose friction changes over a recording, as in a gear that warms up.
-
-    Args:
-        problem, fitted: problem and fit of the kept columns.
-        samples: rows of the recordings.
-        names: (joints,) names of the joints.
-    """
-    found = []
-    velocity = np.concatenate([s.velocity for s in samples])
-    share = np.concatenate([(s.time - s.time[0]) / np.ptp(s.time) - 0.5 for s in samples])
-    levels = dry_levels(problem, fitted.values)
-    for k, joint in enumerate(names):
-        use = problem.known[:, k] & ~problem.resting[:, k]
-        if use.sum() < _FEWEST_ROWS or levels[k] <= 0.0:
-            continue
-        way = np.sign(velocity[use, k])
-        rows = np.column_stack([way, way * share[use]])
-        residual = fitted.residual[use, k]
-        slope = float(np.linalg.lstsq(rows, residual, rcond=None)[0][1])
-        # Blocks of time are averaged, because residuals within a block are correlated.
-        parts = np.array_split(np.arange(len(rows)), _BLOCKS)
-        means = [float(np.mean(residual[p] * way[p])) for p in parts]
-        middle = [float(np.mean(share[use][p])) for p in parts]
-        error = float(np.std(means - np.polyval(np.polyfit(middle, means, 1), middle)))
-        error /= max(float(np.std(middle)) * math.sqrt(_BLOCKS - 2), 1e-12)
-        if abs(slope) > _DRIFT * levels[k] and abs(slope) > _SURE * error:
-            found.append(Suspect(
-                f"{joint}: dry friction changes by {100 * slope / levels[k]:+.0f} % over a "
-                "recording: the gear warms up, or its load changes",
-                "record after the robot is warm, or identify cold and warm recordings apart",
-                is_fatal=False,
-            ))  # fmt: skip
     return found
 
 
