@@ -85,4 +85,4 @@ def _with_deviations(rows: FloatArray, values: FloatArray) -> tuple[FloatArray, 
     scores = np.array([rows[p].T @ off[p] for p in parts])
     # The factor corrects for few blocks (Cameron and Miller, J. Human Resources 50, 2015).
     covariance = _BLOCKS / (_BLOCKS - 1.0) * inverse @ (scores.T @ scores) @ inverse
-    return found, np.sqrt(np.diag(covariance).clip(1e-300))
+    return np.asarray(found, dtype=np.float64), np.sqrt(np.diag(covariance).clip(1e-300))

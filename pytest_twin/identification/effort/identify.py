@@ -46,6 +46,7 @@ from pytest_twin.identification.effort.least_squares import (
     moved_by,
     solve,
 )
+from pytest_twin.identification.effort.position_suspects import position_suspects
 from pytest_twin.identification.effort.sampled import Sampled, sample
 from pytest_twin.identification.effort.scale import (
     Scale,
@@ -471,6 +472,7 @@ def _identify(
     named = dict(zip((base.names[i] for i in columns), full.values.tolist(), strict=True))
     viscous = {joint: named.get(f"{joint}.viscous_friction", 0.0) for joint in joints}
     suspected = [
+        *position_suspects(realization, measured.fit, gears),
         *suspects(realization, measured.fit, fit, regressor, gears),
         *drifts(shown, full, fit, viscous),
     ]

@@ -23,10 +23,12 @@ _FAR = 4.0
 Inertia of CAD models is right to 30 %; rotors double the accelerated inertia of a joint at most."""
 _LIKE = 0.25
 """Largest logarithmic distance between a ratio and the stated gear ratio."""
-_OUTSIDE = 3.0
-"""Ratio of the span of positions to the joint's range above which they may be in degrees."""
 _MANY_TURNS = 4.0 * math.pi
 """Span, rad, of a joint without limits above which its positions may be in degrees."""
+_GEARED = 3.0
+"""Smallest gear ratio whose omission is detected."""
+_BETTER = 0.5
+"""Largest ratio of residuals for which other positions explain the effort better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,7 @@ def suspects(
     regressor: Regressor,
     gears: Sequence[float],
 ) -> list[Suspect]:
-    """Detect degrees, wrong signs, and gear ratios that are not applied or applied twice.
+    """Detect degrees without joint ranges, wrong signs, and wrong factors of efforts.
 
     Each joint is fitted separately: the nominal rigid-body effort is one column; the others are
     friction and a constant. Negative friction is impossible, and a factor far from 1 is no error of
@@ -67,9 +69,7 @@ def suspects(
         regressor: regressor of the robot.
         gears: (joints,) stated gear ratios, 1 by default.
     """
-    found = _degrees(realization, recordings)
-    if not found:
-        found = _degrees_by_effort(realization, recordings, samples, regressor)
+    found = _rescaled_by_effort(realization, recordings, samples, regressor, gears)
     for k, joint in enumerate(regressor.joints):
         alone = _alone(samples, regressor, k)
         if alone is None:
@@ -96,57 +96,78 @@ def suspects(
     return found
 
 
-def _degrees(realization: Realization, recordings: Sequence[Measured]) -> list[Suspect]:
-    found = []
-    model = realization.model
-    for k, joint in enumerate(recordings[0].joints):
-        index = realization.joint_index(joint)
-        low, high = model.jnt_range[index]
-        if not model.jnt_limited[index] or high <= low:
-            continue
-        span = max(float(np.ptp(one.position[:, k])) for one in recordings)
-        if span > _OUTSIDE * (high - low) and math.radians(span) <= 1.1 * (high - low):
-            found.append(Suspect(
-                f"{joint}: positions span {span:.4g} rad, its range is {high - low:.3g} rad: they "
-                "seem to be in degrees",
-                f"signals: joints: {joint}: position: {{unit: deg}}",
-            ))  # fmt: skip
-    return found
+@dataclass(frozen=True, slots=True)
+class _Rescaling:
+    """A factor on the positions of some joints, and the mistake that it would correct."""
+
+    joints: tuple[int, ...]
+    factor: float
+    what: str
+    mend: str
 
 
-def _degrees_by_effort(
+def _rescaled_by_effort(
     realization: Realization,
     recordings: Sequence[Measured],
     samples: Sequence[Sampled],
     regressor: Regressor,
+    gears: Sequence[float],
 ) -> list[Suspect]:
-    """Detect joints without limits whose effort fits far better if positions are degrees."""
+    """Detect joints whose effort fits far better along positions times a common factor."""
     spans = np.max([np.ptp(one.position, axis=0) for one in recordings], axis=0)
-    wide = [
-        k
-        for k, joint in enumerate(regressor.joints)
-        if not regressor.slides[k]
-        and not realization.model.jnt_limited[realization.joint_index(joint)]
-        and spans[k] > _MANY_TURNS
+    best: dict[int, tuple[float, _Rescaling]] = {}
+    for trial in _rescalings(realization, regressor, spans, np.abs(gears)):
+        scale = np.ones(len(regressor.joints))
+        scale[list(trial.joints)] = trial.factor
+        turned = [replace(one, position=one.position * scale) for one in recordings]
+        rows = sample(turned, [regressor] * len(turned), choose_filter(turned))
+        for k in trial.joints:
+            before, after = _alone(samples, regressor, k), _alone(rows, regressor, k)
+            if before is None or after is None:
+                continue
+            noise = float(after.noise[0])
+            limit = best[k][0] if k in best else _BETTER * float(before.noise[0])
+            if noise <= limit:
+                best[k] = noise, trial
+    return [
+        Suspect(
+            f"{regressor.joints[k]}: positions span {spans[k]:.4g} "
+            f"{'m' if regressor.slides[k] else 'rad'}, and along {one.factor:.3g} times as much "
+            f"the model explains the effort better: {one.what}",
+            f"signals: joints: {regressor.joints[k]}: position: {one.mend}",
+        )
+        for k, (_, one) in sorted(best.items())
     ]
-    if not wide:
-        return []
-    factor = np.ones(len(regressor.joints))
-    factor[wide] = math.pi / 180.0
-    turned = [replace(one, position=one.position * factor) for one in recordings]
-    rows = sample(turned, [regressor] * len(turned), choose_filter(turned))
-    found = []
-    for k in wide:
-        before, after = _alone(samples, regressor, k), _alone(rows, regressor, k)
-        if before is None or after is None or after.noise[0] > 0.5 * before.noise[0]:
-            continue
-        joint = regressor.joints[k]
-        found.append(Suspect(
-            f"{joint}: positions span {spans[k]:.4g} rad, and along so many degrees the model "
-            "explains the effort better: they seem to be in degrees",
-            f"signals: joints: {joint}: position: {{unit: deg}}",
-        ))  # fmt: skip
-    return found
+
+
+def _rescalings(
+    realization: Realization, regressor: Regressor, spans: FloatArray, gears: FloatArray
+) -> list[_Rescaling]:
+    """Return factors on the positions that their spans suggest.
+
+    Joints whose positions exceed their limits are left to ``position_suspects``.
+    """
+    model = realization.model
+    at = [realization.joint_index(joint) for joint in regressor.joints]
+    limited = [bool(model.jnt_limited[index]) for index in at]
+    ranges = [float(np.ptp(model.jnt_range[i])) if own else _MANY_TURNS
+              for i, own in zip(at, limited, strict=True)]  # fmt: skip
+    wide = [k for k, own in enumerate(limited) if not own and spans[k] > _MANY_TURNS]
+    # A log in degrees has all joints in degrees, and the joints' efforts are coupled.
+    turning = tuple(k for k in wide if not regressor.slides[k])
+    found = [_Rescaling(turning, math.pi / 180.0, "they seem to be in degrees", "{unit: deg}")]
+    geared = [k for k in range(len(at)) if gears[k] > _GEARED]
+    found += [
+        _Rescaling((k,), 1.0 / gears[k], "they are on the motor's side", "{side: motor}")
+        for k in geared
+        if k in wide
+    ]
+    found += [
+        _Rescaling((k,), gears[k], "they are not on the motor's side", "{side: output}")
+        for k in geared
+        if spans[k] * gears[k] <= ranges[k]
+    ]
+    return [one for one in found if one.joints]
 
 
 def _factor(joint: str, factor: float, gear: float) -> Suspect:
