@@ -31,6 +31,14 @@ _CLIPPED = 0.002
 _GAP = 5.0
 """Ratio of an interval to the median interval above which the recording is cut there."""
 
+_MOVED = 1e-3
+"""Standard deviation of positions, rad or m, below which velocities are not compared with them."""
+_ALIKE, _OTHER_UNIT = 0.9, 0.2
+"""Smallest correlation of a velocity's integral with the position, and largest deviation of their
+ratio from 1, for a velocity that agrees with the positions."""
+_SPEEDS = {"deg/s": 180.0 / np.pi, "revolutions per minute": 30.0 / np.pi}
+"""Unit of velocities -> its number for 1 rad/s."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -213,18 +221,19 @@ def _at_joints(
     command = commanded.get("position")
     if command is not None:
         command = command[order][:, seen][whole]
+    velocity_there = None if velocity is None else velocity[whole]
     return Measured(
         path=recording.path,
         start=0.0,
         joints=names,
         time=time[whole],
         position=position[whole],
-        velocity=None if velocity is None else velocity[whole],
+        velocity=velocity_there,
         effort=effort[whole],
         unscaled=unscaled,
         limit=limit,
         metadata=dict(recording.metadata),
-        notes=(*notes, *said),
+        notes=(*notes, *said, *velocity_notes(names, time[whole], position[whole], velocity_there)),
         command=command,
     )
 
@@ -266,6 +275,56 @@ def _positions(
                 velocity[:, column] -= own.shared.ratio * velocity[:, other]
         position[:, column] += own.zero
     return position, velocity, notes
+
+
+def velocity_notes(
+    names: Sequence[str], time: FloatArray, position: FloatArray, velocity: FloatArray | None
+) -> list[str]:
+    """Return notes on velocities that are missing, or that the positions contradict.
+
+    No velocity is used: positions are differentiated. The integral of a recorded velocity is
+    compared with the position, because noise hardly changes it.
+
+    Args:
+        names: names of the joints.
+        time: (n,) s.
+        position, velocity: (n, joints) rad and rad/s, or m and m/s; velocity None without any.
+    """
+    known = np.zeros(len(names), dtype=bool)
+    if velocity is not None:
+        known = np.isfinite(velocity).all(axis=0) & (velocity != 0.0).any(axis=0)
+    notes = []
+    missing = [name for name, seen in zip(names, known, strict=True) if not seen]
+    if missing:
+        whose = "" if len(missing) == len(names) else f" of {', '.join(missing)}"
+        notes.append(f"no velocity{whose} is recorded: positions are differentiated")
+    for k in np.flatnonzero(known):
+        assert velocity is not None
+        moved = position[:, k] - position[0, k]
+        if len(time) < _FEWEST or float(moved.std()) < _MOVED:
+            continue
+        steps = np.diff(time) * 0.5 * (velocity[1:, k] + velocity[:-1, k])
+        summed = np.concatenate([[0.0], np.cumsum(steps)])
+        trend = np.column_stack([np.ones(len(time)), time])
+        own, theirs = (
+            x - trend @ np.linalg.lstsq(trend, x, rcond=None)[0] for x in (moved, summed)
+        )
+        factor = float(own @ theirs) / max(float(own @ own), 1e-300)
+        alike = (
+            abs(factor) * float(np.linalg.norm(own)) / max(float(np.linalg.norm(theirs)), 1e-300)
+        )
+        if alike < _ALIKE:
+            notes.append(
+                f"{names[k]}: the recorded velocity does not follow the positions; it is not used"
+            )
+        elif abs(factor - 1.0) > _OTHER_UNIT:
+            unit = next((u for u, size in _SPEEDS.items() if abs(factor / size - 1.0) < 0.1), "")
+            said = f"it seems to be in {unit}" if unit else "its unit, side or sign is wrong"
+            notes.append(
+                f"{names[k]}: the recorded velocity is {factor:.3g} times the change of the "
+                f"positions: {said}; it is not used"
+            )
+    return notes
 
 
 def _dependents_last(names: Sequence[str], signals: Signals) -> list[str]:

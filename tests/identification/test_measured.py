@@ -9,7 +9,7 @@ import pytest
 from arms import simulated_effort, true_arm, write_model, write_recording
 
 from pytest_twin.errors import RecordingError
-from pytest_twin.identification.measured import Measured, read_measured
+from pytest_twin.identification.measured import Measured, read_measured, velocity_notes
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import Signals
@@ -108,3 +108,49 @@ def test_signals_are_read_from_the_twin_file(tmp_path: Path) -> None:
     assert signals.of("elbow").effort.constant == 0.2
     assert signals.of("shoulder").effort.constant is None
     assert signals.of("elbow").gear == 100.0
+
+
+TIME = np.arange(0.0, 10.0, 0.01)
+ANGLE = 0.4 * np.sin(1.3 * TIME)[:, None] + np.array([0.0, 1.0])
+SPEED = np.gradient(ANGLE, TIME, axis=0)
+
+
+def test_a_missing_velocity_is_mentioned() -> None:
+    words = "no velocity is recorded: positions are differentiated"
+    assert velocity_notes(("a", "b"), TIME, ANGLE, None) == [words]
+    assert velocity_notes(("a", "b"), TIME, ANGLE, np.zeros_like(ANGLE)) == [words]
+    lost = SPEED.copy()
+    lost[:, 1] = np.nan
+    assert velocity_notes(("a", "b"), TIME, ANGLE, lost) == [words.replace("y is", "y of b is")]
+
+
+def test_a_velocity_that_agrees_with_noisy_positions_is_not_mentioned() -> None:
+    noisy = ANGLE + 1e-3 * np.random.default_rng(0).standard_normal(ANGLE.shape)
+    assert velocity_notes(("a", "b"), TIME, noisy, SPEED) == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (180.0 / np.pi, "is 57.3 times the change of the positions: it seems to be in deg/s"),
+        (30.0 / np.pi, "it seems to be in revolutions per minute"),
+        (-1.0, "is -1 times the change of the positions: its unit, side or sign is wrong"),
+    ],
+)
+def test_a_velocity_in_another_unit_is_mentioned(factor: float, words: str) -> None:
+    (note,) = velocity_notes(("a", "b"), TIME, ANGLE, SPEED * np.array([1.0, factor]))
+    assert note.startswith("b: the recorded velocity")
+    assert words in note
+
+
+def test_a_velocity_of_another_joint_is_mentioned() -> None:
+    other = SPEED.copy()
+    other[:, 0] = np.cos(7.0 * TIME)
+    (note,) = velocity_notes(("a", "b"), TIME, ANGLE, other)
+    assert note == "a: the recorded velocity does not follow the positions; it is not used"
+
+
+def test_missing_velocities_of_a_recording_are_noted(tmp_path: Path) -> None:
+    _, q, effort = simulated_effort(true_arm(tmp_path), 1, seconds=2.0, rate=100.0)
+    one = measured_signals(tmp_path, q, effort, {})
+    assert "no velocity is recorded: positions are differentiated" in one.notes

@@ -112,6 +112,40 @@ def test_unsigned_effort_without_commands_is_refused_with_a_reason(tmp_path: Pat
     assert "(expected commands in the file" in str(error.value)
 
 
+@pytest.mark.parametrize(("constant", "noise"), [(0.0, 0.3), (2.0, 0.1)])
+def test_an_unsigned_effort_with_noise_or_a_constant_is_reported(
+    tmp_path: Path, constant: float, noise: float
+) -> None:
+    runs = []
+    for seed in (1, 2):
+        # The arm hangs down, so that efforts change their sign.
+        time, q, effort = simulated_effort(true_arm(tmp_path), seed, about=np.pi / 2)
+        random = np.random.default_rng(seed)
+        amount = np.abs(effort) + constant + noise * random.standard_normal(effort.shape)
+        runs.append(Measured(
+            tmp_path / f"{seed}.csv", 0.0, JOINTS, time, q, None, amount,
+            np.zeros(2, dtype=bool), np.full(2, np.inf), {},
+        ))  # fmt: skip
+    robot = load(write_model(tmp_path))
+    found = identify_effort(robot, MeasuredSet((runs[0],), (runs[1],)), NO_SIGNALS).suspected
+    assert [one.what.partition(":")[0] for one in found] == list(JOINTS)
+    assert all("it is an amount, without a sign" in one.what and one.is_fatal for one in found)
+
+
+def test_a_saturated_effort_leaves_the_parameters_unbiased(tmp_path: Path) -> None:
+    def clipped(one: Measured) -> Measured:
+        effort = one.effort.copy()
+        effort[:, 0] = np.clip(effort[:, 0], -24.0, 24.0)
+        return replace(one, effort=effort, limit=np.array([24.0, np.inf]))
+
+    result = identified(tmp_path, clipped)
+    assert result.samples[0].saturated[:, 0].mean() > 0.2
+    names = [result.base.names[i] for i in result.fitted.kept]
+    values = dict(zip(names, result.fitted.solution.values, strict=True))
+    assert values["shoulder.viscous_friction"] == pytest.approx(REAL["damping"], rel=0.1)
+    assert values["shoulder.coulomb_friction"] == pytest.approx(REAL["friction"], rel=0.1)
+
+
 def test_a_gear_ratio_not_applied_to_the_effort_is_reported(tmp_path: Path) -> None:
     signals = Signals.from_json({"joints": {"elbow": {"gear": 50.0}}})
     (suspect,) = identified(tmp_path, scaled([1.0, 0.02]), signals).suspected

@@ -27,8 +27,14 @@ _MANY_TURNS = 4.0 * math.pi
 """Span, rad, of a joint without limits above which its positions may be in degrees."""
 _GEARED = 3.0
 """Smallest gear ratio whose omission is detected."""
+_ONE_SIGN = 0.01
+"""Share of an effort's power with the other sign, up to which it may be an amount with noise."""
+_TURNS = 0.05
+"""Smallest share of samples in which the model's effort has the other sign."""
+_SIGN_ROUNDS = 5
+"""Number of fits, each with the signs of the one before."""
 _BETTER = 0.5
-"""Largest ratio of residuals for which other positions explain the effort better."""
+"""Largest ratio of residuals for which other positions or signs explain the effort better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +79,9 @@ def suspects(
     for k, joint in enumerate(regressor.joints):
         alone = _alone(samples, regressor, k)
         if alone is None:
+            continue
+        if amount := _unsigned(samples, regressor, k):
+            found.append(amount)
             continue
         factor, viscous, dry = alone.values[:3]
         std = np.maximum(alone.std[:3], 1e-300)
@@ -186,8 +195,55 @@ def _factor(joint: str, factor: float, gear: float) -> Suspect:
     )
 
 
+def _unsigned(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Suspect | None:
+    """Return a suspicion if an effort of one sign fits far better as an amount.
+
+    The effort is given the sign of the model's effort, which depends on the fit: both are repeated
+    in turn. An effort that only carries weight keeps its sign and fits equally.
+    """
+    problem = _alone_problem(samples, regressor, joint)
+    if problem is None:
+        return None
+    effort = problem.effort[problem.known]
+    power = float(np.sum(effort**2))
+    if (
+        min(np.sum(effort[effort < 0.0] ** 2), np.sum(effort[effort > 0.0] ** 2))
+        > _ONE_SIGN * power
+    ):
+        return None
+    bias = 3
+    amount = np.abs(problem.effort)
+    model = problem.matrix[:, 0, 0]
+    for _ in range(_SIGN_ROUNDS):
+        sign = np.where(model < 0.0, -1.0, 1.0)
+        columns = problem.matrix.copy()
+        # A constant of an amount has the amount's sign.
+        columns[:, 0, bias] = sign
+        turned = replace(problem, matrix=columns, effort=sign[:, None] * amount)
+        found = solve(turned, intervals=False)
+        columns[:, 0, bias] = 0.0
+        model = columns[:, 0] @ found.values
+    shown = sign[problem.known[:, 0]]
+    turns = min(float(np.mean(shown < 0.0)), float(np.mean(shown > 0.0)))
+    before = solve(problem, intervals=False)
+    if turns < _TURNS or found.noise[0] > _BETTER * before.noise[0]:
+        return None
+    name = regressor.joints[joint]
+    return Suspect(
+        f"{name}: the effort has one sign and fits {before.noise[0] / found.noise[0]:.2g} times "
+        "better with the sign of the model's effort: it is an amount, without a sign",
+        f"signals: joints: {name}: effort: {{signed: false}}, and record the signed effort",
+    )
+
+
 def _alone(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Solution | None:
     """Fit factor of the rigid bodies, viscous and dry friction and constant effort of one joint."""
+    problem = _alone_problem(samples, regressor, joint)
+    return None if problem is None else solve(problem)
+
+
+def _alone_problem(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Linear | None:
+    """Columns of one joint: rigid bodies, viscous and dry friction, constant effort, armature."""
     name = regressor.joints[joint]
     at = {c.kind: i for i, c in enumerate(regressor.columns) if c.joint == name}
     rigid = np.array([c.is_inertial or c.kind == "effort_scale" for c in regressor.columns])
@@ -208,8 +264,7 @@ def _alone(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Solu
     sizes = np.linalg.norm(columns[known], axis=0)
     if known.sum() < 50 or sizes[:3].min() < 1e-6 * sizes.max():
         return None
-    problem = Linear(
+    return Linear(
         columns[:, None], np.where(known, effort, 0.0)[:, None], known[:, None], resting[:, None],
         np.array([[False, False, True, False, False]]), tuple(len(s.time) for s in samples),
     )  # fmt: skip
-    return solve(problem)
