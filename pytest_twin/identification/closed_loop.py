@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pytest_twin.errors import TwinError
+from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.stages import HeldOut, Stage, judged
+from pytest_twin.metrics.joint_frequency import effort_response
 from pytest_twin.metrics.residual import residual
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
@@ -90,6 +93,30 @@ def simulated(
     )  # fmt: skip
     why = "open-loop simulation under the recorded commands"
     return found, judged(Stage("closed_loop", "accepted", why, (), None, _EXCLUDES), held)
+
+
+def effort_responses(recordings: Sequence[Measured]) -> list[dict[str, Any]]:
+    """Return each joint's response from effort to position, of recordings without commands.
+
+    Each joint has the recording that supports the most frequencies.
+
+    Args:
+        recordings: recordings of the same joints.
+    """
+    found = []
+    for k, joint in enumerate(recordings[0].joints):
+        each = [
+            response
+            for one in recordings
+            if (
+                response := effort_response(
+                    joint, one.path.name, one.time, one.effort[:, k], one.position[:, k]
+                )
+            )
+        ]
+        if each:
+            found.append(max(each, key=lambda one: len(one.measured.frequency)).to_json())
+    return found
 
 
 def _errors(realization: Realization, trials: Sequence[Trial]) -> dict[str, float]:

@@ -298,7 +298,9 @@ def velocity_notes(
     if missing:
         whose = "" if len(missing) == len(names) else f" of {', '.join(missing)}"
         notes.append(f"no velocity{whose} is recorded: positions are differentiated")
-    for k in np.flatnonzero(known):
+    for k, joint in enumerate(names):
+        if not known[k]:
+            continue
         assert velocity is not None
         moved = position[:, k] - position[0, k]
         if len(time) < _FEWEST or float(moved.std()) < _MOVED:
@@ -315,13 +317,13 @@ def velocity_notes(
         )
         if alike < _ALIKE:
             notes.append(
-                f"{names[k]}: the recorded velocity does not follow the positions; it is not used"
+                f"{joint}: the recorded velocity does not follow the positions; it is not used"
             )
         elif abs(factor - 1.0) > _OTHER_UNIT:
             unit = next((u for u, size in _SPEEDS.items() if abs(factor / size - 1.0) < 0.1), "")
             said = f"it seems to be in {unit}" if unit else "its unit, side or sign is wrong"
             notes.append(
-                f"{names[k]}: the recorded velocity is {factor:.3g} times the change of the "
+                f"{joint}: the recorded velocity is {factor:.3g} times the change of the "
                 f"positions: {said}; it is not used"
             )
     return notes

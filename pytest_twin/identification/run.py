@@ -11,7 +11,7 @@ from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import PathError, RecordingError, TwinError
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.identification.closed_loop import simulated, trials_of
+from pytest_twin.identification.closed_loop import effort_responses, simulated, trials_of
 from pytest_twin.identification.contact.identify import are_tosses, identify_contact
 from pytest_twin.identification.contact.roles import TossOptions
 from pytest_twin.identification.effort.identify import has_effort, identify_effort
@@ -126,7 +126,9 @@ def identify_files(
         document["fit"] = fit
         document["encoders"] = {joint: asdict(one) for joint, one in encoders.items()}
         document["frequency_response"] = (
-            [] if isinstance(tried, TwinError) else frequency_responses(fitted_model, tried)
+            effort_responses(measured.held_out or measured.fit)
+            if isinstance(tried, TwinError)
+            else frequency_responses(fitted_model, tried)
         )
         for joint, error in positions.items():
             document["held_out"].setdefault(joint, {}).update(

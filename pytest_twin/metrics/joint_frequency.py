@@ -83,6 +83,25 @@ def joint_responses(
     return out
 
 
+def effort_response(
+    joint: str, recording: str, time: FloatArray, effort: FloatArray, position: FloatArray
+) -> JointFrequency | None:
+    """Frequency response from a signed effort to the position, where no command is recorded.
+
+    None if the recording determines fewer than three lines.
+
+    Args:
+        joint: name of the joint.
+        recording: name of the file.
+        time: (n,) s.
+        effort, position: (n,) signals, N*m and rad, or N and m; NaN where unknown.
+    """
+    found = _responses(time, [effort, position])
+    if not found or found[0] is None or len(found[0].frequency) < _MIN_LINES:
+        return None
+    return JointFrequency(joint, "effort", "position per effort", recording, found[0], None)
+
+
 def _responses(time: FloatArray, series: list[FloatArray]) -> list[Response | None]:
     """Frequency response of each further series to the first."""
     known = np.all(np.isfinite(series), axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from pytest_twin.metrics.joint_frequency import joint_responses
+from pytest_twin.metrics.joint_frequency import effort_response, joint_responses
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.frequency import figures_of, rows_of
 from pytest_twin.trial import Trial, make_trials, recordings_at
@@ -61,3 +61,17 @@ def test_resonances_of_recording_and_model_are_reported(tmp_path: Path) -> None:
 def test_an_effort_without_signal_has_no_frequency_response(tmp_path: Path) -> None:
     trial = recorded(tmp_path / "noise.csv", 0.0)
     assert [one.input for one in joint_responses(trial, "knee")] == ["command"]
+
+
+def test_the_response_to_an_effort_needs_no_command() -> None:
+    time = np.arange(8000) / RATE
+    effort = np.random.default_rng(0).standard_normal(8000)
+    motion = 0.5 * signal.lfilter([0.2], [1.0, -0.8], effort)
+    found = effort_response("knee", "noise.csv", time, effort, motion)
+    assert found is not None
+    assert found.input == "effort"
+    _, exact = signal.freqz([0.1], [1.0, -0.8], found.measured.frequency, fs=RATE)
+    np.testing.assert_allclose(found.measured.magnitude, np.abs(exact), rtol=0.1)
+    assert effort_response("knee", "short.csv", time[:50], effort[:50], motion[:50]) is None
+    unrelated = np.random.default_rng(1).standard_normal(8000)
+    assert effort_response("knee", "noise.csv", time, unrelated, motion) is None
