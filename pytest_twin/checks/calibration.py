@@ -50,27 +50,31 @@ class CalibrationCheck(Check):
         "target": {
             "type": "object",
             "properties": {
-                "record": {**TEXT, "description": "Id of a calibration under calibrations:."},
+                "record": {**TEXT, "description": "Id under calibrations: in twin.yaml."},
                 "plan": {
                     **TEXT,
-                    "description": "calibration.yaml that the record was made from, relative to "
+                    "description": "The calibration.yaml of the record. The path is relative to "
                     "the twin's folder or to one of its roots.",
                 },
                 "observations": {
                     **TEXT,
-                    "description": "Observations that the record was made from, found as the plan.",
+                    "description": "File of the record's observations. The path is given as for "
+                    "the plan. A calibration of streams has none.",
                 },
                 "streams": {
                     "type": "object",
-                    "properties": {"hand": TEXT, "camera": TEXT},
+                    "properties": {
+                        "hand": {**TEXT, "description": "Poses on the hand's clock."},
+                        "camera": {**TEXT, "description": "Poses on the camera's clock."},
+                    },
                     "required": ["hand", "camera"],
                     "additionalProperties": False,
-                    "description": "Streams that the record was made from, in place of "
-                    "observations; found as the plan.",
+                    "description": "Files of the record's two pose streams, instead of "
+                    "observations. The paths are given as for the plan.",
                 },
                 "flange": {
                     **TEXT,
-                    "description": "The plan's flange, where the plan has a robot.",
+                    "description": "The plan's flange, if the plan has a robot.",
                 },
             },
             "required": ["record", "plan"],

@@ -70,23 +70,29 @@ class CollisionDistance(Check):
                 "pairs": {
                     "type": "array",
                     "items": {**_NAMES_SCHEMA, "maxItems": 2},
-                    "description": "Pairs of bodies or geoms (a geom goes before a body).",
+                    "description": "Pairs of bodies or geoms whose distance is compared. A name "
+                    "that both a body and a geom have means the geom.",
                 },
                 "disabled": {
                     "type": "array",
-                    "description": "Every pair of bodies that the model keeps from colliding.",
+                    "description": "All pairs of bodies whose collision the model disables, with "
+                    "the reasons.",
                     "items": {
                         "type": "object",
                         "properties": {
-                            "pair": {**_NAMES_SCHEMA, "maxItems": 2},
+                            "pair": {
+                                **_NAMES_SCHEMA,
+                                "maxItems": 2,
+                                "description": "The two bodies.",
+                            },
                             "among": {
                                 **_NAMES_SCHEMA,
-                                "description": "Bodies of which every pair has the same reason.",
+                                "description": "Bodies; the reason holds for each pair of them.",
                             },
                             "reason": {
                                 "type": "string",
                                 "pattern": "\\S",
-                                "description": "Why these may pass through each other.",
+                                "description": "Why these bodies may pass through each other.",
                             },
                         },
                         "required": ["reason"],

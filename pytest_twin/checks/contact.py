@@ -15,7 +15,7 @@ from pytest_twin.checks.base import (
     Trace,
 )
 from pytest_twin.checks.contact_scene import FLOOR, OBJECT, SIZES, Scene
-from pytest_twin.checks.fields import QUANTITY_SCHEMA
+from pytest_twin.checks.fields import GRAVITY_SCHEMA, QUANTITY_SCHEMA
 from pytest_twin.checks.poses import POSE_SCHEMA, keyframes_of
 from pytest_twin.checks.scalars import declared_measure, scalar_measures
 from pytest_twin.dependency import Structure
@@ -86,45 +86,49 @@ class Contact(Check):
         "target": {
             "type": "object",
             "properties": {
-                "primitive": {"enum": ["approach", "slide", "release", "grip", "toss"]},
+                "primitive": {
+                    "enum": ["approach", "slide", "release", "grip", "toss"],
+                    "description": "How the pair is brought into contact.",
+                },
                 "pair": {
                     "type": "array",
                     "items": {"type": "string", "minLength": 1},
                     "minItems": 2,
                     "maxItems": 2,
                     "uniqueItems": True,
-                    "description": "Two geoms or bodies; 'object' and 'floor' are those declared "
-                    "beside it. A grip names its two fingers.",
+                    "description": "Two geoms or bodies. 'object' and 'floor' are those that the "
+                    "target adds to the scene. For grip: the two fingers.",
                 },
                 "object": {
                     "type": "object",
-                    "description": "A free body to touch. It starts above the second of the pair, "
-                    "or at a frame.",
+                    "description": "Free body that is added to the scene. It starts above the "
+                    "second of the pair, or at a frame.",
                     "properties": {
-                        "shape": {"enum": sorted(SIZES)},
+                        "shape": {"enum": sorted(SIZES), "description": "Shape of the object."},
                         "size": {
                             "type": "array",
                             "items": QUANTITY_SCHEMA,
                             "minItems": 1,
                             "maxItems": 3,
-                            "description": "Half sizes in m: box x y z; sphere radius; cylinder "
-                            "and capsule radius and half length along z.",
+                            "description": "Half sizes in m. Box: along x, y and z. Sphere: "
+                            "radius. Cylinder and capsule: radius, and half length along z.",
                         },
-                        "mass": {**QUANTITY_SCHEMA, "description": "'0.1 kg'"},
+                        "mass": {**QUANTITY_SCHEMA, "description": "Mass, such as '0.1 kg'."},
                         "friction": {
                             "type": "number",
                             "minimum": 0,
-                            "description": "Of its surface; without it, what it touches decides.",
+                            "description": "Coefficient of sliding friction. Default: all "
+                            "contact parameters are those of the body that the object touches.",
                         },
                         "frame": {
                             "type": "string",
                             "minLength": 1,
-                            "description": "Site or body at which it starts.",
+                            "description": "Site or body at which the object starts.",
                         },
                         "offset": {
                             **_VECTOR,
-                            "description": "From there, in m: along the frame's axes, or the "
-                            "world's where it starts above the second of the pair.",
+                            "description": "Displacement of the start, m, along the axes of "
+                            "frame, or of the world without frame. Default: zero.",
                         },
                     },
                     "required": ["shape", "size", "mass"],
@@ -133,7 +137,8 @@ class Contact(Check):
                 **contact_toss.FIELDS,
                 "floor": {
                     **QUANTITY_SCHEMA,
-                    "description": "Height of a horizontal plane to touch, in the world.",
+                    "description": "Height of a horizontal plane that is added to the scene, m in "
+                    "the world frame.",
                 },
             },
             "required": ["primitive", "pair"],
@@ -144,50 +149,63 @@ class Contact(Check):
             "properties": {
                 "duration": {
                     **QUANTITY_SCHEMA,
-                    "description": "How long the pair touches; of a slide before, of a grip "
-                    "before the object has weight.",
+                    "description": "Simulated time, up to 60 s. For slide: the time before the "
+                    "tangential force. For grip: the time before the object has weight.",
                 },
                 "pose": POSE_SCHEMA,
-                "gravity": {"type": "boolean", "description": "True by default."},
+                "gravity": GRAVITY_SCHEMA,
                 "others": {
                     "enum": ["free", "locked"],
-                    "description": "locked: joints without command or effort are bolted.",
+                    "description": "free (default): all joints can move. locked: joints without a "
+                    "command or effort are fixed.",
                 },
                 "gap": {
                     **QUANTITY_SCHEMA,
-                    "description": "Between a free body and what it is put above, 10 mm by "
-                    "default.",
+                    "description": "Distance at the start between a free body and the body below "
+                    "it. Default: '10 mm'.",
                 },
                 "command": {
                     "type": "object",
                     "additionalProperties": {"type": "number"},
-                    "description": "Actuator -> control that it goes to from its hold.",
+                    "description": "Actuator -> value to which its control changes from the "
+                    "holding command.",
                 },
                 "effort": {
                     "type": "object",
                     "additionalProperties": QUANTITY_SCHEMA,
-                    "description": "Joint -> effort on it, N*m or N, beside any actuator.",
+                    "description": "Joint -> effort in N*m or N, added to that of actuators.",
                 },
                 "press": {
                     **QUANTITY_SCHEMA,
-                    "description": "Force on the first of the pair, towards the second: '5 N'.",
+                    "description": "Force on the first of the pair towards the second, such as "
+                    "'5 N'. Default: none.",
                 },
                 "ramp": {
                     **QUANTITY_SCHEMA,
-                    "description": "How long commands, efforts and press take to grow, '0.2 s' by "
-                    "default.",
+                    "description": "Time in which command, effort and press grow to their values. "
+                    "Default: '0.2 s'.",
                 },
                 "slide": {
                     "type": "object",
-                    "description": "Of a slide: the force on the first of the pair.",
+                    "description": "For slide: tangential force on the first of the pair.",
                     "properties": {
-                        "direction": {**_VECTOR, "description": "In the world."},
-                        "force": {**QUANTITY_SCHEMA, "description": "What it grows to: '10 N'."},
-                        "duration": {**QUANTITY_SCHEMA, "description": "How long it grows."},
+                        "direction": {
+                            **_VECTOR,
+                            "description": "Direction in the world frame. Only its part along the "
+                            "surface is used.",
+                        },
+                        "force": {
+                            **QUANTITY_SCHEMA,
+                            "description": "Final value, such as '10 N'.",
+                        },
+                        "duration": {
+                            **QUANTITY_SCHEMA,
+                            "description": "Time in which the force grows from zero, up to 60 s.",
+                        },
                         "travel": {
                             **QUANTITY_SCHEMA,
-                            "description": "Way beyond which the pair has slipped, '1 mm' by "
-                            "default.",
+                            "description": "Displacement above which the pair has slipped. "
+                            "Default: '1 mm'.",
                         },
                     },
                     "required": ["direction", "force", "duration"],
@@ -195,7 +213,8 @@ class Contact(Check):
                 },
                 "hold": {
                     **QUANTITY_SCHEMA,
-                    "description": "Of a grip: how long the object is held with its weight.",
+                    "description": "For grip: time for which the object is held with its weight, "
+                    "up to 60 s.",
                 },
             },
             "additionalProperties": False,

@@ -25,25 +25,30 @@ UNITS: Mapping[str, str] = {
 FIELDS: Mapping[str, Any] = {
     "recording": {
         **TEXT,
-        "description": "Of a toss: an .npz file of tosses, or a bag with poses of the first of the "
-        "pair, relative to the twin's folder or to one of its roots.",
+        "description": "For toss: an .npz file of tosses, or a bag with poses of the first of the "
+        "pair. The path is relative to the twin's folder or to one of its roots.",
     },
     "tosses": {
         "type": "array",
         "minItems": 1,
         "uniqueItems": True,
         "items": TEXT,
-        "description": "Of a toss: names of arrays in the .npz file; all by default.",
+        "description": "For toss: names of arrays in the .npz file. Default: all.",
     },
-    "topic": {**TEXT, "description": "Of a toss: the topic of the poses, where a bag has several."},
+    "topic": {
+        **TEXT,
+        "description": "For toss: topic of the poses. Needed if a bag has several.",
+    },
     "length_unit": {
         **QUANTITY_SCHEMA,
-        "description": "Of a toss: m for one unit of length of an .npz file; found by default.",
+        "description": "For toss: length of one unit of the .npz file, m. Default: found from the "
+        "acceleration in free fall.",
     },
     "rate": {
         "type": "number",
         "exclusiveMinimum": 0,
-        "description": "Of a toss: samples per s of an .npz file; found by default.",
+        "description": "For toss: sampling rate of the .npz file, Hz. Default: found from "
+        "positions and velocities.",
     },
 }
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.checks.fields import (
+    CONTACT_SCHEMA,
     EFFORT_UNIT,
+    GRAVITY_SCHEMA,
     POSITION_UNIT,
     QUANTITY_SCHEMA,
     VELOCITY_UNIT,
@@ -40,21 +42,22 @@ CONTROL = "control"
 TARGET_SCHEMA: Mapping[str, Any] = {
     "type": "object",
     "properties": {
-        "joint": {"type": "string", "minLength": 1, "description": "Hinge or slide joint."},
+        "joint": {"type": "string", "minLength": 1, "description": "Hinge or slide joint to test."},
         "actuator": {
             "type": "string",
             "minLength": 1,
-            "description": "Actuator that drives the joint through a tendon; the command is then "
-            "its control, in the actuator's own unit.",
+            "description": "Actuator that drives the joint through a tendon. The amplitude is "
+            "then in the unit of its control.",
         },
         "command": {
             "enum": ["position", "velocity", "effort"],
-            "description": "What is commanded: the mode of the joint's actuator by default; an "
-            "effort acts on the joint itself where it has no actuator.",
+            "description": "Commanded quantity. Default: the mode of the joint's actuator. On a "
+            "joint without an actuator, an effort is applied to the joint itself.",
         },
         "response": {
             "enum": ["position", "velocity"],
-            "description": "What answers: position for a position command, else velocity.",
+            "description": "Measured quantity. Default: position for a position command, else "
+            "velocity.",
         },
     },
     "required": ["joint"],
@@ -62,19 +65,18 @@ TARGET_SCHEMA: Mapping[str, Any] = {
 }
 BENCH_SCHEMA: Mapping[str, Any] = {
     "pose": POSE_SCHEMA,
-    "gravity": {"type": "boolean", "description": "True by default."},
-    "contact": {
-        "type": "boolean",
-        "description": "True by default; False lets bodies pass through each other.",
-    },
+    "gravity": GRAVITY_SCHEMA,
+    "contact": CONTACT_SCHEMA,
     "others": {
         "enum": ["free", "locked"],
-        "description": "free (default): position servos hold the pose, the rest is loose. locked: "
-        "all joints but this one and those tied to it are bolted, a free base too.",
+        "description": "free (default): position servos hold the pose, other joints can move. "
+        "locked: all joints are fixed except the tested joint and those coupled to it; a free base "
+        "is fixed too.",
     },
     "settle": {
         **QUANTITY_SCHEMA,
-        "description": "How long the robot is held before the stimulus, '0.5 s' by default.",
+        "description": "Time under the holding command before the stimulus, up to 60 s. Default: "
+        "'0.5 s'.",
     },
 }
 """Schema properties of a stimulus that both kinds share."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 EPISODE_SCHEMA: Mapping[str, Any] = {
     "type": "integer",
     "minimum": 0,
-    "description": "Which episode of a data set with several, from 0.",
+    "description": "Number of the episode in a data set with several, from 0.",
 }
 _FIELD = "target.episode"
 

@@ -90,56 +90,67 @@ class FrequencyResponse(Check):
             "properties": {
                 "signal": {
                     "enum": ["multisine", "chirp"],
-                    "description": "multisine (default): chosen lines of equal amplitude, random "
-                    "phases, low crest. chirp: a sweep over every line of the band.",
+                    "description": "multisine (default): selected frequencies with equal "
+                    "amplitudes, random phases and a low crest factor. chirp: a sweep over all "
+                    "frequencies of the band.",
                 },
                 "amplitude": {
                     **QUANTITY_SCHEMA,
-                    "description": "Peak of the command about the hold: '2 deg', '0.1 N*m'.",
+                    "description": "Peak of the command relative to the holding command, such as "
+                    "'2 deg' or '0.1 N*m'.",
                 },
                 "band": {
                     "type": "array",
-                    "items": {**QUANTITY_SCHEMA, "description": "A frequency: '0.5 Hz'."},
+                    "items": {**QUANTITY_SCHEMA, "description": "A frequency, such as '0.5 Hz'."},
                     "minItems": 2,
                     "maxItems": 2,
-                    "description": "Lowest and highest frequency.",
+                    "description": "Lowest and highest frequency of the excitation, in Hz or with "
+                    "a unit.",
                 },
                 "period": {
                     **QUANTITY_SCHEMA,
-                    "description": "Length of one period; its inverse is the resolution.",
+                    "description": "Length of one period, such as '4 s'. Its inverse is the "
+                    "frequency resolution.",
                 },
                 "lines": {
                     "type": "integer",
                     "minimum": 2,
                     "maximum": 400,
-                    "description": "Lines of a multisine, spaced by ratio; 30 by default.",
+                    "description": "Number of frequencies of a multisine, at equal ratios. "
+                    "Default: 30.",
                 },
                 "realizations": {
                     "type": "integer",
                     "minimum": 2,
                     "maximum": 64,
-                    "description": "Different commands of the same spectrum; 6 by default, 8 at "
-                    "most for a chirp.",
+                    "description": "Number of commands with the same amplitude spectrum and "
+                    "different phases. Default: 6. A chirp has at most 8.",
                 },
                 "periods": {
                     "type": "integer",
                     "minimum": 1,
                     "maximum": 64,
-                    "description": "Periods that are evaluated; 2 by default.",
+                    "description": "Number of evaluated periods of each command. Default: 2.",
                 },
                 "transient_periods": {
                     "type": "integer",
                     "minimum": 1,
                     "maximum": 64,
-                    "description": "Periods before, which are not; 1 by default.",
+                    "description": "Number of periods before the evaluated ones, in which the "
+                    "transient decays. Default: 1.",
                 },
                 "coherence": {
                     "type": "number",
                     "exclusiveMinimum": 0,
                     "maximum": 1,
-                    "description": "Lines below it are not reported; 0.95 by default.",
+                    "description": "Smallest coherence of a frequency that is reported. Default: "
+                    "0.95.",
                 },
-                "seed": {"type": "integer", "minimum": 0, "description": "1 by default."},
+                "seed": {
+                    "type": "integer",
+                    "minimum": 0,
+                    "description": "Seed of the random phases. Default: 1.",
+                },
                 **BENCH_SCHEMA,
             },
             "required": ["amplitude", "band", "period"],

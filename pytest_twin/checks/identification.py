@@ -38,14 +38,14 @@ class IdentificationCheck(Check):
         "target": {
             "type": "object",
             "properties": {
-                "record": {**TEXT, "description": "Id of an identification under fit:."},
+                "record": {**TEXT, "description": "Id under fit: in twin.yaml."},
                 "recordings": {
                     "type": "array",
                     "minItems": 1,
                     "uniqueItems": True,
                     "items": TEXT,
-                    "description": "Held-out recordings of the record, relative to the twin's "
-                    "folder or to one of its roots.",
+                    "description": "Held-out recordings of the record. The paths are relative to "
+                    "the twin's folder or to one of its roots.",
                 },
             },
             "required": ["record", "recordings"],

@@ -66,37 +66,38 @@ class JointDirection(Check):
                 "joints": {
                     "type": "object",
                     "minProperties": 1,
-                    "description": "Joint name to what it does when its value grows.",
+                    "description": "Joint -> how a frame moves when the position of the joint "
+                    "increases.",
                     "additionalProperties": {
                         "type": "object",
                         "properties": {
                             "frame": {
                                 "type": "string",
                                 "minLength": 1,
-                                "description": "Body or site that is watched.",
+                                "description": "Body or site whose motion is measured.",
                             },
                             "rotation": _VECTOR
-                            | {"description": "Axis about which the frame turns, right-handed."},
+                            | {"description": "Axis of the frame's right-handed rotation."},
                             "translation": _VECTOR
-                            | {"description": "Direction in which the frame's origin moves."},
+                            | {"description": "Direction of motion of the frame's origin."},
                             "in": {
                                 "type": "string",
                                 "minLength": 1,
                                 "description": (
-                                    "Frame, at the measured pose, in which the vector is "
-                                    "given; 'world' by default."
+                                    "Frame, at the pose of the stimulus, in which the vector "
+                                    "is expressed. Default: 'world'."
                                 ),
                             },
                             "actuator": {
                                 "type": "string",
                                 "minLength": 1,
-                                "description": "Actuator whose command is tried too.",
+                                "description": "Actuator whose command is increased in simulation.",
                             },
                             "command": {
                                 "enum": ["positive", "negative"],
                                 "description": (
-                                    "Way the joint moves for a growing command; positive when "
-                                    "left out."
+                                    "Direction in which an increasing command moves the joint. "
+                                    "Default: positive."
                                 ),
                             },
                         },
@@ -115,7 +116,7 @@ class JointDirection(Check):
                 "pose": POSE_SCHEMA,
                 "duration": {
                     "type": "string",
-                    "description": "How long the command is applied, '100 ms' when left out.",
+                    "description": "Time for which the command is applied. Default: '100 ms'.",
                 },
             },
             "additionalProperties": False,

@@ -92,26 +92,28 @@ class Limits(Check):
                 "joints": {
                     "type": "object",
                     "minProperties": 1,
-                    "description": "Joint name to what bounds it.",
+                    "description": "Joint -> its declared limits.",
                     "additionalProperties": {
                         "type": "object",
                         "minProperties": 1,
                         "properties": {
                             "hard": {
-                                "description": "Lower and upper stop, or 'none'.",
+                                "description": "Lower and upper stop, rad or m; 'none' without "
+                                "stops.",
                                 "anyOf": [{"const": "none"}, _RANGE_SCHEMA],
                             },
                             "soft": {
                                 **_RANGE_SCHEMA,
-                                "description": "Range that commanded positions stay in.",
+                                "description": "Lower and upper limit of commanded positions, rad "
+                                "or m.",
                             },
                             "velocity": {
                                 **QUANTITY_SCHEMA,
-                                "description": "Greatest speed, such as '180 deg/s'.",
+                                "description": "Largest speed, such as '180 deg/s'.",
                             },
                             "effort": {
                                 **QUANTITY_SCHEMA,
-                                "description": "Greatest torque or force, such as '10 N*m'.",
+                                "description": "Largest torque or force, such as '10 N*m'.",
                             },
                         },
                         "additionalProperties": False,
@@ -126,15 +128,16 @@ class Limits(Check):
             "properties": {
                 "duration": {
                     "type": "string",
-                    "description": "How long each push lasts, '500 ms' when left out.",
+                    "description": "Time for which each command or push is applied. Default: "
+                    "'500 ms'.",
                 },
                 "push": {
                     "type": "number",
                     "minimum": 0,
                     "maximum": 1,
                     "description": (
-                        "Fraction of its effort with which a joint is pushed against its stops: "
-                        "1 when left out, 0 for no push."
+                        "Fraction of the joint's effort with which it is pushed against its "
+                        "stops. Default: 1. 0: no push."
                     ),
                 },
             },

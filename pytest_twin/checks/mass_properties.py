@@ -62,13 +62,14 @@ class MassProperties(Check):
                     "type": "array",
                     "items": {"type": "string", "minLength": 1},
                     "uniqueItems": True,
-                    "description": "Joints whose gravity torque is compared; all when left out.",
+                    "description": "Joints whose gravity torque is compared. Default: all.",
                 },
                 "bodies": {
                     "type": "array",
                     "items": {"type": "string", "minLength": 1},
                     "uniqueItems": True,
-                    "description": "Bodies whose own mass and centre of mass are compared too.",
+                    "description": "Bodies whose mass and centre of mass are compared. Default: "
+                    "none.",
                 },
             },
             "additionalProperties": False,

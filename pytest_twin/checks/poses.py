@@ -36,18 +36,20 @@ _CLOSED = 1e-10  # largest residual of a closed loop, m or rad
 
 POSE_SCHEMA: Mapping[str, Any] = {
     "description": (
-        "'reference' (the model's zero), the name of a keyframe of the model, or joints by name. "
-        "Joints left out stand at the reference; coupled (mimic) joints follow their master."
+        "'reference' (the model's reference configuration), the name of a keyframe of the model, "
+        "or joint positions. Joints that are left out stay at the reference. Coupled (mimic) "
+        "joints follow the joint that leads them."
     ),
     "anyOf": [
         {"type": "string", "minLength": 1},
         {
             "type": "object",
             "properties": {
-                "name": {"type": "string", "minLength": 1, "description": "What reports call it."},
+                "name": {"type": "string", "minLength": 1, "description": "Name in reports."},
                 "joints": {
                     "type": "object",
-                    "description": "Joint name to value: rad or m, or with a unit, '90 deg'.",
+                    "description": "Joint -> position in rad or m, or with a unit, such as '90 "
+                    "deg'.",
                     "additionalProperties": QUANTITY_SCHEMA,
                 },
             },
@@ -62,19 +64,25 @@ POSES_SCHEMA: Mapping[str, Any] = {
     "type": "array",
     "minItems": 1,
     "maxItems": 1000,
-    "description": "Poses to look at, each named, given by its joints, or drawn from a seed.",
+    "description": "Poses to evaluate: named, given by joint positions, or drawn from a seed.",
     "items": {
         "anyOf": [
             *POSE_SCHEMA["anyOf"],
             {
                 "type": "object",
                 "description": (
-                    "Random poses within the joint limits (a joint without limits: one turn, or "
-                    "1 m to each side), drawn once and then recorded in the spec."
+                    "Random poses within the joint limits. A joint without limits is drawn within "
+                    "half a turn or 1 m to each side. The poses are drawn once and then recorded "
+                    "in the spec."
                 ),
                 "properties": {
-                    "seed": {"type": "integer", "minimum": 0},
-                    "count": {"type": "integer", "minimum": 1, "maximum": 1000},
+                    "seed": {"type": "integer", "minimum": 0, "description": "Seed of the draw."},
+                    "count": {
+                        "type": "integer",
+                        "minimum": 1,
+                        "maximum": 1000,
+                        "description": "Number of poses to draw.",
+                    },
                 },
                 "required": ["seed", "count"],
                 "additionalProperties": False,

@@ -18,7 +18,7 @@ from pytest_twin.checks.base import (
     Trace,
 )
 from pytest_twin.checks.episode import EPISODE_SCHEMA, recording_of
-from pytest_twin.checks.fields import known_name, quantity, spec_error
+from pytest_twin.checks.fields import known_name, quantity, spec_error, tolerance_schema
 from pytest_twin.checks.measured_pose import measured_and_predicted
 from pytest_twin.checks.replay_sensors import (
     SENSORS_SCHEMA,
@@ -103,13 +103,13 @@ class Replay(Check):
             "properties": {
                 "recording": {
                     **_NAME,
-                    "description": "Recording, relative to the twin's folder or to one of its "
-                    "roots.",
+                    "description": "Recording to replay. The path is relative to the twin's "
+                    "folder or to one of its roots.",
                 },
                 "episode": EPISODE_SCHEMA,
                 "joints": {
-                    "description": "Joints that are compared, or joint -> tolerances of its own; "
-                    "all that were recorded by default.",
+                    "description": "Joints that are compared, as a list or as joint -> its own "
+                    "tolerances. Default: all recorded joints.",
                     "anyOf": [
                         {"type": "array", "minItems": 1, "uniqueItems": True, "items": _NAME},
                         {
@@ -117,7 +117,10 @@ class Replay(Check):
                             "minProperties": 1,
                             "additionalProperties": {
                                 "type": ["object", "null"],
-                                "properties": dict.fromkeys(_JOINT_TOLERANCES, _NAME),
+                                "properties": {
+                                    name: tolerance_schema(_TOLERANCES[name])
+                                    for name in _JOINT_TOLERANCES
+                                },
                                 "additionalProperties": False,
                             },
                         },
@@ -125,22 +128,25 @@ class Replay(Check):
                 },
                 "tcp": {
                     **_NAME,
-                    "description": "Frame of the tool: its pose at the predicted joints is held "
-                    "against that at the measured ones.",
+                    "description": "Frame of the tool. Its pose at the predicted joint positions "
+                    "is compared with its pose at the measured ones.",
                 },
                 "tcp_topic": {
                     **_NAME,
-                    "description": "Topic of the recording with the tool's measured poses "
-                    "(geometry_msgs/PoseStamped): the prediction is held against these instead.",
+                    "description": "Topic with measured poses of the tool "
+                    "(geometry_msgs/PoseStamped). The predicted poses are compared with these "
+                    "instead.",
                 },
                 "sensors": SENSORS_SCHEMA,
                 "controller": {
                     **_NAME,
-                    "description": "The controller of twin.yaml that the recording names.",
+                    "description": "Controller with which the recording was made, as its metadata "
+                    "names it.",
                 },
                 "payload": {
                     **_NAME,
-                    "description": "The payload of twin.yaml that the recording names.",
+                    "description": "Payload with which the recording was made, as its metadata "
+                    "names it.",
                 },
             },
             "required": ["recording"],

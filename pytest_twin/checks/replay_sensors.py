@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pytest_twin.checks.base import Measure
-from pytest_twin.checks.fields import known_name, quantity, spec_error
+from pytest_twin.checks.fields import known_name, quantity, spec_error, tolerance_schema
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.golden import Golden
 
@@ -25,15 +25,14 @@ _BY_UNIT: Mapping[str, str] = {
     "rad": "angle_rms",
 }
 """Unit of a channel -> its tolerance."""
-_NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
 SENSORS_SCHEMA: Mapping[str, Any] = {
     "type": "object",
     "minProperties": 1,
-    "description": "Sensors of a record under fit: -> tolerances of their channels.",
+    "description": "Sensor of a record under fit: in twin.yaml -> tolerances of its channels.",
     "additionalProperties": {
         "type": "object",
         "minProperties": 1,
-        "properties": dict.fromkeys(_BY_UNIT.values(), _NAME),
+        "properties": {name: tolerance_schema(unit) for unit, name in _BY_UNIT.items()},
         "additionalProperties": False,
     },
 }

@@ -33,11 +33,11 @@ _SAME_PEAK_S = 0.2
 _STREAM: Mapping[str, Any] = {
     "type": "object",
     "properties": {
-        "topic": {**TEXT, "description": "Of the stream in the recording."},
-        "joint": {**TEXT, "description": "Of joint states: whose motion counts."},
+        "topic": {**TEXT, "description": "Topic of the stream."},
+        "joint": {**TEXT, "description": "For joint states: the joint."},
         "quantity": {
             "enum": ["speed", "effort"],
-            "description": "Of joint states: speed by default.",
+            "description": "For joint states: its quantity. Default: speed.",
         },
     },
     "required": ["topic"],
@@ -62,16 +62,17 @@ class SensorTiming(Check):
             "properties": {
                 "recording": {
                     **TEXT,
-                    "description": "MCAP file, rosbag2 folder or .db3 file, relative to the twin's "
-                    "folder or to one of its roots.",
+                    "description": "MCAP file, rosbag2 folder or .db3 file. The path is relative "
+                    "to the twin's folder or to one of its roots.",
                 },
                 "streams": {
                     "type": "array",
                     "minItems": 2,
                     "maxItems": 2,
                     "items": _STREAM,
-                    "description": "Two streams of one motion: the angular speed of an Imu or a "
-                    "PoseStamped, the force of a WrenchStamped, the speed or effort of a joint.",
+                    "description": "Two streams that measure one motion. An Imu or PoseStamped "
+                    "gives an angular speed, a WrenchStamped a force, joint states the speed or "
+                    "effort of one joint.",
                 },
             },
             "required": ["recording", "streams"],

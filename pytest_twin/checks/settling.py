@@ -11,6 +11,8 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.checks.fields import (
+    CONTACT_SCHEMA,
+    GRAVITY_SCHEMA,
     POSITION_UNIT,
     QUANTITY_SCHEMA,
     known_name,
@@ -55,14 +57,14 @@ class Settling(Check):
     schema: ClassVar[Mapping[str, Any]] = {
         "target": {
             "type": "object",
-            "description": "What of the robot is looked at.",
+            "description": "Joints to compare.",
             "properties": {
                 "joints": {
                     "type": "array",
                     "minItems": 1,
                     "uniqueItems": True,
                     "items": {"type": "string", "minLength": 1},
-                    "description": "Joints whose rest is compared; all by default.",
+                    "description": "Joints whose rest position is compared. Default: all.",
                 }
             },
             "additionalProperties": False,
@@ -72,32 +74,36 @@ class Settling(Check):
             "properties": {
                 "duration": {
                     **QUANTITY_SCHEMA,
-                    "description": "How long it is watched: '3 s'.",
+                    "description": "Simulated time, such as '3 s'; up to 600 s.",
                 },
                 "pose": POSE_SCHEMA,
                 "displacement": {
                     "type": "object",
-                    "description": "Joint -> how far from the pose it is let go, rad or m. "
-                    "Servos keep asking for the pose.",
+                    "description": "Joint -> its displacement from the pose at the start, rad or "
+                    "m. Position servos still command the pose.",
                     "additionalProperties": QUANTITY_SCHEMA,
                 },
-                "gravity": {"type": "boolean", "description": "True by default."},
-                "contact": {
-                    "type": "boolean",
-                    "description": "True by default; False lets bodies pass through each other.",
-                },
+                "gravity": GRAVITY_SCHEMA,
+                "contact": CONTACT_SCHEMA,
                 "input": {
                     "enum": ["hold", "zero"],
-                    "description": "hold (default): position servos ask for the pose, velocity "
-                    "servos for standstill, motors for nothing. zero: every control is 0, which "
-                    "sends a position servo to 0.",
+                    "description": "hold (default): position servos command the pose, velocity "
+                    "servos zero velocity, motors zero effort. zero: all controls are 0, also "
+                    "those of position servos.",
                 },
                 "band": {
                     "type": "object",
-                    "description": "How close to its rest counts as settled.",
+                    "description": "Largest distance from its rest position at which a joint "
+                    "counts as settled.",
                     "properties": {
-                        "angle": {**QUANTITY_SCHEMA, "description": "'1 mrad' by default."},
-                        "position": {**QUANTITY_SCHEMA, "description": "'0.1 mm' by default."},
+                        "angle": {
+                            **QUANTITY_SCHEMA,
+                            "description": "For angles. Default: '1 mrad'.",
+                        },
+                        "position": {
+                            **QUANTITY_SCHEMA,
+                            "description": "For positions. Default: '0.1 mm'.",
+                        },
                     },
                     "additionalProperties": False,
                 },

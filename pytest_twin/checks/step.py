@@ -68,12 +68,13 @@ class Step(Check):
             "properties": {
                 "amplitude": {
                     **QUANTITY_SCHEMA,
-                    "description": "Size of the step over the hold: '5 deg', '0.2 N*m'. A bare "
-                    "number is in rad, m, rad/s, m/s, N*m or N.",
+                    "description": "Size of the step relative to the holding command, such as "
+                    "'5 deg' or '0.2 N*m'. A number without a unit is in rad, m, rad/s, m/s, N*m "
+                    "or N.",
                 },
                 "duration": {
                     **QUANTITY_SCHEMA,
-                    "description": "How long the answer is watched: '1 s'.",
+                    "description": "Time after the step, such as '1 s'.",
                 },
                 **BENCH_SCHEMA,
             },

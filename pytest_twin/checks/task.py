@@ -59,28 +59,33 @@ class Task(Check):
                 "function": {
                     "type": "string",
                     "pattern": r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$",
-                    "description": "'tasks.py:pick_and_place', a file relative to the twin's "
-                    "folder or to one of its roots, or 'package.module:function', installed. It "
-                    "runs with your rights; pytest --twin-confine takes them away.",
+                    "description": "'tasks.py:pick_and_place', with a file relative to the twin's "
+                    "folder or to one of its roots, or 'package.module:function' of an installed "
+                    "package. The function has your rights, unless pytest runs with "
+                    "--twin-confine.",
                 },
                 "files": {
                     "type": "array",
                     "uniqueItems": True,
                     "items": _NAME,
-                    "description": "Further files that the result depends on: modules that the "
-                    "function imports, tables that it reads.",
+                    "description": "Other files that the result depends on, such as modules that "
+                    "the function imports and tables that it reads. The paths are relative to the "
+                    "twin's folder or to one of its roots.",
                 },
                 "outputs": {
                     "type": "object",
                     "minProperties": 1,
-                    "description": "Output -> its SI unit and its tolerance.",
+                    "description": "Output of the function -> its SI unit and its tolerance.",
                     "additionalProperties": {
                         "type": "object",
                         "properties": {
-                            "unit": {"enum": list(SI_UNITS), "description": "SI unit, 1 for none."},
+                            "unit": {
+                                "enum": list(SI_UNITS),
+                                "description": "SI unit; 1 without a unit.",
+                            },
                             "tolerance": {
                                 **_NAME,
-                                "description": "Bound on the error of each number: '2 mm'.",
+                                "description": "Largest error of each number, such as '2 mm'.",
                             },
                         },
                         "required": ["unit", "tolerance"],

@@ -44,13 +44,14 @@ class TcpAccuracy(Check):
         "target": {
             "type": "object",
             "properties": {
-                "frame": {**TEXT, "description": "Body or site that was measured."},
+                "frame": {**TEXT, "description": "Body or site whose pose was measured."},
                 "measurements": {
                     **TEXT,
-                    "description": "CSV file, relative to the twin's folder or to one of its "
-                    "roots, with a row for each measurement: joint.NAME of every joint that moves "
-                    "the frame (encoder readings, rad or m), and flange.x y z qw qx qy qz (the "
-                    "frame's pose in the world) or point.FRAME.x y z (its origin alone), in m.",
+                    "description": "CSV file with one row for each measurement. The path is "
+                    "relative to the twin's folder or to one of its roots. Columns: joint.NAME of "
+                    "every joint that moves the frame (encoder reading, rad or m), and flange.x y "
+                    "z qw qx qy qz (pose of the frame in the world, m) or point.FRAME.x y z "
+                    "(position of its origin in the world, m).",
                 },
             },
             "required": ["frame", "measurements"],

@@ -9,38 +9,35 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.checks import Check, check_of, kinds
+from pytest_twin.checks.fields import tolerance_schema
 from pytest_twin.formats import atomic
 
 SCHEMA_VERSION = 1
 SHIPPED = "schemas/golden.schema.json"
-# SI unit -> example of a tolerance.
-_EXAMPLES = {
-    **{"m": "0.5 mm", "rad": "5 mrad", "s": "2 ms", "kg": "5 g", "1": "2 %"},
-    **{"N": "0.1 N", "N*m": "5 mN*m", "J": "1 mJ", "Hz": "0.2 Hz", "dB": "0.5 dB"},
-    **{"m/s": "2 mm/s", "rad/s": "1 deg/s"},
-}
 _SHA256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
 _TEXT = {"type": "string", "minLength": 1, "maxLength": 1000}
 
 _COMMON: Mapping[str, Any] = {
     "schema": {"const": SCHEMA_VERSION, "description": "Version of this schema."},
-    "kind": {**_TEXT, "description": "The check that runs this golden."},
-    "title": {**_TEXT, "description": "One line for people."},
+    "kind": {**_TEXT, "description": "Kind of golden: the check that runs it."},
+    "title": {**_TEXT, "description": "One line for readers."},
     "realizations": {
-        "description": "Names from twin.yaml that it runs on; the twin's first one by default.",
+        "description": "Names of realizations in twin.yaml. Default: the first one.",
         "type": "array",
         "items": _TEXT,
         "minItems": 1,
         "uniqueItems": True,
     },
     "criticality": {
-        "description": "critical blocks a release, advisory is reported.",
+        "description": "critical (default): a failure blocks a release. advisory: a failure is "
+        "only reported.",
         "enum": ["critical", "advisory"],
     },
     "target": {"type": "object", "description": "The tested joints, frames or bodies."},
     "stimulus": {"type": "object", "description": "Poses, motions or commands of the test."},
     "tolerance": {
-        "description": "Bound on each error, a number and a unit, such as '0.5 mm'.",
+        "description": "Largest allowed error of each quantity: a number and a unit, such as '0.5 "
+        "mm'.",
         "type": "object",
         "additionalProperties": _TEXT,
     },
@@ -49,27 +46,39 @@ _COMMON: Mapping[str, Any] = {
         "description": "Recorded values; written by pytest --twin-update.",
     },
     "trace": {
-        "description": "Recorded series next to the spec; written by pytest --twin-update.",
+        "description": "Recorded series in a file next to the spec; written by pytest "
+        "--twin-update.",
         "type": "object",
         "properties": {
-            "file": {"type": "string", "pattern": r"^[^/\\]+\.csv$"},
-            "sha256": _SHA256,
+            "file": {
+                "type": "string",
+                "pattern": r"^[^/\\]+\.csv$",
+                "description": "CSV file in the folder of the spec.",
+            },
+            "sha256": {**_SHA256, "description": "SHA-256 of the file, hex."},
         },
         "required": ["file", "sha256"],
         "additionalProperties": False,
     },
     "provenance": {
-        "description": "Who recorded it, when and on what; written by pytest --twin-update.",
+        "description": "By whom, when and with what it was recorded; written by pytest "
+        "--twin-update.",
         "type": "object",
         "properties": {
-            "recorded_by": _TEXT,
+            "recorded_by": {**_TEXT, "description": "Person or service that recorded it."},
             "recorded_at": {
                 "type": "string",
                 "pattern": r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z$",
+                "description": "UTC time, such as 2026-01-31T12:00:00Z.",
             },
-            "realization": _TEXT,
-            "simulator": _TEXT,
-            "parts": {"type": "object", "additionalProperties": _SHA256},
+            "realization": {**_TEXT, "description": "Realization that it was recorded with."},
+            "simulator": {**_TEXT, "description": "Simulator and its version."},
+            "parts": {
+                "type": "object",
+                "additionalProperties": _SHA256,
+                "description": "What the golden depends on, such as mujoco/inertia -> SHA-256, "
+                "hex.",
+            },
         },
         "required": ["recorded_by", "recorded_at", "realization", "simulator", "parts"],
         "additionalProperties": False,
@@ -134,7 +143,9 @@ def _fragment(check: Check) -> dict[str, Any]:
     }
     properties["tolerance"] = {
         "type": "object",
-        "properties": {name: _quantity(unit) for name, unit in sorted(check.tolerances.items())},
+        "properties": {
+            name: tolerance_schema(unit) for name, unit in sorted(check.tolerances.items())
+        },
         "required": sorted(check.required_tolerances),
         "additionalProperties": False,
     }
@@ -143,16 +154,6 @@ def _fragment(check: Check) -> dict[str, Any]:
         name for name in ("target", "stimulus") if properties.get(name, {}).get("required")
     ]
     return {"properties": properties, "required": required}
-
-
-def _quantity(unit: str) -> dict[str, Any]:
-    """Schema of a tolerance in ``unit``; a check of another package may use any unit."""
-    example = _EXAMPLES.get(unit, f"1 {unit}")
-    return {
-        **_TEXT,
-        "description": f"a number with its unit, such as {example!r}",
-        "examples": [example],
-    }
 
 
 def _write_shipped_schema() -> None:
