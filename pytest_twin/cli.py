@@ -37,7 +37,9 @@ COMMANDS: tuple[str, ...] = (
     "completion",
 )
 BROKEN_PIPE = 141
+"""Exit status after SIGPIPE: 128 + 13."""
 INTERRUPTED = 130
+"""Exit status after SIGINT: 128 + 2."""
 _PROGRAM = "pytest-twin"
 
 

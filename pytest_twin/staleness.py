@@ -21,6 +21,7 @@ from pytest_twin.twin import Affects, JointCalibration, Twin
 
 NO_RELEASE = Reason("no release yet")
 _FIELDS_PER_PART = 4
+"""Largest number of changed fields of a part that are listed."""
 _UNIT = re.compile(r"(.*\S) \[([^\]]*)\]")
 _IDENTITY = JointCalibration()
 

@@ -19,7 +19,9 @@ from pytest_twin.installed import load_plugin
 
 GROUP = "pytest_twin.residuals"
 _TABLES_BYTES = 1 << 20
+"""Largest size of a file of tables; 1 MiB is far above that of any diagnosis."""
 _ONNX_BYTES = 256 * 2**20
+"""Largest size of an ONNX model."""
 
 
 def law_of(spec: ResidualSpec) -> Law:

@@ -38,6 +38,7 @@ _MEMORY = 0.8
 _WORSE = 1.02
 """Ratio of the running errors of update and base above which the base parameters are used."""
 _SLOPE_SAMPLES = 5
+"""Number of samples before a window whose slope is the initial velocity, if none was recorded."""
 
 Disturb = Callable[[FloatArray, FloatArray], "FloatArray | None"]
 """Function from times (s) and measured positions (n, j) of a window to disturbed positions; None

@@ -24,6 +24,7 @@ from pytest_twin.replay import Row, row_of
 from pytest_twin.trial import Trial
 
 _FAULT_WINDOWS = 3
+"""Number of consecutive windows with a fault."""
 _TRIED_WINDOWS = 12
 """Number of windows of motion for testing a fault: before, during and after it."""
 _WORSE = 1.05

@@ -19,6 +19,7 @@ SOURCE_FOLDER = "source"
 """Folder of the supplier's unchanged files, next to the manifest."""
 STATES = ("source", "normalized", "realization")
 _MAX_BYTES = 64 * 2**20
+"""Largest size of a manifest."""
 
 
 @dataclass(frozen=True, slots=True)

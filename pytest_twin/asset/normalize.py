@@ -36,6 +36,7 @@ INERTIA_REPAIR = "inertia-repair"
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 UNITS = "units: metre, kilogram, second, radian; newton, newton metre"
 _UNIT_LENGTH = 1e-9
+"""Largest deviation of an axis's length from 1; larger ones are normalized."""
 _FLAT = 1e-9
 """Fraction of the largest principal moment below which a moment counts as zero, as in the audit."""
 _SAFE = re.compile(r"[^A-Za-z0-9_-]+")

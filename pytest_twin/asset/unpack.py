@@ -24,7 +24,9 @@ from pytest_twin.errors import FormatError, LimitError, PathError, TwinError
 from pytest_twin.formats.paths import open_regular
 
 _BLOCK = 2**20
+"""Number of bytes that are copied at once."""
 _READ_ONLY = 0o444
+"""File mode of the copies, because a source must not change."""
 _OPENERS: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZ": bz2.open, b"\xfd7": lzma.open}
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 

@@ -34,6 +34,7 @@ from pytest_twin.realization.usd_names import display_name
 
 WORLD = "world"
 _MOST_LAYERS = 200
+"""Largest number of layers of a stage."""
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 _KINDS: Mapping[str, JointKind] = {
     "PhysicsRevoluteJoint": "hinge",

@@ -21,6 +21,7 @@ _VIEWS = (
 )
 """Name, axes to the right and up, direction to the viewer; the front view is from +x."""
 _LIGHT = np.array([0.45, -0.55, 0.7])
+"""Direction to the lamp, world axes."""
 _WIDTH, _HEIGHT, _GAP = 11.0, 4.2, 0.5
 """In inches: width of a picture, largest height of a view, space for labels."""
 _DIM = "#5c6675"
@@ -32,7 +33,9 @@ _LEAST_CELLS = 3
 """A shape with fewer cells along it is drawn as its bounding box."""
 _Drawn = tuple[Shape, tuple[Vector, Faces]]
 _OVERLAP = (0.85, 0.29, 0.20)
+"""Colour (RGB) of bodies that overlap."""
 _BASE = (0.74, 0.76, 0.78)
+"""Colour (RGB) of the base."""
 _SHADES = (
     (0.36, 0.55, 0.77),
     (0.45, 0.68, 0.66),

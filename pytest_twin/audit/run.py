@@ -38,7 +38,9 @@ from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.quiet import quiet
 
 SCHEMA = 1
+"""Version of the audit's JSON."""
 _MOST_PICTURES = 6
+"""Largest number of poses that are drawn, the first ones."""
 
 
 def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:

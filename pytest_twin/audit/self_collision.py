@@ -28,6 +28,7 @@ _NEAR = 0.05
 _MOST_PAIRS = 1000
 """Largest number of pairs per pose whose distance is computed, nearest bounding spheres first."""
 _MOST_POSES = 20
+"""Largest number of declared poses that are evaluated."""
 _MOST_SHAPES = 20_000
 """Largest number of collision shapes in a model; the broad phase then takes a few seconds."""
 _TOUCH = 1e-3

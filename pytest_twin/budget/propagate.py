@@ -23,6 +23,7 @@ LARGEST_DIFFERENCE = 0.2
 _NEGATIVE = -1e-6
 """Smallest eigenvalue of a correlation matrix. Rounding errors are about 1e-12."""
 _SEED = 57
+"""Seed of the random draws, so that a budget can be repeated."""
 
 
 @dataclass(frozen=True, slots=True)

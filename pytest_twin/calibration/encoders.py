@@ -17,6 +17,7 @@ from pytest_twin.realization.serial_chain import SerialChain
 
 ENCODERS = "encoder_repeatability"
 _LEVEL = 0.95
+"""Confidence level of intervals."""
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ FEWEST_DEGREES = 40.0
 a factor of two, which costs less accuracy than a common weight of two sources."""
 
 _ROUNDS = 60
+"""Largest number of iterations."""
 _SETTLED, _SMALL_STEP = 3e-3, 1e-6
 """Changes below which the estimate has converged: of a source's standard deviation, relative to
 that of the residuals, and of the unknowns, m and rad."""

@@ -25,8 +25,11 @@ WANTED = 5
 """Number of proposed poses. An engineer typically adds this many before calibrating again."""
 
 _DRAWN = 3000
+"""Number of random poses in the whole workspace, and half as many around observed ones."""
 _KEPT = 300
+"""Largest number of visible poses that are compared as candidates."""
 _AROUND_RAD, _AROUND_M = 0.5, 0.1
+"""Standard deviations of random poses around observed ones."""
 _WIDER = 1.2
 """A target is assumed visible if its distance, direction and tilt are within the observed range,
 widened by this factor."""

@@ -49,7 +49,9 @@ AFFECTED = 0.02
 Rounding errors are about 1e-6."""
 
 _DRAWN_ROWS = 60
+"""Number of random poses for the analysis of the structure."""
 _NOISE = {"translation": 1e-3, "rotation": 1e-3, "point": 1e-3, "pixel": 1.0}
+"""Noise that is assumed for the analysis of the structure, m, rad, m and px."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from pytest_twin.calibration.terms import PointTerm, PoseTerm, Term
 
 _REGIONS = ("near", "middle", "far")
 _LEAST_IN_REGION = 3
+"""Smallest number of observations in a region whose errors are stated."""
 
 LONGEST_STEP_S = 0.1
 """Largest time between observations that are samples of one motion."""

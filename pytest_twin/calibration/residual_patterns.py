@@ -25,7 +25,9 @@ ALONG_SHARE = 0.5
 """Fraction of a vector's square that must be along gravity, or along the motion."""
 
 _FEWEST = 6
+"""Smallest number of errors in which a pattern is searched."""
 _FEWEST_OF_PAYLOAD = 3
+"""Smallest number of observations with a payload that is compared."""
 
 
 @dataclass(frozen=True)

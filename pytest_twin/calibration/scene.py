@@ -15,6 +15,7 @@ from pytest_twin.calibration.problem import Problem, describe_pose, predicted_po
 from pytest_twin.calibration.residual_errors import Errors
 
 MOST_ARROWS = 400
+"""Largest number of errors in the figure."""
 
 
 def scene(

@@ -49,9 +49,13 @@ NOISE_FLOOR = {"translation": 1e-9, "rotation": 1e-9, "point": 1e-9, "pixel": 1e
 """Smallest standard deviation of residuals, m, rad, m and px, which exact synthetic data need."""
 
 _ROBUST_ITERATIONS = 20
+"""Number of iterations of the robust fit."""
 _ROBUST_STEPS = 4
+"""Largest number of evaluations in each iteration of the robust fit."""
 _FINAL_STEPS = 60
+"""Largest number of evaluations in the last fit."""
 _EXCLUDING_ITERATIONS = 12
+"""Largest number of iterations that exclude outliers and fit again."""
 _NORMAL_QUANTILE = float(halfnorm.ppf(LEAST_INLIERS))
 
 

@@ -35,8 +35,11 @@ SUBSETS = 60
 wrong, one subset of 3 in eight has no wrong pose, so all 60 fail once in 3000 calibrations."""
 
 _POSES_IN_SUBSET = 3
+"""Number of poses in a subset, the smallest number that determines a hand-eye transform."""
 _POINTS_IN_SUBSET = 6
+"""Number of point observations in a subset."""
 _POSES_FOR_UNIT = 6
+"""Number of poses for the estimate of the unit of length."""
 
 
 def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:

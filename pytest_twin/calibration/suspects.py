@@ -31,6 +31,7 @@ DOUBTFUL_M = 0.003
 half of the smallest error that a wrong unit, direction or sign causes on an arm of 0.3 m."""
 
 DOUBTFUL_RAD = 0.01
+"""Rotation error from which the input is doubtful if the plan has no limit."""
 
 LEAST_ROWS = 6
 """Fewest observations for finding mistakes, because a few poses fit with any mistake."""
@@ -42,6 +43,7 @@ _AS_GOOD = 1.2
 """Angles up to this many times as large are no worse: medians of a few poses differ by this."""
 
 _ROUNDING_RAD = 1e-6
+"""Rotation error of exact data, from rounding."""
 
 _AS_TURNED_RAD = 0.1
 """A wrong scale leaves angles alone. Beyond this median error, rad, the poses are not of one time

@@ -14,6 +14,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 
 _SMALL_RAD = 1e-6
+"""Angle below which a series replaces the formula that divides by the angle."""
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from pytest_twin.metrics import contact as metrics
 from pytest_twin.metrics.pose import pose_vector
 
 SAMPLES = 301
+"""Number of samples of a trace."""
 _SLIP_TRAVEL = 1e-3  # m: displacement beyond which a pair has slipped
 
 Geoms = frozenset[int]

@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
 _MANY_SITES = 12
+"""Number of sites on moving bodies above which a first spec omits them."""
 _NOWHERE = [float("nan")] * 7
+"""Pose of a frame that the record lacks."""
 
 
 class ForwardKinematics(Check):

@@ -45,10 +45,15 @@ _UNDEFINED = {
     "resonance_peak": "no peak inside the band that is carried",
 }
 _LINES = 30
+"""Default number of frequencies of a multisine."""
 _REALIZATIONS = 6
+"""Default number of commands with different phases."""
 _PERIODS = 2
+"""Default number of evaluated periods."""
 _TRANSIENT_PERIODS = 1
+"""Default number of periods before the evaluated ones."""
 _COHERENCE = 0.95
+"""Default of the smallest coherence that is reported."""
 _SAMPLES = 1_000_000  # bound on steps of all realizations together
 
 

@@ -36,6 +36,7 @@ _PULSE = 0.1  # s
 _STEPS = 20_000  # bound on the steps of a pulse
 _LARGEST = 0.1  # rad or m: largest motion by a pulse
 _SHRINKS = 9
+"""Number of amplitudes of a pulse that are tried, each a tenth of the one before."""
 
 _VECTOR: dict[str, Any] = {
     "type": "array",

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _WORLD = ("", "world")
 _FEWEST = 2
+"""Smallest number of measured poses that overlap the replay."""
 
 
 def measured_and_predicted(

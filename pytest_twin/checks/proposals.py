@@ -25,6 +25,7 @@ MOTION_FRACTION = 5e-3
 to about 1e-9; an inertia error of 1 % changes the response to a torque step by twice this
 tolerance."""
 _LEAST_FRACTION = 1e-4
+"""Smallest fraction of the motion that a first spec allows; rounding errors are smaller."""
 _NO_ROOM = 1e-5  # rad or m: a joint with a narrower range is held in place
 _MASS_CHANGE = 0.05  # a torque step should fail if a link's mass is wrong by this fraction
 

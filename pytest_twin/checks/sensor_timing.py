@@ -30,6 +30,7 @@ _LEAST_CORRELATION = 0.5
 _MOST_RIVAL = 0.95
 """Largest ratio of second-best to best correlation; above it the lag is ambiguous."""
 _SAME_PEAK_S = 0.2
+"""Smallest distance of a second peak of the correlation from the best one."""
 _STREAM: Mapping[str, Any] = {
     "type": "object",
     "properties": {

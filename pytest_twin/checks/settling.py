@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from pytest_twin.realization.simulate import Run
 
 SAMPLES = 101
+"""Number of samples of a trace."""
 _DEFAULT_BAND = {"rad": 1e-3, "m": 1e-4}
+"""SI unit -> default of the distance to the rest position at which a joint counts as settled."""
 
 
 class Settling(Check):

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
 SAMPLES = 401
+"""Largest number of samples of a trace."""
 _METRICS = {"rise_time": "s", "overshoot": "1", "settling_time": "s", "steady_state_error": "1"}
 _TRACE = {"rad": "angle", "m": "position", "rad/s": "angular_velocity", "m/s": "linear_velocity"}
 _UNDEFINED = {

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
 _LARGEST_OUTPUT = 10_000
+"""Largest number of values of one output."""
 _NO_BYTECODE = "__no_bytecode__"
 """Folder for bytecode that does not exist, so that no cached bytecode is found."""
 

@@ -45,7 +45,9 @@ _READABLE = {
     "px": (1.0, "px"),
     "1": (1.0, ""),
 }
+"""SI unit -> factor and unit in the printed result."""
 _DECIMALS = {"mrad": 2, "mm": 2, "ms": 2, "px": 2, "": 4}
+"""Printed unit -> number of decimals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -38,6 +38,7 @@ EXAMPLES = (
 EXIT_STATUS = {0: "every recording is written"}
 DONE = 0
 _SECOND = 1_000_000_000
+"""Nanoseconds in a second."""
 # Smallest correlation of positions with position commands, and largest ratio of their sizes. On the
 # SO-101's recordings the smallest correlation is 0.67; a force command of EMPS has 650 times the
 # size of the positions.

@@ -32,6 +32,7 @@ FILE_NAME, ABORT_NAME, PAGE_NAME = "excitation.json", "abort.json", "excitation.
 _SECONDS = 3600.0
 """Time limit of the design, s: an arm of seven joints takes about two minutes."""
 _MOST_LINES = 12
+"""Largest number of unidentifiable parameters that are printed."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,6 +24,7 @@ from pytest_twin.report.text import printable
 FLEET_FILE = "fleet.json"
 _FIELDS = frozenset({"model", "recordings", "held_out"})
 _MOST_ROBOTS = 1000
+"""Largest number of robots in a fleet file."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 UNUSABLE_INPUT = 2
+"""Exit status of all commands for unusable input, as that of argparse."""
 _UNUSABLE = "unusable input; one line on standard error names the file, the place and the remedy"
 
 

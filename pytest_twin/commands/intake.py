@@ -26,7 +26,9 @@ EXIT_STATUS = {0: "the files are copied and the manifest is written"}
 DONE = 0
 SOURCE = manifest.SOURCE_FOLDER
 _MEMORY_BYTES = 2 * 2**30
+"""Memory limit of the process that unpacks an archive."""
 _SECONDS = 1800.0
+"""Time limit of the process that unpacks an archive."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

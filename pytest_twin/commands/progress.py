@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
 _LOOK_SECONDS = 1.0
+"""Time between two updates."""
 
 
 class Progress:

@@ -35,6 +35,7 @@ EXIT_STATUS = {
 }
 JSON_NAME, PAGE_NAME = "ranges.json", "ranges.html"
 SECONDS = 3600.0
+"""Time limit of the computation."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

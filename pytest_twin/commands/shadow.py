@@ -33,6 +33,7 @@ EXIT_STATUS = {
 }
 BETTER, REJECTED = 0, 1
 _SECONDS = 3600.0
+"""Time limit of the comparison."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

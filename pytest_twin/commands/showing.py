@@ -26,6 +26,7 @@ _GAP_INTERVALS = 4.0
 # Stamps after this, ns, are absolute times: 2001-09-09.
 _DATES_NS = 10**18
 _PAIRS = 4
+"""Largest number of proposed pairs of topics."""
 
 
 def survey(recording: Recording, options: RecordingOptions) -> dict[str, Any]:

@@ -223,6 +223,7 @@ class Hypothesis:
 
 
 EMPTY = Hypothesis((), np.empty(0))
+"""Hypothesis without effects: the nominal model."""
 
 
 def effect_values(rows: Sequence[Hypothesis], joints: int, scales: Scales) -> EffectValues:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MAX_ROWS = 384
+"""Largest number of simulations in a batch."""
 # Approximate time of a step in s: MuJoCo per joint of a row, Python per batch, and per effect. They
 # influence only how work is divided.
 _ENGINE, _BETWEEN, _LAW = 1e-6, 5e-5, 2e-5

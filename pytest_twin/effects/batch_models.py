@@ -38,6 +38,7 @@ _WORTH_THREADS = 64
 _POSES, _POSE_SECONDS = 8, 0.2
 _LAW = ("gain", "stiffness", "damping", "offset")
 _UNBOUNDED = 1e9
+"""Limit of an unlimited control or force, N*m, N or the control's unit."""
 _INERTIAL = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 
 

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 
 _IMPEDANCE = (0.999, 0.9999, 0.001)
+"""First values of ``solimp``: impedance at zero violation and at the width, and the width. With
+MuJoCo's defaults, 0.9 and 0.95, a joint at rest creeps."""
 _BY_DEFAULT = mujoco.MjSpec().default.joint
 
 

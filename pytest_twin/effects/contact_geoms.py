@@ -16,7 +16,9 @@ from pytest_twin.effects.base import ModelFields
 NEAR = 0.05
 """Distance in m below which two geoms of a recording may touch."""
 _MOST_POSES = 3000
+"""Largest number of recorded poses at which distances are computed."""
 _HALF = 15
+"""Number of bits of a collision mask for each of the robot and its surroundings."""
 _FLAT = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 

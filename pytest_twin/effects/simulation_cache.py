@@ -17,6 +17,7 @@ from pytest_twin.effects.active_effects import EffectValues, acts_at
 from pytest_twin.effects.segment import Predicted, Segment
 
 _MOST_BYTES = 256_000_000
+"""Memory limit of the cache."""
 
 RowKey = tuple[int, bytes]
 """Identity of a segment, and the parameters of the effects of a row."""

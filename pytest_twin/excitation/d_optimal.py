@@ -19,8 +19,11 @@ from pytest_twin.identification.regressor.base_parameters import BaseParameters
 from pytest_twin.identification.regressor.regressor import Regressor
 
 STARTS = 3
+"""Number of random starts of the optimization."""
 _ITERATIONS = 40
+"""Largest number of iterations from each start, without distances."""
 _NEAR_ITERATIONS = 15
+"""Largest number of further iterations with distances, which are expensive."""
 _NEAR_SAMPLES = 2
 """Step between poses that are checked for nearness: every second one."""
 _TOLERANCE = 1e-5
@@ -30,11 +33,17 @@ _SAMPLES_PER_PERIOD = 8
 _SHARPNESS = 40.0
 """Exponent of the p-norm, a smooth approximation of a signal's maximum, 1 to 15 % too high."""
 _RIDGE = 1e-9
+"""Value added to the normalized diagonal of the information matrix, so that its determinant is
+positive."""
 _EFFORT_WEIGHT = 200.0
+"""Weight of efforts above their limit in the objective, against the logarithm of the
+determinant."""
 _SPARE_WEIGHT = 20.0
+"""Weight of poses with small distances in the objective."""
 _SPARE = 0.02
 """Spare distance below which a pose is penalized, m."""
 _DIFFERENCE = 1e-5
+"""Step of finite differences, rad or m, and relative to the largest velocity or acceleration."""
 _OFF_CENTRE = 0.3
 """Distance of the start from the middle of the range, as a share of half the range, above which
 the series swings about the middle. Below it, the move to the middle is not worth its time."""

@@ -17,6 +17,7 @@ from pytest_twin.identification.regressor.regressor import Regressor
 
 ROLES: tuple[Role, ...] = ("fit", "held_out")
 _POSES = 60
+"""Number of random poses from which the smallest and largest load of a joint are chosen."""
 
 
 def single_joint_designs(

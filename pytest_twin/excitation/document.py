@@ -20,11 +20,13 @@ if TYPE_CHECKING:
     from pytest_twin.excitation.excite import Excitation
 
 SCHEMA = 1
+"""Version of ``excitation.json`` and ``abort.json``."""
 NOTICE = (
     "These files are a proposal. A qualified person compares them with the real cell, approves "
     "them, and supervises every run. pytest-twin never sends a command to a robot."
 )
 _DRAWN_SAMPLES = 500
+"""Largest number of samples of a motion in the figures."""
 _TRACKING_FACTOR = 2.0
 """Abort at this multiple of the largest simulated tracking error."""
 _LEAST_TRACKING = 0.01

@@ -19,6 +19,7 @@ from pytest_twin.recording_options import CommandMode
 
 SUFFIXES = (".csv", ".mcap", ".trajectory.yaml")
 _DIGITS = 12
+"""Number of decimals in written motions; rounding errors are smaller."""
 
 
 def write(

@@ -13,11 +13,14 @@ from pytest_twin.excitation.safety import Verdict, commanded, reasons, simulated
 from pytest_twin.realization.model import Realization
 
 _FIRST_SCALES = (1.0, 0.9, 0.75, 0.6)
+"""Scales of the amplitude that are tried with each seed."""
 _LAST_SCALES = (0.45, 0.3, 0.2, 0.1)
+"""Scales that are tried if none of the first is safe."""
 _DRAWN_AGAIN = 2
 """Number of new draws of a motion of several joints before it is scaled far down."""
 _SEVERAL_JOINTS = frozenset({"grid", "fourier"})
 _SEED_STEP = 1000
+"""Difference of the seeds of two draws."""
 
 
 @dataclass(frozen=True, slots=True)

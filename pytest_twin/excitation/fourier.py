@@ -12,6 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.excitation.approved import Approved
 
 MOST_HARMONICS = 5
+"""Largest number of harmonics of a joint's series (Swevers et al. 1997 use five)."""
 REST = 0.25
 """Time at rest before the first and after the last period, s."""
 _LONGEST_PERIOD = 2.0

@@ -19,8 +19,11 @@ SETTLE = 0.1
 APPROACH = 0.02
 """Distance of the approach to each pose from both sides, which cancels dry friction, rad or m."""
 _CANDIDATES = 120
+"""Number of random poses from which poses are chosen."""
 _ON_THE_WAY = 6
+"""Number of poses on the path to a candidate at which distances are checked."""
 _RIDGE = 1e-6
+"""Information that is assumed for each parameter, as a fraction of that of a mean pose."""
 
 
 def static_base(regressor: Regressor, approved: Approved) -> BaseParameters:

@@ -26,9 +26,11 @@ SMALL_INERTIA = 0.1
 """Share of the largest moment of equal order of a link below which its moments count as small. A
 product of inertia with nominal value 0 is determined if its interval shows that it is small."""
 _TWO_SIDED = 1.96
+"""Half width of a 95 % interval in standard deviations."""
 _STATED = 1e-6
 """Share of the robot's largest moment below which a link's moments count as unstated."""
 _ROUNDING = 1e-6
+"""Fraction of the resolution below which a nominal value is a rounding error."""
 _FRICTION = {"viscous_friction": "viscous friction", "coulomb_friction": "Coulomb friction"}
 LOADS_APART = 0.02
 """Smallest difference of loads that separates load-dependent friction, as a share of the approved

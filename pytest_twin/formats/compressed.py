@@ -17,6 +17,7 @@ from pytest_twin.formats.serialized import Integers
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _BLOCK_BYTES = 4 * 2**20
+"""Number of bytes that are decompressed at once."""
 
 
 def unpacked_messages(

@@ -10,6 +10,7 @@ from pytest_twin.formats import limits
 from pytest_twin.formats.paths import open_regular
 
 _BLOCK_BYTES = 2**20
+"""Number of bytes that are read at once."""
 
 LINE_ENDINGS_ADVICE = (
     "commit a .gitattributes with '* -text' in the twin's folder (pytest-twin init writes one) "

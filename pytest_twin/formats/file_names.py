@@ -17,6 +17,7 @@ MAX_LENGTH = 80
 """Characters: leaves room for a suffix and folders within Windows' limit of 260 for a path."""
 
 _DIGEST_LENGTHS = (8, 16, 32, 64)
+"""Lengths of the digest in a file name, in hex digits. Longer ones are used if names collide."""
 _VALID = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]*[A-Za-z0-9_-])?")
 _OTHER = re.compile(r"[^A-Za-z0-9_-]+")
 # Windows keeps these names for devices, whatever the suffix.

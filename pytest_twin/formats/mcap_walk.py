@@ -24,10 +24,13 @@ MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX = range(9, 14)
 SUMMARY_OFFSET, DATA_END = 14, 15
+"""Opcodes of the records of an MCAP file."""
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE_BYTES = 22
+"""Length of the fields of a message record before its data."""
 _BLOCK_BYTES = 4 * 2**20
+"""Number of bytes that are read at once."""
 _MESSAGE_HEAD = np.dtype(
     {
         "names": ["size", "channel", "log_time"],

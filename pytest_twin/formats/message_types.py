@@ -208,6 +208,7 @@ class Float64MultiArray:
 
 
 _DIMENSIONS = 1024
+"""Largest number of dimensions in the layout of an array message."""
 
 
 def _array_names(labels: list[str], count: int) -> list[str]:

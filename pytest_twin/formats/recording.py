@@ -9,6 +9,7 @@ from pathlib import Path
 from pytest_twin.formats.serialized import Floats, Integers
 
 _NOTES = 40
+"""Largest number of notes on a recording."""
 
 TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
 """Role -> default topic; ``twin.yaml`` and ``--topics`` override it."""

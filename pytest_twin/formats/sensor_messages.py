@@ -19,6 +19,7 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage",)
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 MOST_TRANSFORMS = 10_000
+"""Largest number of transforms in a message."""
 _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4,
              "mono16": 1, "16UC1": 1}  # fmt: skip
 _LUMA = np.array([0.299, 0.587, 0.114])

@@ -16,6 +16,7 @@ from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
 from pytest_twin.formats.serialized import Integers
 
 _FEWEST = 20
+"""Smallest number of messages of a stream."""
 
 
 @dataclass(frozen=True)

@@ -29,11 +29,15 @@ MAGIC = b"SQLite format 3\0"
 _HEADER = struct.Struct(">16xH6xII60xI")
 
 _REGION_BYTES = 16 * 2**20
+"""Size of a region of messages that is read at once."""
 _REGION_ROWS = 100_000
+"""Largest number of messages of such a region."""
 # A scan takes about ten steps of SQLite's virtual machine for each row.
 _STEPS_A_ROW = 200
 _STEPS_FREE = 10_000_000
+"""Number of steps of SQLite's virtual machine that are allowed for any file."""
 _STEPS_AT_ONCE = 100_000
+"""Number of steps between two checks of this limit."""
 # Error codes of damage that leaves the beginning of the file readable.
 _DAMAGED = {
     sqlite3.SQLITE_CORRUPT,

@@ -21,6 +21,7 @@ WRENCH, IMU = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/Imu"
 READINGS = (WRENCH, IMU)
 _AXES = ("x", "y", "z")
 _COVARIANCE_BYTES = 9 * 8
+"""Length of a (3, 3) covariance in double precision."""
 
 
 @dataclass(frozen=True)

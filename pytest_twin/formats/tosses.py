@@ -24,6 +24,7 @@ from pytest_twin.formats.serialized import Floats
 
 SUFFIX = ".npz"
 _COLUMNS = 13
+"""Columns of a row: position, quaternion, linear and angular velocity."""
 _EXPECTED = (
     "an .npz file with one array for each toss: rows of x y z, qw qx qy qz, vx vy vz, wx wy wz"
 )

@@ -57,6 +57,7 @@ _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.+-]*(?: [A-Za-z0-9_/.+()-]+)*")
 # Message of libyaml at its own depth limit, which its lookahead may reach before limits.YAML.
 _TOO_DEEP = "exceeded maximum nesting depth"
 _LINE_WIDTH = 100
+"""Largest number of characters of a written line."""
 
 
 @dataclass(frozen=True)

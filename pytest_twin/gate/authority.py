@@ -13,6 +13,7 @@ from pytest_twin.outcome import Measure, Outcome
 from pytest_twin.report.text import number, quantity
 
 _MAX_LINES = 40
+"""Largest number of printed comparisons."""
 _EQUAL_FRACTION = 1e-3
 """Fraction of the tolerance below which results count as equal; rounding errors reach 1e-11."""
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pytest_twin.release import Header, Release
 
 _PLOT_BYTES = 8 * 2**20
+"""Largest size of a plot in the report."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from pytest_twin.formats.paths import read_bytes
 from pytest_twin.twin import Twin
 
 _RECORD_BYTES = 16 * 2**20
+"""Largest size of the record of a shadow run."""
 
 
 def unpromoted(twin: Twin) -> Iterator[str]:

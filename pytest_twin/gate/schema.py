@@ -13,6 +13,7 @@ from pytest_twin.checks.fields import tolerance_schema
 from pytest_twin.formats import atomic
 
 SCHEMA_VERSION = 1
+"""Version of the layout of golden specs."""
 SHIPPED = "schemas/golden.schema.json"
 _SHA256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
 _TEXT = {"type": "string", "minLength": 1, "maxLength": 1000}

@@ -10,6 +10,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.twin import Twin
 
 _MAX_NAMED = 3
+"""Largest number of changed files in a message."""
 
 
 def changed_sources(twin: Twin) -> Iterator[str]:

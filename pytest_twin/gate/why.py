@@ -12,6 +12,7 @@ from pytest_twin.gate.update import Update
 from pytest_twin.report.text import quantity
 
 MAX_CHANGES = 60
+"""Largest number of changed values that are printed."""
 _CALIBRATION_LAYERS = ("/kinematics", "/frame", "/coupling")
 """Layers of a realization that the result of a calibration depends on."""
 

@@ -15,6 +15,7 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 
 _ONE_HELD_OUT_OF = 4
+"""One recording of so many is held out if no role is given."""
 
 
 def read_by_role(

@@ -12,6 +12,7 @@ from pytest_twin.arrays import FloatArray
 BINS = 10
 """Number of bins in a histogram of the probability integral transform."""
 _WIDTH_FLOOR = 1e-12
+"""Smallest half width of an envelope, which prevents division by zero."""
 
 
 @dataclass(frozen=True)

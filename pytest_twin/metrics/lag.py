@@ -10,6 +10,8 @@ from scipy.signal import correlate, correlation_lags
 from pytest_twin.arrays import FloatArray
 
 _MIN_OVERLAP = 0.3
+"""Smallest overlap as a fraction of the shorter signal. Correlations of shorter overlaps are large
+by chance."""
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from pytest_twin.properties.form import (
 from pytest_twin.properties.tolerances import Tolerances
 
 _GOLDEN = 0.6180339887498949
+"""Golden ratio minus 1: its multiples modulo 1 are spread evenly."""
 
 
 class Asset:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 _SHOWN = 4
+"""Largest number of printed violations."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 ALL = frozenset({"links", "shapes", "range", "velocity", "effort", "damping", "friction", "mimic"})
 EARTH = (0.0, 0.0, -9.81)
+"""Gravity, m/s^2."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from pytest_twin.properties.broken import Broken, PropertyError
 from pytest_twin.properties.tolerances import Tolerances
 
 EXAMPLES = 10
+"""Default number of random configurations."""
 
 
 @dataclass(frozen=True, slots=True)

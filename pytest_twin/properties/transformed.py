@@ -22,6 +22,7 @@ from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
 _TINY_INERTIA = 1e-10
+"""Absolute tolerance of a mass matrix, kg, kg*m or kg*m^2, for parts that are zero."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,7 @@ WITHOUT_EFFECT = ("keyframe", "sensor", "record", "variants", "geom")
 NOT_MODELLED = ("topics", "declared")
 """Layers whose effect on data cannot be computed from a model."""
 _REPLAYED_SECONDS = 30.0
+"""Length of the simulated part of recordings, which limits the computing time."""
 _TCP = "tcp:frame"
 
 

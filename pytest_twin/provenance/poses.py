@@ -18,7 +18,9 @@ from pytest_twin.trial.read import recordings_at
 from pytest_twin.twin import Twin
 
 MAX_POSES = 4000
+"""Largest number of recorded poses, at equal distances."""
 _DRAWN_POSES = 512
+"""Number of random poses if a data set has no positions."""
 
 
 @dataclass(frozen=True, slots=True)

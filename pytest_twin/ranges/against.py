@@ -19,6 +19,7 @@ _UNITS = {"temperature": "deg C", "load": "kg"}
 _SAME = 0.1
 """Relative difference below which two widths are called equal."""
 _LONGEST_PATTERN, _MOST_REPEATED = 256, 4
+"""Limits of a regular expression, in characters and repetitions: others may take long to match."""
 
 
 def compared(

@@ -34,6 +34,7 @@ _FLOOR = 0.01
 _PAYLOAD = 1e-9
 """Fraction of a body's mass above which the model carries an additional payload on it."""
 _STEP = 1e-6
+"""Smallest value that is assumed for a body's largest second moment, m^2 times its mass."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ _NEVER_BEYOND = 8.0
 """Distance of the mean from a bound, in standard deviations, above which a double-precision draw
 never reaches it."""
 _LARGEST = 1.0 - 2.0**-53
+"""Largest probability below 1 in double precision."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,9 @@ from pytest_twin.formats import yaml
 from pytest_twin.formats.paths import decode_text, read_bytes
 
 _MOST_BYTES = 4 * 2**20
+"""Largest size of a file of ranges."""
 _DEEPEST = 40
+"""Largest nesting depth that is read."""
 _EVENT_CLASSES = frozenset({"EventTerm", "EventTermCfg", "EventTermConfig"})
 _EXPECTED = (
     "ranges.json, a table NAME: [low, high], or events of Isaac Lab or mjlab as .yaml or .py"

@@ -28,9 +28,11 @@ FIELDS: Mapping[str, str] = {
 }
 """Parameter of a joint -> attribute of the model's joint."""
 _INSTANTS = 60
+"""Number of random joint states of the regressor."""
 _RANK = 1e-8
 """Fraction of the largest singular value below which a motion does not excite a combination."""
 _SEED = 57
+"""Seed of these states, so that ranges can be repeated."""
 
 
 @dataclass

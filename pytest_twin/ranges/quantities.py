@@ -16,7 +16,9 @@ _DRAWS = 4096
 """Number of draws for the quantiles of ranges. The ends of a 95 % range are then accurate to a
 tenth of a standard deviation."""
 _SEED = 59
+"""Seed of the draws, so that ranges can be repeated."""
 _ROUNDING = 1e-9
+"""Relative standard deviation below which a quantity is constant."""
 _SMALL = {"kg": 1e-6, "m": 1e-3, "kg*m^2": 1e-9}
 """Smallest size of a robot's body by unit. Variation below ``_ROUNDING`` times this size is
 rounding."""

@@ -19,7 +19,9 @@ from pytest_twin.twin import Twin
 FOLDER = "recordings"
 """Default folder of recordings in a twin's folder."""
 _FEWEST = 8
+"""Smallest number of samples of a trace."""
 _SHORTEST_S = 0.2
+"""Smallest duration of a trace."""
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,11 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.twin import Twin, load_twin
 
 _SEED = 57
+"""Seed of the check on final recordings, so that ranges can be repeated."""
 _WIDENING_SEED = 58
+"""Seed of the draws from which widening is computed: other robots than those of the check."""
 _WIDENING_DRAWS = 128
+"""Largest number of these draws."""
 
 
 @dataclass(frozen=True)

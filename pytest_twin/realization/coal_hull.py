@@ -16,6 +16,7 @@ _DIRECTIONS = (4000, 1000, 250)
 """Numbers of directions of a coarser hull, which keeps the farthest vertex in each direction. Its
 error is 2e-4 of the size of the shape with 4000 directions and 3e-3 with 250."""
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+"""Angle between consecutive points of an even spiral on the sphere, rad."""
 
 
 def convex(vertices: Vector, faces: Faces) -> coal.Convex:

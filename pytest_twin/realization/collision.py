@@ -22,9 +22,11 @@ Vector = NDArray[np.float64]
 Geom = mujoco.mjtGeom
 
 _GJK_TOLERANCE = 1e-8
+"""Tolerance of coal's distances between separate shapes, m."""
 # With a smaller tolerance, EPA does not converge for round shapes in deep penetration.
 _EPA_TOLERANCE = 1e-6
 _ITERATIONS = 1000
+"""Largest number of iterations of GJK and EPA."""
 _SOME_DISABLED = "contype and conaffinity keep some of their geoms apart"
 _SUPPORTED = frozenset(
     {

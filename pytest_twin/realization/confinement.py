@@ -30,7 +30,9 @@ _VARIABLE_PREFIXES = ("LC_", "PYTHON", "OMP_", "OPENBLAS_", "MKL_", "MUJOCO_")
 # First ABI versions of Landlock with network rules and with scopes, and the bits of both.
 _ABI_NETWORK, _ABI_SCOPES = 4, 6
 _BIND_AND_CONNECT_TCP = 0b11
+"""Landlock's bits for TCP: bind and connect."""
 _SIGNALS_AND_SOCKETS = 0b11
+"""Landlock's bits of scopes: abstract Unix sockets and signals."""
 
 
 def why_not_confined() -> str | None:

@@ -17,7 +17,9 @@ from pytest_twin.realization.forks import in_forks
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _RETRIES = 2
+"""Number of times that Dask repeats a failed task."""
 _CONNECT_SECONDS = 30.0
+"""Time limit of the connection to the scheduler."""
 
 
 class Executor(Protocol):

@@ -21,7 +21,9 @@ UP_AXIS = "Y_UP"
 """Up axis of all glTF files, by the specification."""
 _MAGIC, _JSON = b"glTF", b"JSON"
 _TRIANGLES = 4
+"""Mode of a primitive that consists of separate triangles."""
 _MAX_NODES = 10_000
+"""Largest number of nodes of a file."""
 
 
 def triangles(

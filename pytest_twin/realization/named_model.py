@@ -28,6 +28,7 @@ _WIDTH_QPOS = {
     mujoco.mjtJoint.mjJNT_SLIDE: 1,
     mujoco.mjtJoint.mjJNT_HINGE: 1,
 }
+"""MuJoCo's type of a joint -> number of its coordinates."""
 
 
 class NamedModel:

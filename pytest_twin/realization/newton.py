@@ -35,6 +35,7 @@ _DAMPING_STEP, _STIFFNESS_STEP = 0.5, 0.1
 times the natural frequency (rad/s) below 2. The first leaves a factor of 4; under the second the
 frequency that semi-implicit Euler shows is 0.04 % off (Hairer et al. 2006, I.1.4)."""
 _MOST_SUBSTEPS = 200
+"""Largest number of substeps of a time step, which limits the computing time."""
 _PLAIN_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _FASTEST = 1e6
 """rad/s or m/s; beyond it a simulation has diverged."""

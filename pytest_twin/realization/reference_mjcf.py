@@ -20,6 +20,7 @@ Vector = NDArray[np.float64]
 Inertia = tuple[float, Vector, Vector]
 """Mass [kg], (3,) centre of mass [m], (3, 3) inertia about it [kg*m^2]."""
 _NOTHING: Inertia = (0.0, np.zeros(3), np.zeros((3, 3)))
+"""Inertia of a massless body."""
 _Alt = mujoco.mjtOrientation
 _FromGeom = mujoco.mjtInertiaFromGeom
 

@@ -27,9 +27,13 @@ from pytest_twin.errors import LimitError, SimulationError, TwinError
 from pytest_twin.realization.confinement import confined_command, confined_environment
 
 MEMORY_BYTES = 8 * 2**30
+"""Default of the child's memory limit."""
 SECONDS = 300.0
+"""Default of the child's time limit."""
 _ANSWER_BYTES = 512 * 2**20
+"""Largest size of an answer of the child."""
 _OUTPUT_BYTES = 64 * 2**10
+"""Number of bytes of the child's text output that are kept, for messages."""
 # Time within which a child must end after it closed its pipes, s.
 _END_SECONDS = 5.0
 

@@ -26,6 +26,7 @@ SHAPES = {
 }
 """Shape of an object -> MuJoCo's type of geometry."""
 _ALL_GROUPS = 2**31 - 1
+"""Collision mask with all 31 bits: the geom can touch every geom with a mask."""
 _MAX_DISTANCE = 100.0  # m, largest distance that is computed
 
 

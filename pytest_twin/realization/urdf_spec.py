@@ -34,13 +34,17 @@ from pytest_twin.twin import Patch
 Vector = NDArray[np.float64]
 
 TIMESTEP = 0.002
+"""Integration step of a converted model, s; MuJoCo's default."""
 # Stiff and critically damped: the smallest stable time constant in MuJoCo is twice the timestep.
 _MIMIC_SOLREF = (2 * TIMESTEP, 1.0)
 _MIMIC_SOLIMP = (0.99, 0.9999, 0.001, 0.5, 2.0)
+"""``solimp`` of a mimic constraint, stiffer than MuJoCo's default."""
 # m. MuJoCo cannot build the convex hull of a thinner mesh, which becomes a box instead.
 _MIN_THICKNESS = 1e-6
 _BOX_THICKNESS = 1e-3
+"""Smallest edge of the box that replaces a flat mesh, m."""
 _MAX_EXTENT = 1e6
+"""Largest coordinate of a mesh, m."""
 
 _MAX_NAMED = 4
 """Largest number of links that a note names."""

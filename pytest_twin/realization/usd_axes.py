@@ -19,7 +19,9 @@ from pytest_twin.realization.usd_names import display_name
 
 Vector = NDArray[np.float64]
 _CLOSE = 1e-10
+"""Largest error of an axis that is not improved."""
 _ROLLS = 200_000
+"""Number of random roll angles, of which the one with the smallest rounding error is chosen."""
 _TOKENS = {"X": 0, "Y": 1, "Z": 2}
 
 

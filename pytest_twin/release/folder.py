@@ -17,6 +17,7 @@ from pytest_twin.release.verify import ENVELOPE, FolderEntry
 RELEASES = "releases"
 _NUMBER = re.compile(r"\d{4,9}")
 _BLOCK_BYTES = 2**20
+"""Number of bytes that are read at once."""
 _TEXT_BYTES = 16 * 2**20  # largest size of a trace
 
 

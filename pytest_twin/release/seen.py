@@ -17,6 +17,7 @@ from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
 
 _MAX_BYTES = 4096
+"""Largest size of a record."""
 
 
 def highest(series: str) -> int | None:

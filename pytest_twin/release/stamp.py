@@ -21,6 +21,7 @@ from pytest_twin.release.statement import Release, moment, timestamp
 from pytest_twin.release.verify import authenticate
 
 SCHEMA = 1
+"""Version of the stamp's layout."""
 PARTS = ("asset", "calibration", "fit", "controller", "validation")
 """Members of the twin in a stamp, each with ``id`` and ``digest``."""
 _TUPLE = ("twin", "series", "release", *PARTS, "payload", "declared")

@@ -31,7 +31,9 @@ from pytest_twin.release.verify import ENVELOPE, FILES, REPORT, RESULTS, judge
 
 _STAGING = ".staging-"
 _STALE_SECONDS = 3600.0
+"""Age above which the temporary folder of another run is removed."""
 _BLOCK_BYTES = 2**20
+"""Number of bytes that are copied at once."""
 
 
 def write(

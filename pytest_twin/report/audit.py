@@ -31,7 +31,9 @@ _TITLES: Mapping[str, str] = {
 MAX_ROWS = 200
 """Largest number of findings of one kind on the page; the JSON file has all."""
 _NAMES = 4
+"""Largest number of names in a line."""
 _CRITICAL = 5
+"""Largest number of critical findings of one kind in the terminal."""
 
 
 @dataclass(frozen=True, slots=True)

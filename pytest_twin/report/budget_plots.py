@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SIZES = {"position": (1e3, "mm"), "rotation": (1e3, "mrad")}
+"""Quantity -> factor from SI units, and unit of the axis."""
 _SHOWN = 34
+"""Largest number of characters of a label."""
 
 
 def categories_figure(document: Mapping[str, Any], quantity: str) -> bytes:

@@ -21,9 +21,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDTH, _HEIGHT = 9.6, 9.0
+"""Size of the figure, inches."""
 _STRETCHES = 700
+"""Number of intervals of a line; each shows its minimum and maximum."""
 _BINS = 24
+"""Number of bins of a residual over speed, with equal numbers of samples."""
 _MOST_REGIMES = 9
+"""Largest number of regimes in the figure; those with the largest residual come first."""
 # Shares of the width: start and end of panels, the gap between them, and a character of a regime's
 # name. Fixed values, because a layout that measures all text takes as long as the drawing.
 _LEFT, _MIDDLE, _RIGHT, _GAP = 0.098, 0.42, 0.985, 0.022

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 _INTERVAL_SECONDS = 60.0
+"""Smallest time between two lines."""
 
 
 class EachMinute:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _COLOURS = (NOW, PASS, FAIL, "#8a5cc2", "#b8860b", "#3f7f8c", "#c2528b", DIM)
 _PARTS = (("position", "position"), ("speed", "speed"), ("effort", "effort"))
 _SHOWN_EXPRESSION = 46
+"""Largest number of characters of an expression."""
 
 
 def motion_figure(course: Mapping[str, Any]) -> bytes:

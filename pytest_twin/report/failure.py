@@ -8,7 +8,9 @@ from pytest_twin.outcome import Measure, Outcome, Reason, tolerance_ratio
 from pytest_twin.report.text import number, printable, quantity, use
 
 MAX_ROWS = 40
+"""Largest number of measures in the table of a failed golden."""
 MAX_REASONS = 8
+"""Largest number of changes that are listed as reasons."""
 
 
 def headline(outcome: Outcome) -> str:

@@ -40,6 +40,7 @@ _WORDS: Mapping[Verdict, str] = {
     "failed": "Failed",
 }
 _ORDER = {"failed": 0, "error": 1, "passed": 2}
+"""Status of a golden -> its rank in the table."""
 
 
 @dataclass(frozen=True, slots=True)

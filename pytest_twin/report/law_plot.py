@@ -13,6 +13,7 @@ from pytest_twin.report.plot_style import BAND, DIM, INK, NOW, STYLE, finish
 from pytest_twin.report.text import printable
 
 _SIZE = (6.4, 3.4)
+"""Size of the figure, inches."""
 # The curve is thin where the share of samples times the number of knots is smaller: a tenth of the
 # value for a uniform distribution.
 _FEW = 0.1

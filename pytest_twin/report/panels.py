@@ -12,9 +12,12 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.outcome import Measure, tolerance_ratio
 
 MAX_PANELS = 3
+"""Largest number of panels of a plot."""
 BUCKETS = 250
+"""Default number of intervals of a line; each shows its minimum and maximum."""
 _COMMAND = "command:"
 _LARGEST = 1e100
+"""Size above which a value is not drawn, because the axis would overflow."""
 _ORDER = ("magnitude", "phase", "coherence")
 
 

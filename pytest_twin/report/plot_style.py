@@ -51,6 +51,7 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 8,
 }
+"""Matplotlib settings of all plots."""
 
 
 def finish(svg: str) -> str:

@@ -31,8 +31,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_BARS = 14
+"""Largest number of bars of a plot."""
 _LABEL_CHARS = 58
+"""Largest number of characters of a label."""
 _WIDTH_INCHES = 8.6
+"""Width of a plot."""
 # Of a tick, its distance to its label, and that label's to the axis label.
 _LABEL_GAP_INCHES = 0.17
 

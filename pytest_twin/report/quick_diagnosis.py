@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from pytest_twin.diagnosis.quick_diagnosis import LikelyEffect, Place, QuickDiagnosis
 
 _MOST_PARAMETERS = 2
+"""Largest number of parameters in the line."""
 _MOST_WINDOWS = 2
+"""Largest number of time windows in the line."""
 
 
 def quick_diagnosis_in_words(seen: QuickDiagnosis) -> str:

@@ -15,8 +15,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm")}
+"""SI unit -> factor and unit of the axis."""
 _SHOWN = 30
+"""Largest number of characters of a label."""
 _WIDTH = 7.4
+"""Width of a figure, inches."""
 _MOST_NAMES = 30
 """Largest number of rows of a readable correlation matrix."""
 

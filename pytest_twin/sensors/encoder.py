@@ -9,6 +9,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 
 _FEWEST = 20
+"""Smallest number of different readings from which a step is determined."""
 _SAME = 0.05
 """Largest deviation of a difference from a whole number of steps, in steps, by rounding in a
 log."""

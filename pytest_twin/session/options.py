@@ -22,6 +22,7 @@ VALUES = {
     "twin-timeout": ("SECONDS", "time limit of one golden in s (default: 600)"),
 }
 DEFAULT_SECONDS = 600.0
+"""Default time limit of one golden."""
 
 
 @dataclass(frozen=True, slots=True)

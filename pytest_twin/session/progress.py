@@ -12,7 +12,9 @@ import pytest
 from pytest_twin.report.each_minute import EachMinute
 
 _FIRST_SECONDS = 1.0
+"""Time before the first update; short goldens show none."""
 _EACH_SECONDS = 0.25
+"""Time between two updates."""
 
 
 class ProgressLine:

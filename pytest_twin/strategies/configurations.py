@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 
 _STEPS = 2**20
+"""Number of values between the limits of a joint."""
 
 
 def configurations(

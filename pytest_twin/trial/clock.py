@@ -29,6 +29,7 @@ _MAX_STEPS = 1000
 # Fewer messages than this do not determine a rate.
 _MIN_MESSAGES = 20
 _NS = 1e-9
+"""Seconds in a nanosecond."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,9 @@ from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
 _STEP = 0.1
+"""Displacement of a joint, rad or m, for the comparison of directions."""
 _PARALLEL = 1e-12
+"""Length below which a vector has no direction; rounding errors are smaller."""
 _LEAST_MASS = 1e-6
 """kg: a lighter robot has placeholder masses, so its centre of mass is not compared."""
 

@@ -13,6 +13,7 @@ from pytest_twin.asset.loss.matrix import Conversion
 from pytest_twin.asset.loss.table import present, stated
 
 POSES = 5
+"""Number of random poses at which dynamics are compared, in addition to the reference."""
 _REACH = math.pi
 
 

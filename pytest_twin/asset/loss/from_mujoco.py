@@ -24,6 +24,8 @@ _KINDS = {
     mujoco.mjtJoint.mjJNT_FREE: "free",
 }
 _OVERDRIVEN = 1e9
+"""A control that exceeds the limits of every actuator. An effort of this order shows that the
+actuator has no limit."""
 
 
 class MujocoDynamics:

@@ -19,6 +19,7 @@ SINGLE = 2e-6
 CLOSE = 1e-5
 """Tolerance for corners of shapes, m: simulators store vertices in single precision."""
 _MOST_ITEMS = 200
+"""Largest number of elements that a row lists."""
 
 
 def table(

@@ -20,6 +20,7 @@ _SAMPLES = 12
 """Number of random poses besides the base pose: a pair that overlaps at all of them overlaps at
 more than four fifths of all poses (95 % confidence)."""
 _MOST_STATES = 20
+"""Largest number of named states that are evaluated."""
 _NEVER = "never"
 Pair = frozenset[str]
 

@@ -16,7 +16,10 @@ _ROUNDED = 1e-3
 _SAME = 1e-6
 """rad or m: usual precision of values in SRDFs."""
 _MIMIC = 1e-3
+"""Largest deviation of a mimic joint from its leader, rad or m. Setup tools write values with three
+or four decimals."""
 _DIGITS = 6
+"""Number of significant digits in messages."""
 
 
 def check(srdf: Srdf) -> Iterator[Finding]:

@@ -53,6 +53,7 @@ _COARSER = (2, 4)
 is blurred."""
 
 _THREADS = 2
+"""Number of images that are processed at the same time."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ _WINDOW = 0.16
 """Half width of the refinement window as a fraction of a square's edge. The window must not
 reach the markers."""
 _LEAST_WINDOW_PX, _MOST_WINDOW_PX = 2, 10
+"""Limits of the half width of the refinement window."""
 _FARTHEST = 0.12
 """Largest distance of a refined corner from its predicted position, as a fraction of a square's
 edge. Lens distortion moves a corner by less; the next edge is farther away."""
@@ -24,6 +25,8 @@ _LEAST_CONTRAST = 0.3
 """Smallest contrast of the four squares around an added corner, as a fraction of the median
 contrast of the detected corners."""
 _FEWEST = 6
+"""Smallest number of detected corners from which a homography is fitted; 4 determine one without a
+residual."""
 
 
 def with_missing_corners(

@@ -10,6 +10,7 @@ from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.boards.target import Target
 
 _SAMPLES = 97
+"""Number of samples of the brightness across an edge."""
 _REACH = 0.45
 """Length of a grey-value profile on either side of an edge, as a fraction of the edge's length."""
 _BLURRED_SHARE = 80.0

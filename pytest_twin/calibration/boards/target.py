@@ -18,6 +18,7 @@ KINDS: tuple[Kind, ...] = ("charuco", "chessboard", "apriltag_grid")
 """Kinds of targets that can be detected in images."""
 
 _MOST_SQUARES = 100
+"""Largest number of rows or columns of a target."""
 _FIELDS: Mapping[str, tuple[str, ...]] = {
     "charuco": ("squares", "square", "marker", "dictionary"),
     "chessboard": ("squares", "square"),

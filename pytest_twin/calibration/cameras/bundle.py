@@ -35,7 +35,11 @@ FEWEST_IMAGES_FOR_BOARD = 8
 fewer images, noise of the corners would be attributed to the board."""
 
 _STEPS, _ROUNDS = 60, 30
+"""Largest number of Levenberg-Marquardt steps, and of rounds between which the noise is
+estimated."""
 _SETTLED, _ROUND_SETTLED = 1e-6, 0.03
+"""Relative change of the cost below which the steps end, and of the noise below which the rounds
+end."""
 
 
 @dataclass(frozen=True)

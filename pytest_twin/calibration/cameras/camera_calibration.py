@@ -28,6 +28,8 @@ MODELS = (
 """Distortion models that are compared. Each model extends the one before it."""
 
 FEWEST_IMAGES = 3
+"""Smallest number of images that determine all intrinsic parameters of a planar target (Zhang
+2000)."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,9 @@ from pytest_twin.calibration.cameras.intrinsics import Intrinsics
 from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
 
 _STEPS = 20
+"""Largest number of Levenberg-Marquardt steps."""
 _SETTLED = 1e-10
+"""Relative change of the cost below which the steps end."""
 AMBIGUOUS = 1.5
 """Ratio of reprojection errors below which the second-best pose may be the right one. A flat target
 that is far away or parallel to the image looks the same in both poses."""

@@ -44,7 +44,9 @@ SURE_DRIFT = 1.5
 thousand without a drift exceeds it."""
 
 _STRETCHES = 12
+"""Number of consecutive parts of the streams, from which the held-out ones are drawn."""
 _MOST_POSES = 100
+"""Largest number of poses for which errors are listed."""
 _LABELS = ("x", "y", "z", "rx", "ry", "rz")
 
 

@@ -23,7 +23,9 @@ _WINDOW_S = 0.1
 """Time over which the angular speed is measured. Shorter windows measure the noise of the
 orientation."""
 _STEP_S = 0.01
+"""Time step of the grid on which the angular speeds are correlated."""
 _MOST_SAMPLES = 2_000_000
+"""Largest number of samples of this grid. Longer streams get a larger step."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.solvers.algebraic import HandEye
 
 _STEPS = 40
+"""Largest number of Gauss-Newton steps."""
 SLOPE_S = 0.05
 """Half of the time span over which the hand's velocity at a stamp is measured. With a span of 0.02
 s, position noise of 0.4 mm would look like a speed of 28 mm/s, and a hand at rest would seem to

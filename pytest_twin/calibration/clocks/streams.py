@@ -20,7 +20,9 @@ from pytest_twin.formats.paths import decode_text, read_bytes
 
 _COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _FEWEST = 20
+"""Smallest number of poses of a stream."""
 _QUATERNION_TOLERANCE = 0.02
+"""Largest deviation of a quaternion's length from 1."""
 _MOST_BACK_S = 1.0
 """Largest step back of a stamp. Messages from several threads or over a network arrive out of order
 by less; a clock that was adjusted jumps by more."""

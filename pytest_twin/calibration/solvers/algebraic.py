@@ -22,6 +22,8 @@ ROBOT_WORLD = ("shah", "li")
 """Solvers of AX = ZB: they find both transforms."""
 
 FEWEST_POSES = 3
+"""Smallest number of poses: two motions about different axes determine AX = XB (Tsai and Lenz
+1989)."""
 
 MOST_POSES = 120
 """Largest number of poses for a solver; from more, an evenly spaced subset is used. OpenCV combines

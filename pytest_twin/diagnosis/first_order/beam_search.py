@@ -25,7 +25,10 @@ from pytest_twin.effects import catalogue
 from pytest_twin.realization.executor import Forks
 
 _RIDGE = 1e-8
+"""Fraction of the normalized diagonal that is added to it, so that dependent effects can be
+solved."""
 _SWAPS = 4
+"""Largest number of consecutive exchanges of terms."""
 
 
 def candidates(problem: Problem) -> list[Term]:

@@ -17,9 +17,12 @@ from pytest_twin.realization import Realization
 
 MODEL_FILE = "model.xml"
 _MAX_EFFECTS = 256
+"""Largest number of effects in the file."""
 _MAX_BYTES = 1 << 20
+"""Largest size of the file."""
 _CREEPS = "creeps"
 _MAX_SUBSTEPS = 100
+"""Largest number of simulation steps per time step of the recording's simulation."""
 
 
 @dataclass(frozen=True, slots=True)

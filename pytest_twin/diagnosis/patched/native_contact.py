@@ -15,6 +15,7 @@ from pytest_twin.effects.contact_geoms import ContactGeoms, least_time_constant
 from pytest_twin.realization.mjcf import compiled
 
 _MOST_NAMED = 4
+"""Largest number of names in a note."""
 
 
 def write_contact(

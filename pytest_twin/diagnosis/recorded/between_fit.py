@@ -35,6 +35,7 @@ _SECONDS, _MOST = 2.5, 3
 and number of recordings. They separate a shift of 2 ms from none at the noise of an encoder, at a
 tenth of the cost of all data."""
 _BEFORE = 0.2
+"""Time before the first motion that is fitted too, s."""
 _CLEARLY = float(np.log(2.0))
 """Reduction of the logarithm of the RMS residual, summed over joints, from which the step of a
 simulation is assumed: a factor of 2 at one joint. A smaller reduction does not matter here."""

@@ -33,6 +33,7 @@ _FAR_LESS = 0.25
 """The same if the residual of the answer exceeds :data:`_NEAR` times the noise, or if the fit of
 the alternative has not converged."""
 _NEAR = 3.0
+"""Largest residual, in multiples of the noise, of a fit that explains the recording."""
 _LIKE = 1.25
 """Ratio of RMS residuals up to which two assumptions explain a recording equally well."""
 BY_MODEL = 0.9

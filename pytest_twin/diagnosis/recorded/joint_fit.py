@@ -42,6 +42,7 @@ the parameter (s, 1, rad, or the joint's typical damping, effort, inertia or sti
 are wide, so they only determine parameters that the recordings do not."""
 DELAY = list(PRIORS).index((CommandDelay.id, "delay"))
 _ITERATIONS = 6
+"""Largest number of Levenberg-Marquardt iterations."""
 # Levenberg-Marquardt dampings that are tried, as shares of the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)
 # Smallest gain of the log-posterior for each joint before a fit has converged.

@@ -17,6 +17,7 @@ from pytest_twin.diagnosis.recorded.fact import Fact, unknown
 
 Kind = Literal["sensor", "differenced", "filtered"]
 _FEWEST = 50
+"""Smallest number of samples from which the origin of a velocity is determined."""
 # Largest deviation of a velocity from differences of the positions, as a share of the noise of
 # these differences. The velocity of an independent sensor deviates by the whole noise.
 _DERIVED = 0.2

@@ -37,6 +37,7 @@ a push at the same time in all recordings 0.2, random torques and a shaker 0.1."
 _FEWEST = 2
 """Smallest number of recordings for cross-validation."""
 _MOST_JOINTS = 2
+"""Largest number of joints at which laws are fitted."""
 # Largest confidence in a variable, because the force may depend on one that is not recorded.
 _AT_MOST = 0.95
 _LIKELY = 1e-3

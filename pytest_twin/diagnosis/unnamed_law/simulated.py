@@ -22,6 +22,8 @@ from pytest_twin.diagnosis.unnamed_law.selection import Chosen, Data
 from pytest_twin.effects.unnamed_law import TABLES, UnnamedFriction
 
 _STEPS, _HALVINGS = 4, 3
+"""Largest number of Gauss-Newton steps, and of step sizes that are tried in each, which are
+halved."""
 # Smallest relative reduction of the objective for which another step is made.
 _ENOUGH = 0.02
 

@@ -8,8 +8,11 @@ from pytest_twin.formats.recording import Recording, Topic
 
 _CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 _PAIRS = 4
+"""Largest number of proposed pairs of topics."""
 _LISTED = 8
+"""Largest number of topics in a message."""
 _JOINTS = 6
+"""Largest number of joints in a message."""
 
 
 def pairs(recording: Recording) -> list[tuple[Topic, Topic]]:

@@ -20,6 +20,7 @@ _MOST_RADIANS = 4.0 * math.pi
 # Only LeRobot's own drivers write per cent of the calibrated range; they may write degrees too.
 _OWN_DRIVERS = ("so100", "so101", "so_follower", "koch", "lekiwi", "moss", "omx", "bi_so")
 _PER_CENT = 100.0
+"""Largest value of a position in per cent of its range."""
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from pytest_twin.formats.stamps.base import NAME
 # An attribute in an object's header is limited to 64 KiB; longer text continues in numbered ones.
 _PIECE_BYTES = 32 * 2**10
 _BLOCK_ROWS = 4096
+"""Number of rows of a data set that are read at once."""
 
 
 @dataclass(frozen=True, slots=True)

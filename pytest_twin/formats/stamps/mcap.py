@@ -35,8 +35,11 @@ from pytest_twin.formats.stamps.base import NAME
 _KEY = "stamp"
 _HEAD = struct.Struct("<BQ")
 _FOOTER_BYTES = 20
+"""Length of the content of a footer record."""
 _SUMMARY_BYTES = 256 * 2**20
+"""Largest size of a summary section that is read."""
 _BLOCK_BYTES = 4 * 2**20
+"""Number of bytes that are read at once."""
 
 
 @dataclass(frozen=True, slots=True)

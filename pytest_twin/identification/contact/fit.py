@@ -47,6 +47,7 @@ _MOST_SPARE = 3.0
 _WHOLE = 60
 """Number of whole tosses in the second search."""
 _GENERATIONS = {"stretches": 15, "whole": 8, "variant": 6}
+"""Search -> number of generations of CMA-ES."""
 _SPINNING = (0.0003, 0.002, 0.01)
 """Tested coefficients of torsional and rolling friction, relative to 10 times the object's half
 size."""

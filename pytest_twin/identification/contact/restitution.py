@@ -11,6 +11,7 @@ from pytest_twin.identification.contact.fit import ContactFit
 from pytest_twin.identification.contact.parameters import DAMPING, STIFFNESS
 
 _DRAWS = 2000
+"""Number of draws for the interval of the restitution."""
 
 
 def restitution(stiffness: float, damping: float) -> float:

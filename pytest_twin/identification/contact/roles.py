@@ -16,6 +16,7 @@ from pytest_twin.realization.free_body import FreeBody
 from pytest_twin.trial.roles import refuse_final
 
 _ONE_HELD_OUT_OF = 4
+"""One toss of so many is held out if no role is given."""
 
 
 @dataclass(frozen=True)

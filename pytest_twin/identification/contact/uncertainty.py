@@ -26,6 +26,8 @@ of the error exceed its curvature; above 0.2 the error is not quadratic."""
 _NARROW = (0.5 * REACH, 0.25 * REACH)
 """Smaller regions for errors that are not quadratic over the larger one."""
 _SHARP = 1.02
+"""Ratio of the errors at the minimum of the quadratic surface and at its centre up to which the
+surface is accepted."""
 _ENDLESS = 0.1
 """Fraction of resamples without a minimum above which a direction is undetermined."""
 DRAWS = 400

@@ -17,6 +17,7 @@ _ENOUGH = 10
 _BLOCKS = 20
 """Number of blocks for fewer recordings."""
 _RESAMPLES = 500
+"""Number of bootstrap resamples."""
 _WIDER = 1.5
 """Ratio of bootstrap to stated standard deviation above which the report mentions it."""
 

@@ -18,6 +18,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.measured import Measured
 
 _ORDER = 4
+"""Order of the Butterworth low-pass filter, which is applied forward and backward."""
 _MOTION_SHARE = 0.99
 """Fraction of a velocity's power that is counted as motion. The rest is encoder noise."""
 _ABOVE_NOISE = 10.0

@@ -15,6 +15,7 @@ FRICTION = frozenset(
 )
 DRIVE = frozenset({"effort_bias", "effort_scale"})
 _POSES = 64
+"""Number of random poses at which efforts at rest are computed."""
 
 EXCLUDES: Mapping[StageName, str] = {
     "delay": "a delay looks like damping: friction and inertia were free while it was fitted",

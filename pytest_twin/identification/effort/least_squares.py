@@ -17,7 +17,9 @@ from pytest_twin.identification.regressor import predicted_covariance
 from pytest_twin.metrics.joint_covariance import upper_covariance
 
 _ITERATIONS = 12
+"""Largest number of iterations of the weights."""
 _SETTLED = 1e-4
+"""Change of the parameters, relative to the largest one, below which the iterations end."""
 _HUBER = 3.0
 """Number of standard deviations above which a residual enters the cost linearly (Huber). Less than
 one in 300 normal residuals exceeds it, so the estimate loses no precision."""

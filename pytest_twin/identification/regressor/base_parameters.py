@@ -17,10 +17,12 @@ RANK_TOLERANCE = 1e-8
 """Relative size of a column's component orthogonal to the other columns below which it is zero.
 Dependent columns have 1e-13; columns that the motion excites have more than 1e-3."""
 _SAMPLES_PER_COLUMN = 4
+"""Number of random samples for each column per joint: more equations than parameters."""
 _COEFFICIENT_TOLERANCE = 1e-9
 """Smallest coefficient of an expression, for columns of unit length. Smaller ones are rounding
 errors."""
 _DIGITS = 6
+"""Number of significant digits of a coefficient in an expression."""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ _TURN_S = 0.15
 """Time between the orientations of a rotation. At 1 rad/s the rotation is 9 degrees, far above the
 noise of a pose."""
 _FEWEST = 50
+"""Smallest number of samples of joints and of poses."""
 
 
 @dataclass(frozen=True)

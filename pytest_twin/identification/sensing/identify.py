@@ -30,6 +30,7 @@ from pytest_twin.trial.roles import FINAL, HELD_OUT, refuse_final
 
 _Trial = SensorTrial | CameraTrial
 _ONE_HELD_OUT_OF = 4
+"""One recording of so many is held out if no role is given."""
 _STILL = 0.005
 """Largest angular speed at the sensor, rad/s, of a recording at rest."""
 _MOTION = (

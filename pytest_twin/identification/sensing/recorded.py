@@ -27,6 +27,7 @@ _DEGREE = 5
 """Window and degree of the polynomial that smooths positions and readings alike. Motion below 5 Hz
 passes. A cubic would reduce an acceleration at 2 Hz by 1 %, which biases the torque couplings."""
 _FEWEST = 100
+"""Smallest number of samples."""
 _MOST = 20_000
 """Samples of one recording that are used: the model is evaluated at each."""
 

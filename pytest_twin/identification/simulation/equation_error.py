@@ -27,6 +27,7 @@ _LEAST_SPEED = 0.02
 _UNSATURATED = 0.98
 """Of the drive's limit: above, the effort is what the limit says and no gain shows."""
 _FEWEST_ROWS = 50
+"""Smallest number of unsaturated samples; there are five unknowns."""
 _LARGEST_GAIN = 5.0
 """Over the model's, as the catalogue's bounds have it: beyond, the motion tells no gain."""
 

@@ -15,6 +15,7 @@ from pytest_twin.identification.paired import paired
 from pytest_twin.identification.simulation.stage_effects import start, starts_of, terms_at
 
 ITERATIONS = 8
+"""Largest number of iterations of a fit."""
 _LOOK = 3
 """Iterations from each start, after which the best alone goes on."""
 _FITTED = 2

@@ -35,6 +35,7 @@ _NUISANCE = ("viscous_friction", "coulomb_friction", "controller_gain", "armatur
 values are thrown away then."""
 
 _GAIN, _VISCOUS, _DRY, _ARMATURE = range(4)
+"""Columns of the first values: gain of the drive, viscous friction, dry friction and armature."""
 _FIRST: Mapping[tuple[str, str], int] = {
     ("controller_gain", "stiffness_error"): _GAIN,
     ("controller_gain", "damping_error"): _GAIN,

@@ -22,7 +22,9 @@ from pytest_twin.twin import Twin
 
 FOLDER = ".twin/cache"
 _MAX_BYTES = 256 * 2**20
+"""Largest size of a cached file."""
 _SCHEMA = 1
+"""Version of the cache's layout."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,9 @@ _JOINT_TYPES = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
 QPOS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
+"""Type of a joint -> number of its coordinates."""
 DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
+"""Type of a joint -> number of its degrees of freedom."""
 
 
 class Names:

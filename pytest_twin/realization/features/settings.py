@@ -14,6 +14,7 @@ from pytest_twin.realization.features.elements import Elements
 from pytest_twin.realization.features.fields import CUSTOM, layer_of, model_fields
 
 _LAYOUT_BYTES = 2**20
+"""Size of an arena below which contacts may be dropped."""
 
 
 def options(elements: Elements) -> dict[str, Any]:
