@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.diagnosis.alternative_sets import (
+    OTHER_SETS,
     with_alternative_sets,
     with_limited_confidence,
 )
@@ -285,7 +286,7 @@ def find_structure(
         )  # fmt: skip
         likeliest, between = (searches.found, None) if reconsidered is None else reconsidered
         found, simulations = run.attempt(
-            "other sets of effects instead of the final one",
+            OTHER_SETS,
             lambda: with_alternative_sets(likeliest, run),
             (with_limited_confidence(likeliest), 0.0),
         )

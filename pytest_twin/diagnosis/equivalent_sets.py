@@ -9,6 +9,7 @@ then by simulation with the Jacobian of the linearized motion, which needs no si
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.effort_stamps import within_a_step
 from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
 from pytest_twin.diagnosis.evidence import NOISE_FLOORS, log_likelihood, tempered_samples
@@ -90,6 +92,8 @@ class ComparedSets:
         tempering: ratio of the effective sample sizes with and without model error.
         simulations: number of simulations of all recordings that the comparison took.
         gain: evidence of ``best`` relative to the final set; minus infinity if no set is possible.
+        is_complete: whether all sets were fitted. Otherwise the time ended before: ``best`` is the
+            final set, and the evidence of the others is a lower bound.
     """
 
     best: ScoredModel
@@ -97,6 +101,7 @@ class ComparedSets:
     tempering: float
     simulations: float
     gain: float = 0.0
+    is_complete: bool = True
 
 
 def compare_sets(
@@ -113,6 +118,10 @@ def compare_sets(
     Returns:
         The comparison; without alternatives if the robot touches a surface, because there is no
         linearization in contact.
+
+    Raises:
+        OutOfTime: the time is over before any other set was simulated, or the final set may not be
+            reported and the time is over before the others were fitted.
     """
     problem = comparison.problem
     count = _Count(problem)
@@ -128,9 +137,15 @@ def compare_sets(
         linearized.candidate_sensitivities,
         allowed,
     )
-    rivals = _simulated(comparison, best, linearized.linear, near, count)
+    rivals, is_complete = _simulated(comparison, best, linearized.linear, near, count)
     rivals = [r for r in rivals if allowed(r.hypothesis) and np.isfinite(r.fitted.cost)]
-    return _compared(comparison, best, rivals, linearized.linear, count, possible=allowed(found))
+    if is_complete:
+        with contextlib.suppress(OutOfTime):
+            return _compared(comparison, best, rivals, linearized.linear, count, allowed(found))
+    if not allowed(found):
+        raise OutOfTime
+    with comparison.run.budget.reserved():
+        return _compared_in_part(comparison, best, rivals, linearized.linear, count)
 
 
 class _Count:
@@ -421,13 +436,17 @@ def _simulated(
     linear: Linear,
     near: Sequence[Hypothesis],
     count: _Count,
-) -> list[ScoredModel]:
-    """Sets fitted by simulation; after each step of the fit fewer sets remain."""
+) -> tuple[list[ScoredModel], bool]:
+    """Sets fitted by simulation; after each step of the fit fewer sets remain.
+
+    Returns:
+        The sets, and whether all steps were done before the time was over.
+    """
     problem = comparison.problem
     weights = comparison.weights(best)
-    current = list(near)
+    current, is_complete = list(near), True
     if not current:
-        return []
+        return [], True
     residual = problem.residuals(current, problem.fit)
     for step, most in enumerate(EQUIVALENT.kept_by_step):
         behind = EQUIVALENT.far_behind if step else np.inf
@@ -442,7 +461,11 @@ def _simulated(
         ]
         if count.spent + len(tried) * count.fitted > EQUIVALENT.most_simulations:
             break
-        found = problem.residuals(tried, problem.fit)
+        try:
+            found = problem.residuals(tried, problem.fit)
+        except OutOfTime:
+            is_complete = False
+            break
         for i in range(len(current)):
             mine = range(i * len(_DAMPINGS), (i + 1) * len(_DAMPINGS))
             k = min(mine, key=lambda k: weighted_cost(found[k], weights))
@@ -450,11 +473,13 @@ def _simulated(
                 current[i], residual[i] = tried[k], found[k]
     held = [best.held_residual] * len(current)
     if comparison.has_validation:
-        held = problem.residuals(current, problem.held_out)
-    return [
+        with comparison.run.budget.reserved():
+            held = problem.residuals(current, problem.held_out)
+    rivals = [
         ScoredModel(Fitted(h, r, np.empty((*r.shape, 0)), weighted_cost(r, weights)), other)
         for h, r, other in zip(current, residual, held, strict=True)
     ]
+    return rivals, is_complete
 
 
 def _front(
@@ -485,14 +510,11 @@ def _compared(
     rivals: Sequence[ScoredModel],
     linear: Linear,
     count: _Count,
-    *,
     possible: bool,
 ) -> ComparedSets:
     """The most likely set, and the evidence of the others relative to it."""
     everyone = [best, *rivals]
-    idle = idle_parameters(comparison.problem, linear, [r.hypothesis for r in everyone])
-    values, tempering = set_evidence(comparison, everyone, idle)
-    values -= values[0]
+    values, tempering = _relative_evidence(comparison, everyone, linear)
     if possible:
         comparison.judge(rivals, best)
         values[1:] = [
@@ -504,24 +526,73 @@ def _compared(
     if possible and values[top] <= EQUIVALENT.ahead:
         top = 0
     top = _simplest_of_as_likely(everyone, values, top)
-    first = {frozenset(everyone[i].hypothesis.terms): i for i in np.argsort(values, kind="stable")}
-    chosen, others = everyone[top], [i for i in first.values() if i != top]
+    chosen = everyone[top]
     if top:
         comparison.problem.refine_at(chosen.hypothesis)
         (chosen,) = comparison.rivals(
             [chosen.hypothesis], comparison.weights(chosen), QUICK, slopes=True
         )
+    sets = _others(comparison.problem, everyone, values, top, chosen)
+    return ComparedSets(chosen, sets, tempering, count.spent, float(values[top]))
+
+
+def _compared_in_part(
+    comparison: ModelComparison,
+    best: ScoredModel,
+    rivals: Sequence[ScoredModel],
+    linear: Linear,
+    count: _Count,
+) -> ComparedSets:
+    """The final set, and the evidence of the others as far as they were fitted.
+
+    A set that is not fitted to the end is at most as likely as the final one.
+    """
+    everyone = [best, *rivals]
+    values, tempering = _relative_evidence(comparison, everyone, linear)
+    comparison.judge(rivals, best)
+    values[1:] = [
+        min(_decided(v, r, best, comparison), 0.0) for v, r in zip(values[1:], rivals, strict=True)
+    ]
+    sets = _others(comparison.problem, everyone, values, 0, best)
+    return ComparedSets(best, sets, tempering, count.spent, is_complete=False)
+
+
+def _relative_evidence(
+    comparison: ModelComparison, everyone: Sequence[ScoredModel], linear: Linear
+) -> tuple[FloatArray, float]:
+    """Evidence of sets relative to the first one, and the tempering for model error."""
+    idle = idle_parameters(comparison.problem, linear, [r.hypothesis for r in everyone])
+    values, tempering = set_evidence(comparison, everyone, idle)
+    return values - values[0], tempering
+
+
+def _others(
+    problem: Problem,
+    everyone: Sequence[ScoredModel],
+    values: FloatArray,
+    top: int,
+    chosen: ScoredModel,
+) -> tuple[AlternativeSet, ...]:
+    """The most likely fit of each other set, most likely set first.
+
+    Args:
+        problem: the problem.
+        everyone: all sets with their fits.
+        values: their evidence.
+        top: index of the chosen set.
+        chosen: the chosen set, fitted to the end.
+    """
+    likeliest = {
+        frozenset(everyone[i].hypothesis.terms): i for i in np.argsort(values, kind="stable")
+    }
     sets = [
         AlternativeSet(
-            everyone[i],
-            float(values[i] - values[top]),
-            _apart(comparison.problem, everyone[i], chosen),
+            everyone[i], float(values[i] - values[top]), _apart(problem, everyone[i], chosen)
         )
-        for i in others
-        if np.isfinite(values[i])
+        for i in likeliest.values()
+        if i != top and np.isfinite(values[i])
     ]
-    sets.sort(key=lambda s: -s.evidence)
-    return ComparedSets(chosen, tuple(sets), tempering, count.spent, float(values[top]))
+    return tuple(sorted(sets, key=lambda s: -s.evidence))
 
 
 def _decided(

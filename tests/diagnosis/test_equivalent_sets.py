@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.deadline import CHECK, OutOfTime
 from pytest_twin.diagnosis.equivalent_sets import (
+    Allowed,
     AlternativeSet,
     ComparedSets,
     _without_additions,
@@ -149,6 +151,42 @@ def test_command_delay_and_sensor_delay_of_one_joint_share_the_confidence(
     assert selected.confidence[term] == pytest.approx(0.5, abs=0.15)
     assert first.confidence == pytest.approx(0.5, abs=0.15)
     assert found.simulations <= EQUIVALENT.most_simulations
+
+
+class Limit:
+    """A limit on the number of times that a search asks whether its time is over."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self.asked = most, 0
+
+    def __call__(self) -> None:
+        self.asked += 1
+        if self.asked > self.most:
+            raise OutOfTime
+
+    def compared(self, problem: Problem, allowed: Allowed = lambda h: True) -> ComparedSets:
+        token = CHECK.set(self)
+        try:
+            start = with_values(problem, {SENSOR_DELAY: {"delay": 0.02}})
+            return compare_sets(ModelComparison(problem), start, allowed)
+        finally:
+            CHECK.reset(token)
+
+
+def test_sets_share_the_confidence_by_the_fit_so_far_if_the_time_ends() -> None:
+    problem = problem_of(PENDULUM.format(drive=SERVO), "position", {COMMAND_DELAY: {"delay": 0.02}})
+    limit = Limit(10**6)
+    found = limit.compared(problem)
+    while found.is_complete:
+        limit = Limit(limit.asked - 1)
+        found = limit.compared(problem)
+    assert found.best.hypothesis.terms == (SENSOR_DELAY,)
+    assert all(s.evidence <= 0.0 for s in found.sets)
+    assert found.sets[0].terms == {COMMAND_DELAY}
+    assert confidences(problem, found).confidence[SENSOR_DELAY] == pytest.approx(0.5, abs=0.15)
+    # A set that may not be reported is no result of a comparison in part.
+    with pytest.raises(OutOfTime):
+        Limit(limit.most).compared(problem, lambda h: SENSOR_DELAY not in h.terms)
 
 
 def test_one_effect_is_preferred_to_three_with_the_same_prediction_as_its_alternative() -> None:
