@@ -48,6 +48,7 @@ class Reality:
         filtered: time constant of a low-pass filter on these differences, s; 0 for no filter.
         noise: standard deviation of the logged positions, rad.
         driven: whether the commands are efforts instead of positions.
+        stepping: whether the moves of odd seeds are steps, 1 ms after a stamp.
     """
 
     between: Literal["held", "interpolated", "ramped"] = "held"
@@ -66,13 +67,18 @@ class Reality:
     filtered: float = 0.0
     noise: float = 1e-4
     driven: bool = False
+    stepping: bool = False
 
 
-def setpoints(seed: int, time: np.ndarray) -> np.ndarray:
+def setpoints(seed: int, time: np.ndarray, *, stepping: bool = False) -> np.ndarray:
     """(n,) setpoints, rad: four sines; with an odd seed, moves at 3 rad/s with rests between."""
     rng = np.random.default_rng(seed)
     if seed % 2:
         begins = np.arange(0.2, time[-1], 0.6)
+        if stepping:
+            levels = np.concatenate([[0.0], rng.uniform(-0.6, 0.6, len(begins))])
+            found: np.ndarray = levels[np.searchsorted(begins + 1e-3, time)]
+            return found
         levels = rng.uniform(-0.6, 0.6, len(begins))
         corners, values, last = [0.0], [0.0], 0.0
         for begin, level in zip(begins, levels, strict=True):
@@ -90,12 +96,14 @@ def commanded(seed: int, reality: Reality, time: np.ndarray) -> tuple[np.ndarray
     """Stamps and values of the logged commands, and the setpoints at each time."""
     period = reality.command_period
     stamps = np.arange(0.0, time[-1] + period, period)
-    values = setpoints(seed, stamps)
+    values = setpoints(seed, stamps, stepping=reality.stepping)
     if reality.driven:
         values = 4.0 * values
     index = np.searchsorted(stamps, time + 1e-9, side="right") - 1
     if reality.between == "held":
         follows = values[index]
+    elif reality.between == "interpolated" and reality.stepping:
+        follows = setpoints(seed, time, stepping=True)
     elif reality.between == "interpolated":
         follows = np.interp(time, stamps, values)
     else:

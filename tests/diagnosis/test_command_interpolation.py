@@ -15,6 +15,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.locate import Where
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.recorded import settle, with_doubt
+from pytest_twin.diagnosis.recorded.between_fit import jumps
 from pytest_twin.diagnosis.recorded.command_between import Between, Left, decide
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
 from pytest_twin.diagnosis.recorded.settle import Settled
@@ -94,6 +95,44 @@ def test_two_assumptions_with_equal_residuals_give_no_result() -> None:
 def test_the_assumption_without_model_error_is_selected_if_residuals_are_equal() -> None:
     found = decided(held=residual_of(1.0, nominal=1.05), interpolated=residual_of(1.0, nominal=9.0))
     assert (found.fact.value, found.fact.confidence) == ("held", 0.9)
+
+
+def test_an_ordinary_delay_of_the_servo_may_hide_a_small_difference() -> None:
+    found = decided(held=residual_of(1.0, nominal=1.2), interpolated=residual_of(1.0, nominal=3.5))
+    assert found.fact.value is None
+
+
+def test_an_open_question_is_left_at_moving_setpoints_only_if_the_model_is_closer() -> None:
+    def assumed(held: float, interpolated: float) -> str:
+        return decided(
+            held=residual_of(5.0, nominal=held), interpolated=residual_of(5.0, nominal=interpolated)
+        ).assumed
+
+    assert assumed(held=40.0, interpolated=10.0) == "interpolated"
+    assert assumed(held=40.0, interpolated=30.0) == "held"
+    assert assumed(held=10.0, interpolated=40.0) == "held"
+
+
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        ([0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.6], True),
+        ([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6], False),
+        ([0.0, 0.0, 0.0, 0.1, 0.3, 0.5, 0.6], False),
+        ([0.0, 0.0, 0.0, 0.001, 0.001, 0.3, 0.6], False),
+        ([0.2, 0.2], False),
+    ],
+    ids=["step", "ramp", "start of a motion", "small step", "two commands"],
+)
+def test_a_step_of_a_command_is_a_jump(command: list[float], expected: bool) -> None:
+    assert jumps(np.array(command)[:, None]) is expected
+
+
+def test_steps_between_stamps_do_not_decide_about_smooth_motion(tmp_path: Path) -> None:
+    # The line from one stamp to the next is 4 ms late on average.
+    reality = Reality("interpolated", command_period=0.01, stepping=True)
+    found = detected(tmp_path, reality, (2, 4, 5, 7))
+    assert found.fact.value == "interpolated", found.fact.evidence
 
 
 def two_joints(first_nominal: float, second_nominal: float) -> Left:

@@ -36,7 +36,7 @@ def with_doubt(explained: Explained, open_: Between | None) -> Explained:
     """
     if open_ is None:
         return explained
-    less, more = open_.later("held")
+    less, more = open_.later(open_.assumed)
     findings = [_doubted(f, less, more) if f.effect in _TIMES else f for f in explained.findings]
     return replace(explained, findings=tuple(findings))
 

@@ -64,8 +64,8 @@ class Settled:
             if said.value is None:
                 lines.append(
                     f"{names}: what commands do between stamps cannot be told; they are taken as "
-                    "held, and delays have an interval that allows for it (metadata or twin.yaml: "
-                    "command_between)"
+                    f"{answer.assumed}, and delays have an interval that allows for it (metadata "
+                    "or twin.yaml: command_between)"
                 )
             else:
                 lines.append(
@@ -121,7 +121,8 @@ class Settled:
     def decided(self, open_: Between, between: CommandBetween) -> Settled:
         """The same with the undetermined answer ``open_`` decided by the number of effects."""
         words = f"{open_.fact.evidence}; fewer effects explain them if commands are {between}"
-        known = Between(Fact(between, BY_MODEL, "data", words), (between,), open_.period)
+        fact = Fact(between, BY_MODEL, "data", words)
+        known = Between(fact, (between,), open_.period)
         return replace(self, between=tuple(known if b is open_ else b for b in self.between))
 
     def _between_fact(self, trial: Trial) -> Fact:
@@ -132,9 +133,9 @@ class Settled:
 
     def _used(self, trial: Trial) -> Trial:
         answer = self._answer(trial) if trial.between_source == "assumed" else None
-        for between in COMMAND_BETWEEN:
-            if answer is not None and answer.fact.value == between:
-                trial = replace(trial, command_between=between, between_source="data")
+        if answer is not None:
+            source = "assumed" if answer.fact.value is None else "data"
+            trial = replace(trial, command_between=answer.assumed, between_source=source)
         if any(_no_state(f) for f in self.velocity.values()):
             trial = replace(trial, velocity=None)
         if any(_no_sensor(f) for f in self.effort.values()):
