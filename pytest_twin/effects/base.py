@@ -184,6 +184,23 @@ class Parameter:
         units = _COMMANDED.get((quantity, commanded)) or _UNITS[quantity]
         return units[1 if joint_type == "slide" else 0]
 
+    def fitted_unit(self, joint_type: str, servo: str = "position") -> str:
+        """SI unit of the value that a fit estimates, which may be the reciprocal of the reported
+        one.
+
+        Args:
+            joint_type, servo: as for :meth:`unit`.
+        """
+        unit = self.unit(joint_type, servo)
+        return unit if self.reciprocal_of is None else reciprocal_unit(unit)
+
+
+def reciprocal_unit(unit: str) -> str:
+    """Unit of the reciprocal of a value: ``s/rad`` of ``rad/s``, ``1/(N*m)`` of ``N*m``."""
+    above, _, below = unit.partition("/")
+    divisor = f"({above})" if "*" in above else above
+    return f"{below or 1}/{divisor}"
+
 
 def si_unit(quantity: Quantity, slide: bool) -> str:
     """SI unit of a quantity on a slide or a hinge."""

@@ -80,12 +80,20 @@ def random_sensor(seed: int) -> ForceTorqueSensor:
     )
 
 
-def identified(folder: Path, kind: str, readings: Any, first_motion: int = 0) -> dict[str, Any]:
-    """Result for two recordings and a held-out one; ``readings`` converts the true signals."""
+def identified(
+    folder: Path, kind: str, readings: Any, first_motion: int = 0, rest: bool = False
+) -> dict[str, Any]:
+    """Result for two recordings and a held-out one; ``readings`` converts the true signals.
+
+    Args:
+        rest: whether the second recording is one at rest.
+    """  # fmt: skip
     (folder / "arm.xml").write_text(ARM)
     (folder / "out").mkdir()
     for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out")):
         q, v, a = random_motion(first_motion + seed)
+        if rest and seed == 2:
+            q, v, a = np.full_like(q, 0.3), np.zeros_like(v), np.zeros_like(a)
         write_trial(folder / f"{seed}.mcap", q, readings(true_signals(q, v, a), seed), kind,
               {"role": role})  # fmt: skip
     return identify_files(
@@ -150,6 +158,66 @@ def test_bias_and_scale_of_an_imu_are_identified(tmp_path: Path) -> None:
         assert found[f"wrist.sensor_scale_{axis}"]["value"] == pytest.approx(
             matrix[row, row], abs=0.004
         )
+
+
+def test_a_recording_at_rest_gives_the_noise_of_each_axis_of_an_imu(tmp_path: Path) -> None:
+    pytest.importorskip("allantools", reason="the extra 'sensors' is not installed")
+    density = np.array([1e-3, 2e-3, 4e-3, 1e-2, 2e-2, 4e-2])
+
+    def readings(true: Any, seed: int) -> np.ndarray:
+        noise = np.random.default_rng(seed).normal(size=true[1].shape)
+        return np.asarray(true[1] + density / np.sqrt(PERIOD) * noise)
+
+    found = identified(tmp_path, sensor_bags.IMU, readings, rest=True)
+    noise = found["sensors"]["wrist"]["noise"]
+    for axis, expected in zip(("gx", "gy", "gz", "ax", "ay", "az"), density, strict=True):
+        one = noise[axis]
+        assert one["density"] == pytest.approx(expected, abs=4.0 * one["density_std"])
+        # White noise alone still averages out at the longest time.
+        assert one["instability"] is None
+
+
+def test_without_a_recording_at_rest_an_imu_has_no_noise(tmp_path: Path) -> None:
+    found = identified(tmp_path, sensor_bags.IMU, lambda true, seed: true[1])
+    assert "noise" not in found["sensors"]["wrist"]
+
+
+def test_the_bias_instability_of_flicker_noise_is_identified() -> None:
+    """White noise, flicker noise of the two-sided density B^2 / (2 pi f), and a random walk."""
+    pytest.importorskip("allantools", reason="the extra 'sensors' is not installed")
+    rng = np.random.default_rng(1)
+    rate, count, instability, white, walk = 50.0, 2**17, 0.01, 0.002, 0.0008
+    frequency = np.fft.rfftfreq(count, 1.0 / rate)[1:]
+    amplitude = np.sqrt(instability**2 / (2.0 * np.pi * frequency) * rate * count / 2.0)
+    waves = amplitude * (rng.normal(size=len(frequency)) + 1j * rng.normal(size=len(frequency)))
+    flicker = np.fft.irfft(np.concatenate([[0.0], waves]), count)
+    still = flicker + white * np.sqrt(rate) * rng.normal(size=count)
+    still += walk / np.sqrt(rate) * np.cumsum(rng.normal(size=count))
+    (one,) = noise_of(still[:, None], rate)
+    assert one.instability == pytest.approx(instability, rel=0.2)
+    (cut_short,) = noise_of(still[:200, None], rate)
+    assert cut_short.instability is None
+
+
+def test_a_saturated_force_torque_sensor_has_its_limit_and_keeps_its_scales(
+    tmp_path: Path,
+) -> None:
+    """The vertical force saturates in a part of the samples, which are left out of the fit."""
+    sensor = random_sensor(0)
+    limit = np.full(6, np.inf)
+    limit[2] = 13.0
+    sensor = ForceTorqueSensor(sensor.bias, sensor.coupling, 0.0, limit)
+
+    def readings(true: Any, seed: int) -> np.ndarray:
+        noise = np.random.default_rng(seed).normal(size=(len(true[0]), 6))
+        clean = sensor.coupling @ true[0].T + sensor.bias[:, None]
+        return np.asarray(np.clip(clean.T + 0.01 * noise, -limit, limit))
+
+    found = identified(tmp_path, sensor_bags.WRENCH, readings)
+    stated = found["sensors"]["wrist"]["limit"]
+    assert stated == [None, None, pytest.approx(13.0), None, None, None]
+    scale = found["parameters"]["wrist.sensor_scale_fz"]["value"]
+    assert scale == pytest.approx(sensor.coupling[2, 2], abs=0.003)
 
 
 def test_the_density_of_white_noise_is_identified() -> None:

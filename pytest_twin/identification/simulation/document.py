@@ -32,8 +32,10 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
         for k, p in enumerate(term.parameters):
             if movable[k]:
                 unit = problem.scales.value(p, term.joint)
+                # The name says that a reciprocal was estimated: inverse_limit in 1/(N*m).
+                is_named = several or p.reciprocal_of is not None
                 name = f"{place_of(problem, term)}.{term.effect}" + (
-                    f".{p.name}" if several else ""
+                    f".{p.name}" if is_named else ""
                 )
                 theta, half = float(hypothesis.theta[at]), float(result.spread.half_width[at])
                 low, high = (
@@ -96,7 +98,7 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
 def _unit(problem: Problem, term: Term, parameter: Parameter) -> str:
     joint = max(term.joint, 0)
     kind = "slide" if problem.simulator.layout.slides[joint] else "hinge"
-    return parameter.unit(kind, str(problem.simulator.layout.servo[joint]))
+    return parameter.fitted_unit(kind, str(problem.simulator.layout.servo[joint]))
 
 
 def _covariance(result: SimulationResult, kept: NDArray[np.intp], scale: FloatArray) -> FloatArray:
