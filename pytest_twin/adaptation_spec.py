@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pytest_twin.dependency import canonical
+from pytest_twin.installed import entry_points_by_name, package_of
 
 Span = tuple[float, float]
+RESIDUALS = "pytest_twin.residuals"
+"""Group of the entry points of residuals of the kind ``function``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +131,7 @@ class ShadowPolicy:
 
 
 def digest_of(spec: ResidualSpec | UpdateSpec, file_sha256: str | None) -> str:
-    """SHA-256 of a residual or update and of its file's digest, hex."""
+    """SHA-256 of a residual or update, and of its file's digest or its package's version, hex."""
     content: dict[str, Any] = {"id": spec.id, "file": file_sha256}
     if isinstance(spec, UpdateSpec):
         content |= {
@@ -145,6 +148,10 @@ def digest_of(spec: ResidualSpec | UpdateSpec, file_sha256: str | None) -> str:
                 for name, one in spec.joints.items()
             },
         }
+        if spec.function is not None:
+            # A newer version of the package may compute another force.
+            points = entry_points_by_name(RESIDUALS).get(spec.function, ())
+            content["packages"] = [package_of(point) for point in points]
     return hashlib.sha256(canonical(content)).hexdigest()
 
 

@@ -1,18 +1,36 @@
-"""Online update of friction on real servos, in the order of the recordings.
+"""Online update of friction and drive on real servos, in the order of the recordings.
 
-    python benchmarks/real/online_update.py RECORDINGS [SET...]
+    python benchmarks/real/online_update.py RECORDINGS [SET...] [--release]
 
 RECORDINGS is the folder with ``xl330`` and ``so101``. Each window of 0.5 s is predicted from its
 first measured state before it updates the parameters. Both columns are over the same windows.
+
+All recordings of a set begin at the same stamp, so their order is not in the files. Those of
+``xl330`` are ordered by the temperature of the servo, which rises from 28 to 39 deg C; those of
+``so101`` by name.
+
+With ``--release`` the commands do it: the twin is released, the update is declared and compared by
+``pytest-twin shadow``, promoted and released; then a model with 3.5 times the damping is compared,
+and ``rollback`` restores the twin.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import os
+import shutil
 import sys
+import tempfile
 import time
 from pathlib import Path
 
+import mujoco
 import numpy as np
+
+sys.path.append(str(Path(__file__).parents[1] / "adaptation"))
+
+from wearing_plants import FAULT, GOLDEN, gate, told
 
 from pytest_twin.adaptation.recursive import Recursion, base_parameters, track
 from pytest_twin.adaptation_spec import UpdateSpec
@@ -24,10 +42,32 @@ from pytest_twin.twin import DEFAULT_TOPICS, load_twin
 
 WINDOW = 0.5
 BOUNDS = {
-    "xl330": {"viscous_friction": (0.0, 0.3), "coulomb_friction": (0.0, 0.2)},
-    "so101": {"viscous_friction": (0.0, 3.0), "coulomb_friction": (0.0, 0.5)},
-}
+    "xl330": {
+        "viscous_friction": (0.0, 0.3), "coulomb_friction": (0.0, 0.2),
+        "torque_constant": (-0.6, 0.6),
+    },
+    "so101": {
+        "viscous_friction": (0.0, 3.0), "coulomb_friction": (0.0, 0.5),
+        "torque_constant": (-0.99, 0.5),
+    },
+}  # fmt: skip
 MOST_RECORDINGS = {"xl330": 16, "so101": 2}
+FRAME = {"xl330": "arm", "so101": "gripper"}
+
+
+def ordered(folder: Path, name: str, topics: dict[str, str]) -> list[Path]:
+    """Recordings of a set in the order in which they are used."""
+    paths = sorted((folder / "recordings").iterdir())
+
+    def temperature(path: Path) -> float:
+        (recording,) = recordings_at(path, topics)
+        return float(recording.metadata.get("temperature", 0.0))
+
+    return sorted(paths, key=temperature)[: MOST_RECORDINGS[name]]
+
+
+def parameters_of(joints: tuple[str, ...], name: str) -> dict[str, tuple[float, float]]:
+    return {f"{joint}.{kind}": span for joint in joints for kind, span in BOUNDS[name].items()}
 
 
 def run(folder: Path, name: str) -> None:
@@ -37,17 +77,12 @@ def run(folder: Path, name: str) -> None:
     topics = DEFAULT_TOPICS if twin is None else twin.topics
     trials = [
         trial
-        for path in sorted((folder / "recordings").iterdir())[: MOST_RECORDINGS[name]]
+        for path in ordered(folder, name, topics)
         for recording in recordings_at(path, topics)
         for trial in make_trials(recording, realization.structure)
     ]
-    trials.sort(key=lambda trial: trial.start)
     rows = [row_of(realization, trial) for trial in trials]
-    parameters = {
-        f"{joint}.{kind}": span
-        for joint in trials[0].command_joints
-        for kind, span in BOUNDS[name].items()
-    }
+    parameters = parameters_of(trials[0].command_joints, name)
     spec = UpdateSpec(name, parameters, window=WINDOW)
     recursion = Recursion(spec, base_parameters(spec, rows[0].model))
     began = time.perf_counter()
@@ -69,11 +104,68 @@ def run(folder: Path, name: str) -> None:
         print(f"  {parameter}: {recursion.base[at]:.4g} -> {recursion.value[at]:.4g}")
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+def through_releases(source: Path, name: str, scratch: Path) -> None:
+    """Print what each command of the way from the first release to the rollback answered."""
+    folder = scratch / name
+    (folder / "golden/fk").mkdir(parents=True)
+    (folder / "golden/fk/home.yaml").write_text(GOLDEN.replace("arm", FRAME[name]))
+    shutil.copy(source / "model.xml", folder)
+    own = source / "twin.yaml"
+    text = own.read_text() if own.is_file() else "model: model.xml\n"
+    text += f"name: {name}\nshadow: {{metrics: {{position_rms: 0.02}}}}\n"
+    (folder / "twin.yaml").write_text(text)
+    paths = [str(path) for path in ordered(source, name, load_twin(folder / "twin.yaml").topics)]
+    nominal = (folder / "model.xml").read_text()
+    print(
+        f"{name}: released {gate(folder, '--twin-update') == gate(folder, '--twin-release') == 0}"
+    )
+    model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    joints = tuple(model.joint(joint).name for joint in range(model.njnt))
+    bounds = {
+        key: {"lower": low, "upper": high}
+        for key, (low, high) in parameters_of(joints, name).items()
+    }
+    update = {"id": "drive-1", "rule": "recursive_least_squares", "window": WINDOW,
+              "parameters": bounds}  # fmt: skip
+    (folder / "twin.yaml").write_text(f"{text}update: {json.dumps(update)}\n")
+    shadow = ("pytest_twin.cli", "shadow")
+    status = told(folder, *shadow, "releases/0001", ".", *paths, "--promote", "--json", "out.json")
+    found = json.loads((folder / "out.json").read_text())
+    print(f"  shadow of release 1: status {status}, {found['verdict']}")
+    for one in found["metrics"]:
+        print(f"    {one['metric']}: {100 * one['change']:+.1f} %, met {one['met']}")
+    for one in found["faults"]:
+        print(f"    {one['fault']}: {one['why']}")
+    if status == 0:
+        print(f"  released with the update: {gate(folder, '--twin-release') == 0}")
+    newest = max((folder / "releases").iterdir()).name
+    spec = mujoco.MjSpec.from_string(nominal)
+    for joint in spec.joints:
+        joint.damping[0] *= FAULT
+    (folder / "model.xml").write_text(spec.to_xml())
+    status = told(folder, *shadow, f"releases/{newest}", ".", *paths)
+    print(f"  {FAULT} times the damping: status {status} (1: rejected)")
+    restored = told(folder, "pytest_twin.cli", "rollback") == 0
+    same = (folder / "model.xml").read_text() == nominal
+    print(f"  rollback: {restored}, the model is the released one again: {same}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("recordings", type=Path)
+    parser.add_argument("sets", nargs="*", default=list(BOUNDS))
+    parser.add_argument("--release", action="store_true")
+    args = parser.parse_args()
+    if not args.release:
+        for which in args.sets:
+            run(args.recordings / which, which)
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
+            os.environ[name] = scratch
+        for which in args.sets:
+            through_releases((args.recordings / which).absolute(), which, Path(scratch))
 
 
 if __name__ == "__main__":
-    root = Path(sys.argv[1])
-    for which in sys.argv[2:] or list(BOUNDS):
-        run(root / which, which)
+    main()

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
 from typing import Any
 
 import numpy as np
 
 from pytest_twin.adaptation.guard import Law
-from pytest_twin.adaptation_spec import ResidualSpec
+from pytest_twin.adaptation_spec import RESIDUALS, ResidualSpec
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.unnamed_law import KNOTS, TABLES, UnnamedLaw
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.paths import read_bytes
-from pytest_twin.installed import load_plugin
+from pytest_twin.installed import entry_points_by_name, load_plugin, package_of, single_entry_point
 
-GROUP = "pytest_twin.residuals"
 _TABLES_BYTES = 1 << 20
 """Largest size of a file of tables; 1 MiB is far above that of any diagnosis."""
 _ONNX_BYTES = 256 * 2**20
@@ -139,22 +137,42 @@ def _onnx(spec: ResidualSpec) -> Law:
 
 def _function(spec: ResidualSpec) -> Law:
     """Return an instance of the entry point's class, which is called like :data:`Law`."""
-    points = [point for point in entry_points(group=GROUP) if point.name == spec.function]
+    points = entry_points_by_name(RESIDUALS).get(spec.function or "", ())
     if not points:
         raise SpecError(
             f"no installed package brings the residual {spec.function!r}",
             where="residual.function",
-            expected=f"the name of an entry point of the group {GROUP}",
+            expected=f"the name of an entry point of the group {RESIDUALS}",
         )
-    function: Any = load_plugin(points[0], "residual")
+    point = single_entry_point(points, "residual")
+    function: Any = load_plugin(point, "residual")
+    count = len(spec.joints)
 
     def law(
         position: FloatArray, velocity: FloatArray, command: FloatArray
     ) -> tuple[FloatArray, FloatArray | None]:
-        force, deviation = function(position, velocity, command)
-        return (
-            np.asarray(force, dtype=np.float64),
-            None if deviation is None else np.asarray(deviation, dtype=np.float64),
-        )
+        try:
+            force, deviation = function(position, velocity, command)
+            each = [np.asarray(force, dtype=np.float64)]
+            if deviation is not None:
+                each.append(np.asarray(deviation, dtype=np.float64))
+        except Exception as error:
+            # The code of another package may raise anything.
+            words = f"{type(error).__name__}: {error}"[:120]
+            raise SpecError(
+                f"the residual of {package_of(point)} does not run: {words}",
+                where="residual.function",
+                value=spec.function,
+                expected="a force and its standard deviation, or None for the second",
+            ) from error
+        if any(one.shape != (count,) for one in each):
+            raise SpecError(
+                f"the residual of {package_of(point)} has another number of outputs",
+                where="residual.function",
+                value=[list(one.shape) for one in each],
+                expected=f"{count}, one for each joint",
+            )
+        return each[0], each[1] if len(each) > 1 else None
 
+    law(*np.zeros((3, count)))
     return law

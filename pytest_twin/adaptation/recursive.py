@@ -18,6 +18,7 @@ import numpy as np
 from pytest_twin.adaptation_spec import UpdateSpec
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SpecError
+from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
 from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import Trial
 
@@ -26,6 +27,14 @@ _FIELDS = {
     "coulomb_friction": "dof_frictionloss",
     "armature": "dof_armature",
 }
+_TORQUE_CONSTANT = "torque_constant"
+"""Relative error of a drive's effort, as in the effect of this name: 0.1 for 10 % more."""
+_DRIVE_FIELDS = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
+_LINEAR = (
+    frozenset({int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)}),
+    frozenset({int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)}),
+)
+"""Types of gain and bias whose effort is proportional to their parameters."""
 _INDEPENDENT = 10.0
 """Number of independent samples per window and joint. Neighbouring samples share the model
 error."""
@@ -157,14 +166,15 @@ def base_parameters(spec: UpdateSpec, model: mujoco.MjModel) -> FloatArray:
     """
     found = []
     for name, (low, high) in spec.parameters.items():
-        attribute, dof = _place(name, model)
-        value = float(getattr(model, attribute)[dof])
-        if not low <= value <= high:
+        value = _value(model, name)
+        least = -1.0 if name.endswith(f".{_TORQUE_CONSTANT}") else -np.inf
+        if not least < low <= value <= high:
             raise SpecError(
                 "the base model's value lies outside the bounds of the update",
                 where=f"update.parameters.{name}",
                 value=value,
-                expected=f"bounds around it, not {low:g} to {high:g}",
+                expected=f"bounds around it, not {low:g} to {high:g}"
+                + (", and above -1" if low <= least else ""),
             )
         found.append(value)
     return np.array(found)
@@ -284,7 +294,21 @@ def _speed(trial: Trial, row: int) -> FloatArray:
     return slope
 
 
-def _place(name: str, model: mujoco.MjModel) -> tuple[str, int]:
+def _value(model: mujoco.MjModel, name: str) -> float:
+    """Return a parameter of a model, SI units at the joint.
+
+    Raises:
+        SpecError: the model lacks the joint, or its drive has no torque constant.
+    """
+    joint, parameter = _place(name, model)
+    if parameter == _TORQUE_CONSTANT:
+        _drives(model, name, joint)
+        return 0.0
+    return float(getattr(model, _FIELDS[parameter])[model.jnt_dofadr[joint]])
+
+
+def _place(name: str, model: mujoco.MjModel) -> tuple[int, str]:
+    """Return the index of the joint, and the name of the parameter."""
     joint, _, parameter = name.rpartition(".")
     index = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint))
     if index < 0:
@@ -292,12 +316,40 @@ def _place(name: str, model: mujoco.MjModel) -> tuple[str, int]:
             "no such joint", where=f"update.parameters.{name}", value=joint,
             expected="a joint of the model",
         )  # fmt: skip
-    return _FIELDS[parameter], int(model.jnt_dofadr[index])
+    return index, parameter
+
+
+def _drives(model: mujoco.MjModel, name: str, joint: int) -> list[int]:
+    """Return the actuators of a joint; all efforts of each are proportional to its gains."""
+    gains, biases = _LINEAR
+    found = [
+        actuator
+        for actuator in range(model.nactuator)
+        if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS
+        and int(model.actuator_trnid[actuator, 0]) == joint
+    ]
+    linear = all(
+        int(model.actuator_gaintype[one]) in gains and int(model.actuator_biastype[one]) in biases
+        for one in found
+    )
+    if not found or not linear:
+        raise SpecError(
+            "no drive with a torque constant",
+            where=f"update.parameters.{name}",
+            value=str(model.joint(joint).name),
+            expected="a joint with a motor, a position servo or a velocity servo",
+        )
+    return found
 
 
 def _with(model: mujoco.MjModel, names: Sequence[str], values: FloatArray) -> mujoco.MjModel:
     changed = copy.copy(model)
     for name, value in zip(names, values, strict=True):
-        attribute, dof = _place(name, model)
-        getattr(changed, attribute)[dof] = value
+        joint, parameter = _place(name, model)
+        if parameter == _TORQUE_CONSTANT:
+            drives = _drives(model, name, joint)
+            for field_name in _DRIVE_FIELDS:
+                getattr(changed, field_name)[drives] *= 1.0 + value
+        else:
+            getattr(changed, _FIELDS[parameter])[model.jnt_dofadr[joint]] = value
     return changed

@@ -73,6 +73,47 @@ def test_a_base_outside_the_bounds_is_refused(setting) -> None:
         base_parameters(spec, realization.model)
 
 
+def test_the_torque_constant_of_the_drive_is_estimated_beside_friction(tmp_path: Path) -> None:
+    """The plant's servo has 70 % of the model's effort, in its gain and in its limit."""
+    base = model().replace('kp="1.0"', 'kp="1.0" forcerange="-0.6 0.6"')
+    plant = model(damping=0.08).replace('kp="1.0"', 'kp="0.7" forcerange="-0.42 0.42"')
+    (tmp_path / "model.xml").write_text(base)
+    realization = load(tmp_path / "model.xml")
+    topics = {"state": "/joint_states", "command": "/joint_commands"}
+    rows = []
+    for number in range(3):
+        path = record(tmp_path / f"{number}.mcap", plant, phase=float(number))
+        trials = make_trials(recording_at(path, topics), realization.structure)
+        rows += [row_of(realization, trial) for trial in trials]
+    spec = UpdateSpec(
+        "drive", {"a.torque_constant": (-0.6, 0.6), "a.viscous_friction": (0.0, 0.3)}, window=0.5,
+        noise=0.001,
+    )  # fmt: skip
+    recursion = Recursion(spec, base_parameters(spec, rows[0].model))
+    assert recursion.base == pytest.approx([0.0, 0.05])
+    track(recursion, rows)
+    assert recursion.value == pytest.approx([-0.3, 0.08], abs=0.01)
+    # The base model itself is not changed.
+    assert realization.model.actuator_gainprm[0, 0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "words"),
+    [
+        ("a.torque_constant", (-1.0, 0.5), "and above -1"),
+        ("b.torque_constant", (-0.5, 0.5), "no such joint"),
+        ("free.torque_constant", (-0.5, 0.5), "no drive with a torque constant"),
+    ],
+)
+def test_a_torque_constant_that_no_drive_has_is_refused(
+    tmp_path: Path, name: str, bounds: tuple[float, float], words: str
+) -> None:
+    undriven = '<body><joint name="free"/><geom size="0.1" mass="1"/></body></worldbody>'
+    (tmp_path / "model.xml").write_text(model().replace("</worldbody>", undriven))
+    with pytest.raises(SpecError, match=words):
+        base_parameters(UpdateSpec("x", {name: bounds}), load(tmp_path / "model.xml").model)
+
+
 def test_the_update_passes_the_test_of_every_fault(setting) -> None:
     realization, trials = setting
     document = try_update(SPEC, realization, trials, ShadowPolicy())
@@ -84,6 +125,30 @@ def test_the_update_passes_the_test_of_every_fault(setting) -> None:
         True,
     )  # fmt: skip
     assert all(one["met"] for one in document["metrics"])
+    for fault in document["faults"]:
+        if fault["fault"] != "restart":
+            assert fault["exact_updated_rms"] < 1.1 * fault["exact_base_rms"]
+
+
+def test_an_update_that_trusts_every_window_fails_the_tests_of_wrong_measurements(
+    setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Least squares with the noise of the sensor alone, whatever the innovation is."""
+
+    def trusting(self, jacobian, innovation, share):
+        variance = share * self.spec.noise**2
+        information = np.linalg.inv(self.covariance / self.spec.forgetting)
+        self.covariance = np.linalg.inv(information + jacobian.T @ jacobian / variance)
+        step = self.covariance @ (jacobian.T @ np.nan_to_num(innovation)) / variance
+        self.value = np.clip(self.value + step, *self.bounds)
+        return "updated"
+
+    monkeypatch.setattr(Recursion, "update", trusting)
+    realization, trials = setting
+    document = try_update(SPEC, realization, trials, ShadowPolicy())
+    failed = {fault["fault"]: fault["why"] for fault in document["faults"] if not fault["holds"]}
+    assert set(failed) >= {"distribution_shift", "stale_time", "contact_transition"}
+    assert all("exactly the base model" in why for why in failed.values())
 
 
 def test_the_base_parameters_are_used_while_the_update_predicts_worse(setting) -> None:
