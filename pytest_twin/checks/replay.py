@@ -26,7 +26,13 @@ from pytest_twin.checks.replay_sensors import (
     sensor_measures,
     sensor_values,
 )
-from pytest_twin.checks.replay_signals import MISSING, effort_rms, frequency
+from pytest_twin.checks.replay_signals import (
+    MISSING,
+    RESPONSES,
+    effort_frequency,
+    effort_rms,
+    frequency,
+)
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
@@ -37,7 +43,7 @@ if TYPE_CHECKING:
     from pytest_twin.replay import Replayed
     from pytest_twin.trial import Trial
 
-_RESPONSE = ("magnitude", "phase")
+_RESPONSE_BOUNDS = {name: name for name in RESPONSES}
 # Joint type -> the tolerances that bound it: position (rms, maximum), velocity and effort (rms),
 # and the frequency response.
 _BOUNDS: Mapping[str, Mapping[str, str]] = {
@@ -46,16 +52,14 @@ _BOUNDS: Mapping[str, Mapping[str, str]] = {
         "maximum": "angle_max",
         "velocity_rms": "angular_velocity_rms",
         "effort_rms": "torque_rms",
-        "magnitude": "magnitude",
-        "phase": "phase",
+        **_RESPONSE_BOUNDS,
     },
     "slide": {
         "rms": "position_rms",
         "maximum": "position_max",
         "velocity_rms": "velocity_rms",
         "effort_rms": "force_rms",
-        "magnitude": "magnitude",
-        "phase": "phase",
+        **_RESPONSE_BOUNDS,
     },
 }
 _TOLERANCES: Mapping[str, str] = {
@@ -69,6 +73,10 @@ _TOLERANCES: Mapping[str, str] = {
     "force_rms": "N",
     "magnitude": "dB",
     "phase": "rad",
+    "bandwidth": "Hz",
+    "resonance": "Hz",
+    "effort_magnitude": "dB",
+    "effort_phase": "rad",
     "tcp_position_rms": "m",
     "tcp_position_max": "m",
     "tcp_orientation_max": "rad",
@@ -87,9 +95,9 @@ class Replay(Check):
 
     ``values``: ``joints`` (joint -> ``type``, ``rms``, ``maximum``, ``mean``, ``at`` in s,
     ``predicted`` and ``recorded`` there, ``velocity_rms`` or None; where a tolerance bounds them
-    ``effort_rms`` and ``frequency``), ``tcp`` (likewise, in m and rad) or None, ``sensors``
-    (sensor -> ``rms`` and ``unit`` by channel), ``marks`` (doubtful sections of the recording:
-    kind -> count),
+    ``effort_rms``, ``frequency`` and ``effort_frequency``), ``tcp`` (likewise, in m and rad) or
+    None, ``sensors`` (sensor -> ``rms`` and ``unit`` by channel), ``marks`` (doubtful sections of
+    the recording: kind -> count),
     ``command_between`` (held, interpolated or ramped), ``notes``.
     """
 
@@ -227,8 +235,11 @@ class Replay(Check):
             asked = _asked(golden, joint)
             if asked & {"torque_rms", "force_rms"}:
                 numbers["effort_rms"] = effort_rms(results, joint)
-            if asked & set(_RESPONSE):
+            sources = {source for name, (source, _) in RESPONSES.items() if name in asked}
+            if "frequency" in sources:
                 numbers["frequency"] = frequency(results, joint)
+            if "effort_frequency" in sources:
+                numbers["effort_frequency"] = effort_frequency(results, joint)
         notes = [note for t in trials for note in t.notes]
         notes += dict.fromkeys(note for result in results for note in result.notes)
         values: dict[str, Any] = {
@@ -435,12 +446,13 @@ def _joint_measures(golden: Golden, joints: Mapping[str, Any]) -> Iterator[Measu
                 bound = golden.tolerance[name].value
             else:
                 continue
-            response = values.get("frequency") or {}
-            error = response.get(number) if number in _RESPONSE else values[number]
+            source, part = RESPONSES.get(number, ("", number))
+            response = (values.get(source) or {}) if source else values
+            error = response.get(part)
             if error is None:
                 words = MISSING.get(number, "the recording has no velocity of {joint!r}")
                 what = {"effort_rms": "efforts"}.get(number, "velocities")
-                if number in _RESPONSE:
+                if source:
                     what = "a longer excitation of the band"
                 raise spec_error(
                     golden,
@@ -448,21 +460,29 @@ def _joint_measures(golden: Golden, joints: Mapping[str, Any]) -> Iterator[Measu
                     words.format(joint=joint),
                     expected=f"a recording with {what}, or a spec without this tolerance",
                 )
-            worst = number == "maximum"
+            predicted, recorded = error, 0.0
+            if number == "maximum":
+                predicted, recorded = values["predicted"], values["recorded"]
+            elif f"{part}_predicted" in response:
+                predicted, recorded = response[f"{part}_predicted"], response[f"{part}_measured"]
             yield Measure(
                 name=name,
-                subject=joint
-                if number not in _RESPONSE
-                else f"{joint}, {response['lowest']:.3g} to {response['highest']:.3g} Hz, worst at "
-                f"{response[number + '_at']:.3g} Hz",
-                measured=values["predicted"] if worst else error,
-                golden=values["recorded"] if worst else 0.0,
+                subject=_subject(joint, response, part) if source else joint,
+                measured=predicted,
+                golden=recorded,
                 error=error,
                 tolerance=bound,
                 unit=unit,
                 against="recording",
                 time=values["at"] if number in ("rms", "maximum") else None,
             )
+
+
+def _subject(joint: str, response: Mapping[str, Any], part: str) -> str:
+    """Return joint, supported frequencies and, for a spectrum, the worst frequency."""
+    words = f"{joint}, {response['lowest']:.3g} to {response['highest']:.3g} Hz"
+    worst = response.get(f"{part}_at")
+    return words if worst is None else f"{words}, worst at {worst:.3g} Hz"
 
 
 def _tcp_measures(golden: Golden, values: Mapping[str, Any]) -> Iterator[Measure]:

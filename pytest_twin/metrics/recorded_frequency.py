@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.metrics.frequency import Response
+from pytest_twin.metrics.frequency import Response, bandwidth, resonance
 
 MIN_COHERENCE = 0.8
 """Smallest coherence; below it, the random error of the magnitude exceeds 10 % with 12 averages."""
@@ -35,6 +35,10 @@ class Compared:
         magnitude_at, phase_at: frequencies of these differences, Hz.
         lowest, highest: lowest and highest line with sufficient coherence, Hz.
         lines: number of these lines.
+        bandwidth, resonance: differences of the bandwidths and of the resonances, Hz; None if one
+            of the two responses shows none.
+        bandwidth_predicted, bandwidth_measured: the bandwidths, Hz, or None.
+        resonance_predicted, resonance_measured: frequencies of the resonances, Hz, or None.
     """
 
     magnitude: float
@@ -44,6 +48,12 @@ class Compared:
     lowest: float
     highest: float
     lines: int
+    bandwidth: float | None = None
+    bandwidth_predicted: float | None = None
+    bandwidth_measured: float | None = None
+    resonance: float | None = None
+    resonance_predicted: float | None = None
+    resonance_measured: float | None = None
 
 
 def uniform(time: FloatArray, *series: FloatArray) -> tuple[float, tuple[FloatArray, ...]]:
@@ -108,17 +118,29 @@ def compared(
         command, predicted, measured: (n,) signals at equal intervals.
         rate: sampling rate, Hz.
     """
-    ours = recorded_response(command, predicted, rate)
-    theirs = recorded_response(command, measured, rate)
-    if ours is None or theirs is None:
+    return difference(
+        recorded_response(command, predicted, rate), recorded_response(command, measured, rate)
+    )
+
+
+def difference(predicted: Response | None, measured: Response | None) -> Compared | None:
+    """Return the difference of two responses; None if no line has sufficient coherence in both."""
+    if predicted is None or measured is None:
         return None
-    both, at, to = np.intersect1d(ours.frequency, theirs.frequency, return_indices=True)
+    both, at, to = np.intersect1d(predicted.frequency, measured.frequency, return_indices=True)
     if not len(both):
         return None
-    level = 20.0 * np.log10(ours.magnitude[at] / theirs.magnitude[to])
-    turn = np.angle(np.exp(1j * (ours.phase[at] - theirs.phase[to])))
+    level = 20.0 * np.log10(predicted.magnitude[at] / measured.magnitude[to])
+    turn = np.angle(np.exp(1j * (predicted.phase[at] - measured.phase[to])))
     worst, late = int(np.argmax(np.abs(level))), int(np.argmax(np.abs(turn)))
+    widths = bandwidth(predicted), bandwidth(measured)
+    peaks = [None if peak is None else peak[0] for peak in map(resonance, (predicted, measured))]
     return Compared(
         float(abs(level[worst])), float(abs(turn[late])), float(both[worst]), float(both[late]),
         float(both[0]), float(both[-1]), len(both),
+        _apart(*widths), *widths, _apart(*peaks), *peaks,
     )  # fmt: skip
+
+
+def _apart(one: float | None, other: float | None) -> float | None:
+    return None if one is None or other is None else abs(one - other)

@@ -71,6 +71,23 @@ def test_a_delay_changes_only_the_phase() -> None:
     assert found.phase_at == found.highest
 
 
+def test_bandwidths_and_resonances_of_two_responses_are_compared() -> None:
+    command = noise()
+    slow, quick = (signal.sosfilt(second_order(hertz, 0.2), command) for hertz in (8.0, 10.0))
+    found = compared(command, quick, slow, RATE)
+    assert found is not None
+    assert found.resonance == pytest.approx(2.0 * np.sqrt(1 - 2 * 0.2**2), rel=0.15)
+    assert found.bandwidth == pytest.approx(2.0 * 1.51, rel=0.15)
+    assert found.bandwidth_predicted is not None
+    assert found.bandwidth_measured is not None
+    assert found.bandwidth_predicted > found.bandwidth_measured
+    damped = signal.sosfilt(second_order(8.0, 1.0), command)
+    without = compared(command, damped, slow, RATE)
+    assert without is not None
+    assert without.resonance is None
+    assert without.resonance_measured is not None
+
+
 def test_irregular_stamps_are_resampled_to_a_uniform_rate() -> None:
     time = np.cumsum(np.random.default_rng(0).uniform(0.004, 0.006, 2000))
     rate, (wave,) = uniform(time, np.sin(2 * np.pi * time))
