@@ -220,7 +220,8 @@ REFUSALS: dict[str, tuple[dict[str, Any], type[TwinError], str]] = {
         },
         SpecError,
         "tolerance: no tolerance bounds joint 'shoulder' (expected angle_rms or angle_max or "
-        "angular_velocity_rms or torque_rms or magnitude or phase)",
+        "angular_velocity_rms or torque_rms or magnitude or phase or "
+        "bandwidth or resonance or effort_magnitude or effort_phase)",
     ),
     "controller not stated": (
         {"target": {"recording": "soft.mcap"}, "tolerance": {"angle_rms": "1 deg"}},
