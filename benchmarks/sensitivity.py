@@ -94,7 +94,7 @@ def first_diagnosis(folder: Path) -> Answer:
             f"{s.place[0]} at {', '.join(s.place[1])}, else {[e for e, _ in s.rivals]}": {
                 name: value for name, (value, _) in s.values.items()
             }
-            for s in found.suspects
+            for s in found.likely_effects
         },
         "simulations": 0,
     }

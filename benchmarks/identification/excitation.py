@@ -28,10 +28,10 @@ import numpy as np
 import scipy.signal
 import tx40_files
 
-from pytest_twin.excitation.approved import Approved, JointLimits, Stop
+from pytest_twin.excitation.approved import ApprovedLimits, JointLimits, Stop
 from pytest_twin.excitation.d_optimal import Design
 from pytest_twin.excitation.minimizers import SOLVERS, minimizer
-from pytest_twin.excitation.motion import Drawn
+from pytest_twin.excitation.motion import JointStates
 from pytest_twin.excitation.noise import noise_of
 from pytest_twin.excitation.prediction import of_base
 from pytest_twin.excitation.reading import movable_joints
@@ -70,15 +70,17 @@ def robots_folder() -> Path:
     raise SystemExit("example-robot-data is not installed: pip install pytest-twin[test]")
 
 
-def approved(joints: list[JointLimits], duration: float, band: tuple[float, float]) -> Approved:
+def approved(
+    joints: list[JointLimits], duration: float, band: tuple[float, float]
+) -> ApprovedLimits:
     """Limits of a robot without obstacles."""
-    return Approved(
+    return ApprovedLimits(
         "a benchmark", ("inertia",), duration, RATE, band, 0.0, tuple(joints), (), None, 1e9,
         Stop(1, 0.0, "none"), {},
     )  # fmt: skip
 
 
-def from_model(realization: Realization, left_out: tuple[str, ...]) -> Approved:
+def from_model(realization: Realization, left_out: tuple[str, ...]) -> ApprovedLimits:
     """The limits are 80 % of each joint's range, half its speed, and this speed within 0.25 s."""
     joints = []
     for name in movable_joints(realization):
@@ -98,7 +100,9 @@ def from_model(realization: Realization, left_out: tuple[str, ...]) -> Approved:
     return approved(joints, 20.5, (0.1, 1.0))
 
 
-def worst(realization: Realization, limits: Approved, drawn: Drawn) -> tuple[float, float]:
+def worst(
+    realization: Realization, limits: ApprovedLimits, drawn: JointStates
+) -> tuple[float, float]:
     """Return log det of the information, and the largest relative deviation in percent.
 
     Parameters that are small are left out."""
@@ -116,7 +120,11 @@ def worst(realization: Realization, limits: Approved, drawn: Drawn) -> tuple[flo
 
 
 def compared(
-    name: str, realization: Realization, limits: Approved, theirs: Drawn | None, solver: str
+    name: str,
+    realization: Realization,
+    limits: ApprovedLimits,
+    theirs: JointStates | None,
+    solver: str,
 ) -> dict:
     """Compare our motion with random motion, and with the published one if it exists."""
     regressor = Regressor(realization, limits.names)
@@ -151,7 +159,9 @@ def compared(
     return found
 
 
-def envelope(realization: Realization, names: tuple[str, ...], drawn: Drawn) -> Approved:
+def envelope(
+    realization: Realization, names: tuple[str, ...], drawn: JointStates
+) -> ApprovedLimits:
     """Return the limits that a motion uses."""
     joints = []
     for at, name in enumerate(names):
@@ -172,12 +182,14 @@ def envelope(realization: Realization, names: tuple[str, ...], drawn: Drawn) -> 
     return approved(joints, seconds, (1.0 / (seconds - 0.5), highest))
 
 
-def flobaroid(checkout: Path) -> tuple[Realization, tuple[str, ...], Drawn]:
+def flobaroid(checkout: Path) -> tuple[Realization, tuple[str, ...], JointStates]:
     """Return the published motion of the KUKA LWR4, at 100 Hz."""
     realization = without_meshes(checkout / "model" / "kuka_lwr4.urdf")
     file = np.load(checkout / "model" / "kuka_lwr4.urdf.trajectory_opt_1.npz", allow_pickle=False)
     rows = slice(None, None, round(float(file["frequency"]) / RATE))
-    drawn = Drawn(*(file[k][rows] for k in ("times", "positions", "velocities", "accelerations")))
+    drawn = JointStates(
+        *(file[k][rows] for k in ("times", "positions", "velocities", "accelerations"))
+    )
     return realization, movable_joints(realization), drawn
 
 
@@ -195,7 +207,7 @@ def without_meshes(urdf: Path) -> Realization:
         return load(bare)
 
 
-def tx40(source: Path) -> tuple[Realization, tuple[str, ...], Drawn]:
+def tx40(source: Path) -> tuple[Realization, tuple[str, ...], JointStates]:
     """Return the recorded joint motion of the TX40, low-passed as by its authors, at 100 Hz."""
     realization = without_meshes(source / "tx40.urdf")
     motor = tx40_files.read_table(source / "motor_positions.csv.gz")
@@ -208,7 +220,7 @@ def tx40(source: Path) -> tuple[Realization, tuple[str, ...], Drawn]:
     acceleration = np.gradient(velocity, 1.0 / tx40_files.RATE, axis=0)
     rows = slice(None, None, round(tx40_files.RATE / RATE))
     time_ = np.arange(len(position)) / tx40_files.RATE
-    drawn = Drawn(time_[rows], position[rows], velocity[rows], acceleration[rows])
+    drawn = JointStates(time_[rows], position[rows], velocity[rows], acceleration[rows])
     return realization, tx40_files.JOINTS, drawn
 
 
@@ -250,11 +262,11 @@ def main() -> None:
 
 def _stated(
     realization: Realization, left_out: tuple[str, ...]
-) -> tuple[Realization, Approved, None]:
+) -> tuple[Realization, ApprovedLimits, None]:
     return realization, from_model(realization, left_out), None
 
 
-def _mjcf() -> tuple[Realization, Approved, None]:
+def _mjcf() -> tuple[Realization, ApprovedLimits, None]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "arm.xml"
         path.write_text(MJCF)
@@ -262,8 +274,8 @@ def _mjcf() -> tuple[Realization, Approved, None]:
 
 
 def _published(
-    realization: Realization, names: tuple[str, ...], drawn: Drawn
-) -> tuple[Realization, Approved, Drawn]:
+    realization: Realization, names: tuple[str, ...], drawn: JointStates
+) -> tuple[Realization, ApprovedLimits, JointStates]:
     return realization, envelope(realization, names, drawn), drawn
 
 

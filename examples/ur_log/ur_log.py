@@ -15,7 +15,7 @@ class UrLog:
     def reads(self, path):
         return path.is_file() and path.suffix == ".rtde"
 
-    def read(self, path, asked):
+    def read(self, path, options):
         table = np.genfromtxt(path, names=True)
         stamp = np.round(table["timestamp"] * 1e9).astype(np.int64)  # ns
 
@@ -26,6 +26,6 @@ class UrLog:
             ]
             return JointSeries(topic, JOINTS, stamp, stamp, *columns, effort=None)
 
-        state = series(asked.topics["state"], "actual_q", "actual_qd")
-        command = series(asked.topics["command"], "target_q", "target_qd")
+        state = series(options.topics["state"], "actual_q", "actual_qd")
+        command = series(options.topics["command"], "target_q", "target_qd")
         return [Recording(path, {"state": state, "command": command}, metadata={}, damage=())]

@@ -234,12 +234,14 @@ class Sensor:
     place: Place
     name: str
     kind: str
-    bearer: str
+    carrier: str
     rate: float | None = None
+
+    bearer = old_name("bearer", "carrier")
 
 
 @dataclass(slots=True)
-class Controlled:
+class ControlledJoint:
     """A joint of a ``ros2_control`` element and its interfaces."""
 
     place: Place
@@ -278,7 +280,7 @@ class Asset:
     transmissions: list[Transmission] = field(default_factory=list)
     actuators: list[Actuator] = field(default_factory=list)
     sensors: list[Sensor] = field(default_factory=list)
-    controlled: list[Controlled] = field(default_factory=list)
+    controlled: list[ControlledJoint] = field(default_factory=list)
     named: list[tuple[str, str, Place]] = field(default_factory=list)
     sites: dict[str, tuple[str, Vector, Place]] = field(default_factory=dict)
     poses: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -399,7 +401,7 @@ class Asset:
         return max(length.values(), default=0.0)
 
     @cached_property
-    def beyond(self) -> dict[str, tuple[float, float]]:
+    def subtrees(self) -> dict[str, tuple[float, float]]:
         """Return body -> mass of its subtree, kg, and length of the longest path in it, m."""
         found = {name: (self.body[name].mass or 0.0, 0.0) for name in self.drawn}
         for edge in reversed(list(self.in_order())):
@@ -408,6 +410,8 @@ class Asset:
             further += float(np.linalg.norm(edge.position))
             found[edge.parent] = (mass + carried, max(reach, further))
         return found
+
+    beyond = old_name("beyond", "subtrees")
 
     def shapes_of(self, body: str) -> list[Shape]:
         """Return the geometries of a body."""

@@ -131,18 +131,18 @@ def _interfaces(asset: Asset) -> Iterator[Finding]:
 
 
 def _sensors(asset: Asset) -> Iterator[Finding]:
-    bearers = set(asset.body) | set(asset.joint) | set(asset.sites)
-    bearers |= {name for kind, name, _ in asset.named if kind == "joint"}
+    carriers = set(asset.body) | set(asset.joint) | set(asset.sites)
+    carriers |= {name for kind, name, _ in asset.named if kind == "joint"}
     for sensor in asset.sensors:
         element = f"sensor '{sensor.name}'"
-        if sensor.bearer and sensor.bearer not in bearers and asset.kind == "urdf":
+        if sensor.carrier and sensor.carrier not in carriers and asset.kind == "urdf":
             yield Finding(
                 "controllers.sensor_bearer",
                 "critical",
                 sensor.place,
                 element,
                 "the link or joint that carries it does not exist",
-                sensor.bearer,
+                sensor.carrier,
                 None,
                 "the name of a link or joint",
                 "its readings belong to no frame",

@@ -12,7 +12,7 @@ _WHY_MIMIC = "tools resolve the mimic differently, or refuse the file"
 
 
 @dataclass(frozen=True, slots=True)
-class Freedom:
+class DegreesOfFreedom:
     """Numbers of degrees of freedom.
 
     Attributes:
@@ -30,7 +30,7 @@ class Freedom:
     sensed: tuple[str, ...]
 
 
-def freedom(asset: Asset) -> Freedom:
+def degrees_of_freedom(asset: Asset) -> DegreesOfFreedom:
     """Count the degrees of freedom of an asset."""
     followers = tuple(dict.fromkeys(m.follower for m in asset.mimics if m.follower in asset.joint))
     driven = {joint for actuator in asset.actuators for joint in actuator.joints}
@@ -40,10 +40,10 @@ def freedom(asset: Asset) -> Freedom:
         # URDF has no element for a drive: a stated effort is the only sign of one.
         driven |= {joint.name for joint in asset.joints if joint.effort}
     sensed = {item.joint for item in asset.controlled if item.states}
-    sensed |= {sensor.bearer for sensor in asset.sensors if sensor.bearer in asset.joint}
+    sensed |= {sensor.carrier for sensor in asset.sensors if sensor.carrier in asset.joint}
     total = sum(joint.dof for joint in asset.joints)
     moved = driven | set(followers)
-    return Freedom(
+    return DegreesOfFreedom(
         total,
         total - sum(asset.joint[name].dof for name in followers),
         followers,
@@ -57,7 +57,7 @@ def check(asset: Asset) -> Iterator[Finding]:
     yield from _chains(asset)
     for mimic in asset.mimics:
         yield from _mimic(asset, mimic)
-    found = freedom(asset)
+    found = degrees_of_freedom(asset)
     for name in found.passive:
         joint = asset.joint[name]
         yield Finding(

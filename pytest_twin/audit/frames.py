@@ -20,7 +20,7 @@ _TOOL = re.compile(
 _WORLD = re.compile(r"(^|_)(world|map|odom)$", re.IGNORECASE)
 
 
-def marks(asset: Asset) -> list[str]:
+def frame_bodies(asset: Asset) -> list[str]:
     """Return the bodies without mass and shape, which are frames and not faults."""
     return [
         body.name

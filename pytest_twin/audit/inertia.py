@@ -393,7 +393,7 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
         if mass > MASS_FLOOR and principal(inertia)[0] > 1e-9 * float(np.trace(inertia)):
             continue
         shaped = any(asset.shapes_of(b.name) for b in bodies)
-        carried = asset.beyond[top][0]
+        carried = asset.subtrees[top][0]
         if mass <= MASS_FLOOR:
             virtual = not shaped and carried > MASS_FLOOR
             yield Finding(

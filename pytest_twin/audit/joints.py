@@ -136,7 +136,7 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
         if _ROUNDED[0] < abs(o) < _ROUNDED[1] and abs(v) > 1.0
     ]
     if cut:
-        effect = max(cut) * asset.beyond.get(edge.child, (0.0, 0.0))[1]
+        effect = max(cut) * asset.subtrees.get(edge.child, (0.0, 0.0))[1]
         yield Finding(
             "joints.origin_rounded",
             "warning" if effect > 5e-4 else "info",

@@ -86,9 +86,9 @@ def read(path: Path, located: Located, *, limits: ModelLimits = LIMITS) -> Asset
             )
         )
         _bodies_of_spec(spec, nodes, out)
-        looked_at = ("tree", "inertia")
+        audited = ("tree", "inertia")
         out.unseen = {
-            layer: "the model does not compile" for layer in LAYERS if layer not in looked_at
+            layer: "the model does not compile" for layer in LAYERS if layer not in audited
         }
         return out
     for words in warned:
@@ -455,13 +455,13 @@ class _Compiled:
         objects = mujoco.mjtObj
         for index in range(model.nsensor):
             name = self.name("sensor", index)
-            bearer = ""
+            carrier = ""
             kind = int(model.sensor_objtype[index])
             if kind >= 0 and int(model.sensor_objid[index]) >= 0:
                 words = objects(kind).name.removeprefix("mjOBJ_").lower()
                 words = {"xbody": "body"}.get(words, words)
                 if words in ("body", "joint", "site", "geom", "actuator", "tendon"):
-                    bearer = self.name(words, int(model.sensor_objid[index]))
+                    carrier = self.name(words, int(model.sensor_objid[index]))
             self.out.sensors.append(
                 Sensor(
                     self.nodes.place("sensor", name),
@@ -469,7 +469,7 @@ class _Compiled:
                     mujoco.mjtSensor(int(model.sensor_type[index]))
                     .name.removeprefix("mjSENS_")
                     .lower(),
-                    bearer,
+                    carrier,
                 )
             )
         for index in range(model.nsite):

@@ -12,7 +12,7 @@ from pytest_twin.asset.stated import stated
 from pytest_twin.audit.asset import (
     Asset,
     Body,
-    Controlled,
+    ControlledJoint,
     Edge,
     Joint,
     JointKind,
@@ -370,7 +370,7 @@ class _Reader:
         system = node.attributes.get("name", "")
         for joint in node.all("joint"):
             self.out.controlled.append(
-                Controlled(
+                ControlledJoint(
                     _place(joint),
                     system,
                     joint.attributes.get("name", ""),
@@ -385,11 +385,13 @@ class _Reader:
                 if node.tag != "sensor":
                     continue
                 parent = node.find("parent")
-                bearer = top.attributes.get("reference", "")
+                carrier = top.attributes.get("reference", "")
                 if top.tag == "link":
-                    bearer = top.attributes.get("name", "")
+                    carrier = top.attributes.get("name", "")
                 elif parent is not None:
-                    bearer = parent.attributes.get("link", "") or parent.attributes.get("joint", "")
+                    carrier = parent.attributes.get("link", "") or parent.attributes.get(
+                        "joint", ""
+                    )
                 rate_node = node.find("update_rate")
                 text = (
                     node.attributes.get("update_rate", "")
@@ -405,7 +407,7 @@ class _Reader:
                         _place(node),
                         node.attributes.get("name", ""),
                         node.attributes.get("type", ""),
-                        bearer,
+                        carrier,
                         rate if rate is None or math.isfinite(rate) else None,
                     )
                 )

@@ -106,7 +106,7 @@ def audit_file(
     return plain
 
 
-def criticals(path: str) -> list[str]:
+def critical_findings(path: str) -> list[str]:
     """Return critical findings of a file, one line of text each: file, line, element and fault.
 
     Raises:
@@ -171,7 +171,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
     """Return the report as JSON data."""
     rows = finding.to_json(findings)
     counts = Counter(row["severity"] for row in rows)
-    free = coupling.freedom(asset)
+    free = coupling.degrees_of_freedom(asset)
     return {
         "schema": SCHEMA,
         "asset": str(asset.path),
@@ -187,7 +187,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
         },
         "facts": {
             "bodies": len(asset.bodies),
-            "frames_without_mass": len(frames.marks(asset)),
+            "frames_without_mass": len(frames.frame_bodies(asset)),
             "joints": len(asset.joints),
             "degrees_of_freedom": free.total,
             "independent": free.independent,
@@ -203,7 +203,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             **({} if asset.located is None else asset.located.to_json()),
         },
         "findings": rows,
-        "sources": sources.settled(rows),
+        "sources": sources.findings_by_source(rows),
         "bodies": [
             {
                 "body": row.body,

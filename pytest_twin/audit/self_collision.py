@@ -39,7 +39,7 @@ _GOLDEN = "add a golden of kind collision_distance for the pairs of bodies that 
 
 
 @dataclass(frozen=True, slots=True)
-class Near:
+class NearPair:
     """Two bodies near each other.
 
     Attributes:
@@ -62,7 +62,7 @@ class PoseResult:
         name: name of the pose.
         values: joint -> rad or m.
         near: pairs of near bodies, the nearest first.
-        looked_at: number of pairs of shapes whose distance was computed.
+        checked_pairs: number of pairs of shapes whose distance was computed.
         pairs: number of pairs of shapes with near bounding spheres; None if they exceed the
             limit of the broad phase, and no distance was computed.
         engine: engine that computed the distances of ``near``.
@@ -70,8 +70,8 @@ class PoseResult:
 
     name: str
     values: Mapping[str, float]
-    near: tuple[Near, ...]
-    looked_at: int
+    near: tuple[NearPair, ...]
+    checked_pairs: int
     pairs: int | None
     engine: str = "MuJoCo"
 
@@ -81,7 +81,7 @@ class PoseResult:
         return frozenset(name for near in self.overlaps for name in (near.first, near.second))
 
     @property
-    def overlaps(self) -> tuple[Near, ...]:
+    def overlaps(self) -> tuple[NearPair, ...]:
         """Return the pairs that overlap by more than ``_TOUCH``."""
         return tuple(near for near in self.near if near.distance < -_TOUCH)
 
@@ -185,7 +185,7 @@ def _at(
     apart = np.linalg.norm(data.geom_xpos[pairs[:, 0]] - data.geom_xpos[pairs[:, 1]], axis=1)
     gaps = apart - model.geom_rbound[pairs].sum(axis=1)
     order = np.argsort(gaps, kind="stable")[:_MOST_PAIRS]
-    found: dict[tuple[str, str], Near] = {}
+    found: dict[tuple[str, str], NearPair] = {}
     for index in order:
         first, second = (int(geom) for geom in pairs[index])
         near = _near(realization, shapes, data, first, second)
@@ -244,14 +244,14 @@ class Hulls:
             for i in np.argsort(gaps, kind="stable")
             if gaps[i] < _NEAR and self._counts(int(at[i]), int(other[i]), joined)
         ]
-        found: dict[tuple[str, str], Near] = {}
+        found: dict[tuple[str, str], NearPair] = {}
         for index in near[:_MOST_PAIRS]:
             pair = int(at[index]), int(other[index])
             distance = self._distance(pair, places)
             first, second = sorted(self._bodies[one] for one in pair)
             known = found.get((first, second))
             if distance < _NEAR and (known is None or distance < known.distance):
-                found[first, second] = Near(first, second, distance, None)
+                found[first, second] = NearPair(first, second, distance, None)
         return PoseResult(
             name,
             dict(values),
@@ -294,7 +294,7 @@ class Hulls:
 
 def _near(
     realization: Realization, shapes: Shapes, data: mujoco.MjData, first: int, second: int
-) -> Near | None:
+) -> NearPair | None:
     model = realization.model
     sides = frozenset({first}), frozenset({second})
     names = [
@@ -308,7 +308,7 @@ def _near(
     except ModelError:
         return None
     low, high = sorted(names)
-    return Near(low, high, distance, by_coal if np.isfinite(by_coal) else None)
+    return NearPair(low, high, distance, by_coal if np.isfinite(by_coal) else None)
 
 
 def _near_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64] | None:
@@ -364,11 +364,11 @@ def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:
             "each other",
             _GOLDEN,
         )
-    elif result.pairs > result.looked_at:
+    elif result.pairs > result.checked_pairs:
         yield _unknown(
             asset,
             f"at the pose '{result.name}' {result.pairs} pairs of shapes may be near each other; "
-            f"the {result.looked_at} with the smallest gap between their bounding spheres were "
+            f"the {result.checked_pairs} with the smallest gap between their bounding spheres were "
             "measured",
             _GOLDEN,
         )

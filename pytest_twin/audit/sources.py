@@ -107,7 +107,7 @@ def source_of(code: str) -> Source | None:
     return table.get(code) or table.get(f"*.{code.partition('.')[2]}")
 
 
-def settled(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def findings_by_source(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the findings of ``rows`` that each source resolves, most findings first.
 
     Only findings of severity ``unknown`` count.

@@ -22,7 +22,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, LinkParameter, forward
 from pytest_twin.calibration.closed_form import inverse
-from pytest_twin.calibration.tangent import Moving, left_jacobian
+from pytest_twin.calibration.tangent import TransformWithJacobian, left_jacobian
 from pytest_twin.twin import CalibrationEntry
 
 Estimate = tuple[float | None, str]
@@ -90,7 +90,7 @@ class Calibrated:
     delay: int | None = None
     left_out: tuple[str, ...] = ()
 
-    def frame(self, task: Task, step: FloatArray) -> Moving:
+    def frame(self, task: Task, step: FloatArray) -> TransformWithJacobian:
         """Return the task's frame after a step of the unknowns, with derivatives at step 0.
 
         Only displacements matter, so the base's pose in the world, which moves everything equally,
@@ -125,7 +125,9 @@ class Calibrated:
                 moving = own.inverse() @ moving
         return moving
 
-    def _late(self, task: Task, readings: FloatArray, moving: Moving, drift: FloatArray) -> Moving:
+    def _late(
+        self, task: Task, readings: FloatArray, moving: TransformWithJacobian, drift: FloatArray
+    ) -> TransformWithJacobian:
         """Add the derivative by the time offset, the sum of joint derivatives times velocities."""
         count = len(task.chain.joints)
         every = ChainParameters(count, np.zeros(count), tuple(range(count)))
@@ -133,10 +135,10 @@ class Calibrated:
         turn, shift = moving.turn.copy(), moving.shift.copy()
         turn[:, :, self.delay] = np.einsum("nij,nj->ni", by_joint.turn, drift)
         shift[:, :, self.delay] = np.einsum("nij,nj->ni", by_joint.shift, drift)
-        return Moving(moving.rotation, moving.position, turn, shift)
+        return TransformWithJacobian(moving.rotation, moving.position, turn, shift)
 
 
-def _moved(one: Placed, step: FloatArray, width: int, rows: int) -> Moving:
+def _moved(one: Placed, step: FloatArray, width: int, rows: int) -> TransformWithJacobian:
     """Return a pose after a step, ``t + d`` and ``R exp(r)``, with derivatives."""
     own = step[list(one.columns)]
     shift, turn = np.zeros((3, width)), np.zeros((3, width))
@@ -145,7 +147,7 @@ def _moved(one: Placed, step: FloatArray, width: int, rows: int) -> Moving:
     if len(own) > 3:
         turn[:, list(one.columns[3:])] = rotation @ left_jacobian(own[3:])
         rotation = rotation @ Rotation.from_rotvec(own[3:]).as_matrix()
-    return Moving(
+    return TransformWithJacobian(
         np.tile(rotation, (rows, 1, 1)),
         np.tile(one.pose[:3, 3] + own[:3], (rows, 1)),
         np.tile(turn, (rows, 1, 1)),
@@ -153,9 +155,9 @@ def _moved(one: Placed, step: FloatArray, width: int, rows: int) -> Moving:
     )
 
 
-def _still(pose: FloatArray, width: int, rows: int) -> Moving:
+def _still(pose: FloatArray, width: int, rows: int) -> TransformWithJacobian:
     """Return a fixed pose with zero derivatives."""
     nothing = np.zeros((rows, 3, width))
-    return Moving(
+    return TransformWithJacobian(
         np.tile(pose[:3, :3], (rows, 1, 1)), np.tile(pose[:3, 3], (rows, 1)), nothing, nothing
     )

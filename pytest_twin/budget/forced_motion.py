@@ -22,7 +22,7 @@ from pytest_twin.budget.identified import Identified
 from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, spread_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
-from pytest_twin.calibration.tangent import Moving
+from pytest_twin.calibration.tangent import TransformWithJacobian
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
@@ -207,7 +207,7 @@ class _Motion:
     def _on_chain(self) -> list[int]:
         return [self.joints.index(j) for j in self.task.chain.joints if j in self.joints]
 
-    def _frame(self, position: FloatArray) -> Moving:
+    def _frame(self, position: FloatArray) -> TransformWithJacobian:
         """Return the frame at positions (n, j) of the trial's joints, with derivatives."""
         chain = self.task.chain
         readings = np.zeros((len(position), len(chain.joints)))
@@ -222,7 +222,7 @@ class _Motion:
         return forward(chain, readings, none)
 
 
-def _of_slopes(moving: Moving, slopes: FloatArray) -> Spread:
+def _of_slopes(moving: TransformWithJacobian, slopes: FloatArray) -> Spread:
     """Return the displacement from (n, c, k) changes of the chain's joints by each root column."""
     shift = np.sum((moving.shift @ slopes) ** 2, axis=(1, 2))
     turn = np.sum((moving.turn @ slopes) ** 2, axis=(1, 2))

@@ -18,7 +18,7 @@ from pytest_twin.budget.propagate import (
 from pytest_twin.budget.shifts import DELAYS, NO_RULE, Shift, shift_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
-from pytest_twin.calibration.tangent import Moving
+from pytest_twin.calibration.tangent import TransformWithJacobian
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
@@ -180,14 +180,14 @@ def displacement_by_shifts(
     root = root_of(found.covariance[forces:, forces:], found.entry.record.path)
     every = ChainParameters(count, np.zeros(count), tuple(range(count)))
 
-    def at(step: FloatArray) -> Moving:
+    def at(step: FloatArray) -> TransformWithJacobian:
         readings = task.readings.copy()
         for k, joint in enumerate(places):
             readings[:, joint] += rates[:, k] * step[k]
         moving = forward(task.chain, readings, every)
         scale = (task.chain.signs[places] * rates)[:, None]
         turn, shift = moving.turn[:, :, places] * scale, moving.shift[:, :, places] * scale
-        return Moving(moving.rotation, moving.position, turn, shift)
+        return TransformWithJacobian(moving.rotation, moving.position, turn, shift)
 
     return first_order(at(np.zeros(len(places))), root), sampled(at, normal_draws(root))
 

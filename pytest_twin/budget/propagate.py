@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.tangent import Moving
+from pytest_twin.calibration.tangent import TransformWithJacobian
 from pytest_twin.errors import FormatError
 
 DRAWS = 256
@@ -91,7 +91,7 @@ def normal_draws(root: FloatArray, count: int = DRAWS) -> FloatArray:
     return drawn
 
 
-def first_order(moving: Moving, root: FloatArray) -> Spread:
+def first_order(moving: TransformWithJacobian, root: FloatArray) -> Spread:
     """Return the first-order displacement of poses, from ``J C J^T``.
 
     Args:
@@ -103,7 +103,7 @@ def first_order(moving: Moving, root: FloatArray) -> Spread:
     return spread_of(shift, turn)
 
 
-def sampled(at: Callable[[FloatArray], Moving], draws: FloatArray) -> Spread:
+def sampled(at: Callable[[FloatArray], TransformWithJacobian], draws: FloatArray) -> Spread:
     """Return the displacement of poses over random draws of the unknowns.
 
     Args:

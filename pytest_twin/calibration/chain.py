@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.tangent import Moving, left_jacobian
+from pytest_twin.calibration.tangent import TransformWithJacobian, left_jacobian
 from pytest_twin.realization.serial_chain import SerialChain
 
 PARALLEL_SINE = 0.2
@@ -123,7 +123,9 @@ class ChainParameters:
     link_columns: tuple[int, ...] = ()
 
 
-def forward(chain: SerialChain, readings: FloatArray, parameters: ChainParameters) -> Moving:
+def forward(
+    chain: SerialChain, readings: FloatArray, parameters: ChainParameters
+) -> TransformWithJacobian:
     """``transform_base_to_flange`` of each row, with derivatives.
 
     Args:
@@ -154,7 +156,7 @@ def forward(chain: SerialChain, readings: FloatArray, parameters: ChainParameter
             position = position + axis * values[:, at, None]
     rotation, position = _step(rotation, position, chain.end)
     cross = np.cross(np.moveaxis(turn, 2, 1), position[:, None, :])
-    return Moving(rotation, position, turn, shift + np.moveaxis(cross, 1, 2))
+    return TransformWithJacobian(rotation, position, turn, shift + np.moveaxis(cross, 1, 2))
 
 
 def _step(

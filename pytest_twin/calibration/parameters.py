@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.chain import ChainParameters, LinkParameter
-from pytest_twin.calibration.tangent import Moving, left_jacobian
+from pytest_twin.calibration.tangent import TransformWithJacobian, left_jacobian
 
 POSE_LABELS = ("x", "y", "z", "rx", "ry", "rz")
 """Order of a pose's six parameters: its position along the parent's axes (m), then its rotation
@@ -164,7 +164,7 @@ class Poses(Protocol):
         """Factor of the camera's positions, and its derivatives, (count,)."""
         ...
 
-    def pose(self, name: str, rows: int) -> Moving:
+    def pose(self, name: str, rows: int) -> TransformWithJacobian:
         """A named transform, once for each row."""
         ...
 
@@ -188,11 +188,11 @@ class HeldPoses:
         """Factor of the camera's positions, and its derivatives."""
         return self.factor, np.zeros(self.width)
 
-    def pose(self, name: str, rows: int) -> Moving:
+    def pose(self, name: str, rows: int) -> TransformWithJacobian:
         """A named transform, once for each row."""
         pose = np.tile(self.poses[name], (rows, 1, 1))
         nothing = np.zeros((rows, 3, self.width))
-        return Moving(pose[:, :3, :3], pose[:, :3, 3], nothing, nothing)
+        return TransformWithJacobian(pose[:, :3, :3], pose[:, :3, 3], nothing, nothing)
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ class Variables:
             slope[self.layout.blocks["scale"]] = 1.0
         return self.now.scale, slope
 
-    def pose(self, name: str, rows: int) -> Moving:
+    def pose(self, name: str, rows: int) -> TransformWithJacobian:
         """A named transform, once for each row."""
         pose = self.now.poses[name]
         turn = np.zeros((3, self.layout.count))
@@ -232,7 +232,7 @@ class Variables:
             turn[:, place.start + 3 : place.stop] = self.state.poses[name][:3, :3] @ left_jacobian(
                 vector
             )
-        return Moving(
+        return TransformWithJacobian(
             np.tile(pose[:3, :3], (rows, 1, 1)),
             np.tile(pose[:3, 3], (rows, 1)),
             np.tile(turn, (rows, 1, 1)),

@@ -18,7 +18,7 @@ from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import Layout, State, Variables
 from pytest_twin.calibration.plan import Mount, Plan
-from pytest_twin.calibration.tangent import Moving
+from pytest_twin.calibration.tangent import TransformWithJacobian
 from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm, Term
 from pytest_twin.errors import FormatError
 from pytest_twin.realization.serial_chain import SerialChain
@@ -62,7 +62,7 @@ class Problem:
     notes: tuple[str, ...] = ()
     camera_unit: float = 1.0
 
-    def flange(self, variables: Variables) -> Moving:
+    def flange(self, variables: Variables) -> TransformWithJacobian:
         """``transform_base_to_flange`` of all rows, with derivatives."""
         if self.chain is not None:
             return forward(self.chain, self.readings, variables.chain())
@@ -70,7 +70,7 @@ class Problem:
         count = len(self.observations)
         nothing = np.zeros((count, 3, variables.layout.count))
         poses = self.observations.flange
-        return Moving(poses[:, :3, :3], poses[:, :3, 3], nothing, nothing)
+        return TransformWithJacobian(poses[:, :3, :3], poses[:, :3, 3], nothing, nothing)
 
     @property
     def readings(self) -> FloatArray:

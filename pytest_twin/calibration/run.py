@@ -19,6 +19,7 @@ from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident import LeftOut, without_coincident
 from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
 from pytest_twin.calibration.error_sources import weighed_by_source
+from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
 from pytest_twin.calibration.next_poses import next_poses, pose_diversity
 from pytest_twin.calibration.observability import (
     Gauge,
@@ -43,8 +44,7 @@ from pytest_twin.calibration.scene import scene
 from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import camera_unit, is_subset, starts
-from pytest_twin.calibration.suspected_scale import scale_beyond_chance
-from pytest_twin.calibration.suspects import has_large_errors, suspects
+from pytest_twin.calibration.wrong_scale import scale_beyond_chance
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
@@ -243,7 +243,7 @@ def calibrate(
     document["unobservable"] += lost
     degenerate = degenerate or bool(lost)
     if has_large_errors(document["fitted"], fit.problem):
-        suspected = suspects(fit)
+        suspected = find_mistakes(fit)
     else:
         # A camera without metric scale can go unnoticed even if the plan accepts the errors.
         scale = scale_beyond_chance(fit)

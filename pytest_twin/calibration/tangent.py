@@ -18,7 +18,7 @@ _SMALL_RAD = 1e-6
 
 
 @dataclass(frozen=True)
-class Moving:
+class TransformWithJacobian:
     """Transforms with derivatives by the parameters.
 
     Attributes:
@@ -34,19 +34,21 @@ class Moving:
     turn: FloatArray
     shift: FloatArray
 
-    def __matmul__(self, other: Moving) -> Moving:
+    def __matmul__(self, other: TransformWithJacobian) -> TransformWithJacobian:
         """Return the product: ``other`` in this transform's parent frame."""
         arm = np.einsum("nij,nj->ni", self.rotation, other.position)
         turn = self.turn + self.rotation @ other.turn
         shift = self.shift + crossed(self.turn, arm) + self.rotation @ other.shift
-        return Moving(self.rotation @ other.rotation, self.position + arm, turn, shift)
+        return TransformWithJacobian(
+            self.rotation @ other.rotation, self.position + arm, turn, shift
+        )
 
-    def inverse(self) -> Moving:
+    def inverse(self) -> TransformWithJacobian:
         """Return the inverse transforms."""
         back = np.swapaxes(self.rotation, 1, 2)
         shift = -back @ (self.shift - crossed(self.turn, self.position))
         position = -np.einsum("nij,nj->ni", back, self.position)
-        return Moving(back, position, -back @ self.turn, shift)
+        return TransformWithJacobian(back, position, -back @ self.turn, shift)
 
     def act(self, point: FloatArray, slope: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return points in the parent's frame, (n, 3) m, and their derivatives, (n, 3, p).

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import Poses, Variables
 from pytest_twin.calibration.plan import Mount
-from pytest_twin.calibration.tangent import Moving, inverse_left_jacobian
+from pytest_twin.calibration.tangent import TransformWithJacobian, inverse_left_jacobian
 
 
 class Term(Protocol):
@@ -33,7 +33,9 @@ class Term(Protocol):
     def noise(self) -> tuple[str, ...]:
         """Kind of noise of each residual column."""
 
-    def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+    def residuals(
+        self, flange: TransformWithJacobian, variables: Variables
+    ) -> tuple[FloatArray, FloatArray]:
         """Predicted minus measured, (m, columns), and its derivatives, (m, columns, count).
 
         Args:
@@ -42,9 +44,9 @@ class Term(Protocol):
         ...
 
 
-def at_rows(moving: Moving, rows: np.ndarray) -> Moving:
+def at_rows(moving: TransformWithJacobian, rows: np.ndarray) -> TransformWithJacobian:
     """Return the transforms of the given rows."""
-    return Moving(
+    return TransformWithJacobian(
         moving.rotation[rows], moving.position[rows], moving.turn[rows], moving.shift[rows]
     )
 
@@ -73,7 +75,9 @@ class PoseTerm:
     name: str = "camera_from_target"
     noise: tuple[str, ...] = ("translation",) * 3 + ("rotation",) * 3
 
-    def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+    def residuals(
+        self, flange: TransformWithJacobian, variables: Variables
+    ) -> tuple[FloatArray, FloatArray]:
         """Return position errors in the camera's axes (m) and rotation vectors (rad)."""
         predicted = self._moving(flange, variables)
         back = np.swapaxes(self.measured[:, :3, :3], 1, 2)
@@ -85,21 +89,21 @@ class PoseTerm:
             np.concatenate([predicted.shift, slope], axis=1),
         )
 
-    def predicted(self, flange: Moving, variables: Variables) -> FloatArray:
+    def predicted(self, flange: TransformWithJacobian, variables: Variables) -> FloatArray:
         """(m, 4, 4) ``camera_from_target``, m."""
         moving = self._moving(flange, variables)
         poses = np.tile(np.eye(4), (len(self.rows), 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = moving.rotation, moving.position
         return poses
 
-    def by_flange(self, flange: Moving, variables: Variables) -> FloatArray:
+    def by_flange(self, flange: TransformWithJacobian, variables: Variables) -> FloatArray:
         """(m, 6, 6) derivatives of the residuals by the flange's position and rotation vector.
 
         Both are in the flange's own axes, m and rad.
         """
         turned = flange.rotation
         nothing = np.zeros_like(turned)
-        own = Moving(
+        own = TransformWithJacobian(
             turned,
             flange.position,
             np.concatenate([nothing, turned], axis=2),
@@ -111,14 +115,14 @@ class PoseTerm:
         slope = inverse_left_jacobian(rotation) @ back @ predicted.turn
         return np.concatenate([predicted.shift, slope], axis=1)
 
-    def _moving(self, flange: Moving, variables: Poses) -> Moving:
+    def _moving(self, flange: TransformWithJacobian, variables: Poses) -> TransformWithJacobian:
         count = len(self.rows)
         carried = at_rows(flange, self.rows) @ variables.pose(self.mounted, count)
         world = variables.pose(self.world, count)
         seen = carried.inverse() @ world if self.mount == "hand" else world.inverse() @ carried
         scale, slope = variables.scale
         shift = scale * seen.shift + seen.position[:, :, None] * slope
-        return Moving(seen.rotation, scale * seen.position, seen.turn, shift)
+        return TransformWithJacobian(seen.rotation, scale * seen.position, seen.turn, shift)
 
 
 @dataclass(frozen=True)
@@ -145,16 +149,20 @@ class PointTerm:
         """``point.NAME``, the name of the column."""
         return f"point.{self.point.removeprefix('marker.')}"
 
-    def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+    def residuals(
+        self, flange: TransformWithJacobian, variables: Variables
+    ) -> tuple[FloatArray, FloatArray]:
         """Return position errors in the axes of the measuring frame, m."""
         predicted, slope = self._moving(flange, variables)
         return predicted - self.measured, slope
 
-    def predicted(self, flange: Moving, variables: Variables) -> FloatArray:
+    def predicted(self, flange: TransformWithJacobian, variables: Variables) -> FloatArray:
         """(m, 3) predicted positions in the measuring frame, m."""
         return self._moving(flange, variables)[0]
 
-    def _moving(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+    def _moving(
+        self, flange: TransformWithJacobian, variables: Variables
+    ) -> tuple[FloatArray, FloatArray]:
         count = len(self.rows)
         carried = at_rows(flange, self.rows)
         if self.mounted is not None:
@@ -183,7 +191,9 @@ class PivotTerm:
         """``pivot``."""
         return "pivot"
 
-    def residuals(self, flange: Moving, variables: Variables) -> tuple[FloatArray, FloatArray]:
+    def residuals(
+        self, flange: TransformWithJacobian, variables: Variables
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the offset of the tip from the fixed point, in the base, m."""
         count = len(self.rows)
         tip, slope = at_rows(flange, self.rows).act(*variables.point(self.tip, count))

@@ -78,10 +78,10 @@ def measured_and_predicted(
 
 
 def _poses(golden: Golden, results: Sequence[Replayed]) -> list[Stamped]:
-    from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
+    from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
 
     topic, path = golden.target["tcp_topic"], results[0].trial.path
-    bag = gather_sensors(SensorGatherer(path, {}))
+    bag = gather_sensors(SensorCollector(path, {}))
     if not bag.poses.get(topic):
         known = sorted(name for name, each in bag.poses.items() if each)
         raise spec_error(

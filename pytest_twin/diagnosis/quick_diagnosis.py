@@ -74,15 +74,15 @@ class QuickDiagnosis:
     """Result of a quick diagnosis.
 
     Attributes:
-        suspects: the most likely effect, then the most likely one for the joints that it does not
-            explain, and so on; empty if no effect is supported.
-        unexplained: joints outside their tolerance that no suspect explains.
+        likely_effects: the most likely effect, then the most likely one for the joints that it does
+            not explain, and so on; empty if no effect is supported.
+        unexplained: joints outside their tolerance that no likely effect explains.
         joint: joint with the largest missing force; None if no force exceeds the sensor noise.
         where: when and in which regime the error occurs.
         floors: RMS error of the worst examined joint, in noise floors.
     """
 
-    suspects: tuple[LikelyEffect, ...]
+    likely_effects: tuple[LikelyEffect, ...]
     unexplained: tuple[str, ...]
     joint: str | None
     where: Where
@@ -125,24 +125,24 @@ def quick_diagnosis(
     force = missing_force(whole.problem, before, whole.floor_parts[NOISE])
     causes = _causes(force, size, counted)
     where = _where(whole, seen, since, _blame(force, causes[:1]), causes[0])
-    suspects: list[LikelyEffect] = []
+    likely_effects: list[LikelyEffect] = []
     left = counted & (size > VERDICT.at_floor)
     rounds = QUICK.most_rounds
     while left.any() and rounds:
         rounds -= 1
         search = _EffectSearch(
-            realization, patched, seen, whole, before, counted if not suspects else left
+            realization, patched, seen, whole, before, counted if not likely_effects else left
         )
-        found = search.suspect(force, size)
+        found = search.likely(force, size)
         if found is None:
             break
-        suspect, after = found
-        suspects.append(suspect)
+        likely, after = found
+        likely_effects.append(likely)
         left = left & ~_explained(before, after, joints)
     is_located = bool(force.strength[causes[0]] > 1.0)
     names = whole.problem.joints
     return QuickDiagnosis(
-        suspects=tuple(suspects),
+        likely_effects=tuple(likely_effects),
         unexplained=tuple(n for n, out in zip(names, left, strict=True) if out and n in failed),
         joint=names[causes[0]] if is_located else None,
         where=where,
@@ -294,7 +294,7 @@ class _EffectSearch:
     before: FloatArray
     counted: NDArray[np.bool_]
 
-    def suspect(
+    def likely(
         self, force: MissingForce, size: FloatArray
     ) -> tuple[LikelyEffect, FloatArray] | None:
         """The most likely effect and the residual over ``seen`` with it; None if none is supported.
@@ -340,7 +340,7 @@ class _EffectSearch:
         )
         order = np.argsort(-evidence, kind="stable")
         rivals = dict.fromkeys(places[i] for i in order if close[i] and other[i])
-        suspect = LikelyEffect(
+        likely = LikelyEffect(
             place=place,
             values=_values(problem, fitted[best].hypothesis),
             share=min(float(share[same].sum()), QUICK.most_confidence),
@@ -348,7 +348,7 @@ class _EffectSearch:
             rivals=tuple(rivals)[: QUICK.most_alternatives],
             of=() if counted.all() else tuple(np.array(problem.joints)[counted].tolist()),
         )
-        return suspect, after[best]
+        return likely, after[best]
 
 
 def _candidates(

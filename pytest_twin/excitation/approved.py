@@ -99,7 +99,7 @@ class Stop:
 
 
 @dataclass(frozen=True, slots=True)
-class Approved:
+class ApprovedLimits:
     """All limits that a trajectory must satisfy.
 
     Attributes:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.approved import ApprovedLimits
 from pytest_twin.realization.collision import Shapes, enabled_pairs
 from pytest_twin.realization.first_state import follow_joint_equalities
 from pytest_twin.realization.model import Realization
@@ -21,7 +21,7 @@ GRID = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Nearest:
+class NearestPair:
     """The pair with the smallest distance relative to the required one.
 
     Attributes:
@@ -49,7 +49,7 @@ class _GeomPair:
     required: float
 
 
-class Surroundings:
+class ClearanceChecker:
     """Checks of clearances and workspace boxes.
 
     Args:
@@ -57,7 +57,7 @@ class Surroundings:
         approved: smallest distances, boxes, moving joints; other joints are at the reference.
     """
 
-    def __init__(self, realization: Realization, approved: Approved) -> None:
+    def __init__(self, realization: Realization, approved: ApprovedLimits) -> None:
         self._realization = realization
         self._model = realization.model
         self._data = mujoco.MjData(self._model)
@@ -86,9 +86,9 @@ class Surroundings:
         mujoco.mj_kinematics(self._model, data)
         return data
 
-    def nearest(self, positions: FloatArray) -> Nearest | None:
+    def nearest(self, positions: FloatArray) -> NearestPair | None:
         """Return the pair with the smallest spare distance over poses (n, j), or None."""
-        least: Nearest | None = None
+        least: NearestPair | None = None
         for at in distinct(positions):
             data = self.place(positions[at])
             bounds = self._spare_bounds(data)
@@ -98,16 +98,16 @@ class Surroundings:
                 pair = self._pairs[index]
                 found = self._distance(data, pair)
                 if least is None or found - pair.required < least.spare:
-                    least = Nearest(pair.names, found, pair.required, int(at))
+                    least = NearestPair(pair.names, found, pair.required, int(at))
         return least
 
-    def too_near(self, position: FloatArray) -> list[Nearest]:
+    def too_near(self, position: FloatArray) -> list[NearestPair]:
         """Return the nearest shapes of all pairs that are too close at one pose (j,)."""
         data = self.place(position)
-        found: dict[tuple[str, str], Nearest] = {}
+        found: dict[tuple[str, str], NearestPair] = {}
         for index in np.flatnonzero(self._spare_bounds(data) < 0.0):
             pair = self._pairs[index]
-            one = Nearest(pair.names, self._distance(data, pair), pair.required, 0)
+            one = NearestPair(pair.names, self._distance(data, pair), pair.required, 0)
             known = found.get(pair.names)
             if one.spare < 0.0 and (known is None or one.spare < known.spare):
                 found[pair.names] = one

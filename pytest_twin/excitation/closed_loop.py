@@ -12,7 +12,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SimulationError, SpecError
-from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.approved import ApprovedLimits
 from pytest_twin.excitation.motion import Motion
 from pytest_twin.realization.first_state import follow_joint_equalities
 from pytest_twin.realization.inputs import LINEAR_GAINS, command_input, joint_inputs
@@ -22,7 +22,8 @@ from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import Trial
 
 WORSE = 1.2
-"""Factor on masses, inertias, friction and armature of the worse model."""
+"""Factor on masses, inertias, friction and armature of the worse model, for which a motion must
+be safe too."""
 _GAINS = {"stiffness": 1, "damping": 2}
 """Gain of a servo -> its index in ``biasprm``."""
 _CHANGE = 0.02
@@ -58,10 +59,14 @@ class ClosedLoop:
         factor: factor on all masses, inertias, friction and armature.
     """
 
-    def __init__(self, realization: Realization, approved: Approved, factor: float = 1.0) -> None:
+    def __init__(
+        self, realization: Realization, approved: ApprovedLimits, factor: float = 1.0
+    ) -> None:
         self._realization = realization
         self._approved = approved
-        self._model = realization.model if factor == 1.0 else worse(realization.model, factor)
+        self._model = (
+            realization.model if factor == 1.0 else scaled_model(realization.model, factor)
+        )
         self._joint_ids = [realization.joint_index(name) for name in approved.names]
         self._dofs = self._model.jnt_dofadr[self._joint_ids]
         self.modes = servo_modes(realization, approved.names)
@@ -182,7 +187,7 @@ def servo_modes(realization: Realization, joints: Sequence[str]) -> tuple[Comman
     return tuple(found)
 
 
-def worse(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
+def scaled_model(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
     """Return a copy with masses, inertias, friction and armature times ``factor``.
 
     Gravity compensation is unchanged, because the controller knows the nominal masses.

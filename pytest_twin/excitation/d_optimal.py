@@ -9,12 +9,12 @@ from functools import partial
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.approved import ApprovedLimits
 from pytest_twin.excitation.closed_loop import WORSE
 from pytest_twin.excitation.fourier import REST, Series, free_time, series
 from pytest_twin.excitation.lbfgs_b import lbfgs_b
 from pytest_twin.excitation.minimizers import Minimizer
-from pytest_twin.excitation.motion import Drawn, Path
+from pytest_twin.excitation.motion import JointStates, Path
 from pytest_twin.identification.regressor.base_parameters import BaseParameters
 from pytest_twin.identification.regressor.regressor import Regressor
 
@@ -84,7 +84,7 @@ class Design:
 
     def __init__(
         self,
-        approved: Approved,
+        approved: ApprovedLimits,
         regressor: Regressor,
         base: BaseParameters,
         std: FloatArray,
@@ -148,7 +148,7 @@ class Design:
         )
         return float(value) if sign > 0 else -np.inf
 
-    def drawn(self, coefficients: FloatArray, scale: float = 1.0) -> Drawn:
+    def drawn(self, coefficients: FloatArray, scale: float = 1.0) -> JointStates:
         """Return the whole motion: to the centre, as many periods as fit, and back.
 
         Args:
@@ -281,7 +281,7 @@ class Design:
 
 
 def _used(
-    own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: Approved
+    own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: ApprovedLimits
 ) -> FloatArray:
     """Return (4, n, j) shares of limits: position above and below, speed, acceleration."""
     away = own.basis @ z.T
@@ -296,14 +296,14 @@ def _used(
 
 
 def _most_used(
-    own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: Approved
+    own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: ApprovedLimits
 ) -> FloatArray:
     """Return the (j,) largest share of a limit."""
     return np.asarray(_used(own, z, up, down, approved).max(axis=(0, 1)))
 
 
 def _smooth_used(
-    own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: Approved
+    own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: ApprovedLimits
 ) -> tuple[FloatArray, FloatArray]:
     """Return a (j,) smooth upper bound of the largest share, and its derivative (j, m) by z."""
     shares = _used(own, z, up, down, approved)

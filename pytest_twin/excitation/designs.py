@@ -8,10 +8,10 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.excitation import d_optimal, single_joint
-from pytest_twin.excitation.approved import Approved
-from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.gravity_grid import grid, static_matrix
-from pytest_twin.excitation.motion import Design, Drawn, Role
+from pytest_twin.excitation.motion import Design, JointStates, Role
 from pytest_twin.excitation.prediction import LOADS_APART
 from pytest_twin.identification.regressor.regressor import Regressor
 
@@ -21,7 +21,7 @@ _POSES = 60
 
 
 def single_joint_designs(
-    approved: Approved, loads: Sequence[Sequence[FloatArray]], seed: int
+    approved: ApprovedLimits, loads: Sequence[Sequence[FloatArray]], seed: int
 ) -> list[Design]:
     """Return designs of steps, chirps and reversals of each joint.
 
@@ -34,7 +34,7 @@ def single_joint_designs(
     for joint, limits in enumerate(approved.joints):
         for role in ROLES:
             own = _seed(seed, role, joint)
-            parts: list[tuple[str, tuple[str, ...], str, Callable[[float, int], Drawn]]] = []
+            parts: list[tuple[str, tuple[str, ...], str, Callable[[float, int], JointStates]]] = []
             if "delay" in asked:
                 parts.append(("steps", ("delay",), "", single_joint.steps(approved, joint)))
             if "closed_loop" in asked:
@@ -57,10 +57,10 @@ def single_joint_designs(
 
 
 def several_joint_designs(
-    approved: Approved,
+    approved: ApprovedLimits,
     regressor: Regressor,
     std: FloatArray,
-    around: Surroundings,
+    around: ClearanceChecker,
     payloads: Sequence[str],
     optimal: d_optimal.Design | None,
     seed: int,
@@ -101,7 +101,7 @@ def several_joint_designs(
 
 
 def loading_poses(
-    approved: Approved,
+    approved: ApprovedLimits,
     regressor: Regressor,
     is_clear: Callable[[FloatArray], bool],
     seed: int,
@@ -131,10 +131,10 @@ def loading_poses(
     return found
 
 
-def _series(design: d_optimal.Design, starts: int) -> Callable[[float, int], Drawn]:
+def _series(design: d_optimal.Design, starts: int) -> Callable[[float, int], JointStates]:
     known: dict[int, d_optimal.Optimum] = {}
 
-    def make(scale: float, seed: int) -> Drawn:
+    def make(scale: float, seed: int) -> JointStates:
         if seed not in known:
             known[seed] = design.optimum(seed, starts)
         return design.drawn(known[seed].coefficients, scale).described(

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.approved import ApprovedLimits
 from pytest_twin.excitation.closed_loop import WORSE, servo_modes
-from pytest_twin.excitation.find_safe import Refused, Safe
-from pytest_twin.excitation.prediction import Predicted
+from pytest_twin.excitation.find_safe import RejectedDesign, SafeMotion
+from pytest_twin.excitation.prediction import PredictedAccuracy
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.realization.encoders import Encoders, calibration_of
 
@@ -116,7 +116,7 @@ def on_abort(found: Excitation) -> dict[str, Any]:
     }
 
 
-def courses(one: Safe, approved: Approved) -> dict[str, Any]:
+def courses(one: SafeMotion, approved: ApprovedLimits) -> dict[str, Any]:
     """Return position, speed and effort over time as shares of their limits, for a plot.
 
     Positions are 1 at the highest approved position and -1 at the lowest.
@@ -141,7 +141,7 @@ def courses(one: Safe, approved: Approved) -> dict[str, Any]:
     }
 
 
-def _trajectory(one: Safe, written: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+def _trajectory(one: SafeMotion, written: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     motion = one.motion
     margins = {}
     for kind in _KINDS:
@@ -171,7 +171,7 @@ def _trajectory(one: Safe, written: Mapping[str, Sequence[str]]) -> dict[str, An
     }
 
 
-def _refused(one: Refused) -> dict[str, Any]:
+def _refused(one: RejectedDesign) -> dict[str, Any]:
     return {
         "name": one.design.name,
         "kind": one.design.kind,
@@ -182,7 +182,7 @@ def _refused(one: Refused) -> dict[str, Any]:
     }
 
 
-def _parameter(one: Predicted) -> dict[str, Any]:
+def _parameter(one: PredictedAccuracy) -> dict[str, Any]:
     finite = math.isfinite(one.std)
     return {
         "mechanism": one.mechanism,
@@ -238,7 +238,7 @@ def _summary(found: Excitation) -> dict[str, Any]:
 
 
 def _unidentifiable(
-    found: Excitation, open_: Sequence[Predicted], without: Sequence[str]
+    found: Excitation, open_: Sequence[PredictedAccuracy], without: Sequence[str]
 ) -> list[str]:
     lines = [
         f"{one.mechanism}: {one.words} ({one.expression}): {_why(one)}"
@@ -250,7 +250,7 @@ def _unidentifiable(
     return lines
 
 
-def _why(one: Predicted) -> str:
+def _why(one: PredictedAccuracy) -> str:
     if one.why:
         return one.why
     return (

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from pytest_twin.excitation import d_optimal, files, prediction
-from pytest_twin.excitation.approved import Approved, missing_lines
-from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.approved import ApprovedLimits, missing_lines
+from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.closed_loop import servo_modes
 from pytest_twin.excitation.designs import (
     loading_poses,
@@ -20,11 +20,11 @@ from pytest_twin.excitation.designs import (
     single_joint_designs,
 )
 from pytest_twin.excitation.document import courses, document_of, on_abort
-from pytest_twin.excitation.find_safe import Refused, Robot, Safe, find_safe
+from pytest_twin.excitation.find_safe import RejectedDesign, Robot, SafeMotion, find_safe
 from pytest_twin.excitation.gravity_grid import static_base
 from pytest_twin.excitation.minimizers import minimizer
 from pytest_twin.excitation.noise import Noise, noise_of
-from pytest_twin.excitation.prediction import Predicted
+from pytest_twin.excitation.prediction import PredictedAccuracy
 from pytest_twin.excitation.reading import missing_error, movable_joints, read_approved
 from pytest_twin.excitation.template import template
 from pytest_twin.formats.digest import file_sha256
@@ -55,13 +55,13 @@ class Excitation:
     """
 
     realization: Realization
-    approved: Approved
+    approved: ApprovedLimits
     noise: Noise
     regressor: Regressor
     base: BaseParameters
-    safe: tuple[Safe, ...]
-    refused: tuple[Refused, ...]
-    predicted: tuple[Predicted, ...]
+    safe: tuple[SafeMotion, ...]
+    refused: tuple[RejectedDesign, ...]
+    predicted: tuple[PredictedAccuracy, ...]
     seed: int
     solver: str
 
@@ -139,7 +139,7 @@ def excite(
     minimize = minimizer(solver)
     approved = read_approved(realization, twin)
     noise = noise_of(realization, approved)
-    around = Surroundings(realization, approved)
+    around = ClearanceChecker(realization, approved)
     regressor = Regressor(realization, approved.names)
     _refuse_unsafe_start(realization, twin, approved, around, regressor)
     base = structural_base(regressor)
@@ -177,8 +177,8 @@ def _loaded(path: Path, search: SearchFolders | None) -> tuple[Realization, Twin
 def _refuse_unsafe_start(
     realization: Realization,
     twin: Twin,
-    approved: Approved,
-    around: Surroundings,
+    approved: ApprovedLimits,
+    around: ClearanceChecker,
     regressor: Regressor,
 ) -> None:
     near = around.too_near(approved.start)
@@ -212,20 +212,20 @@ def _refuse_unsafe_start(
 
 
 def _predicted(
-    safe: Sequence[Safe],
-    approved: Approved,
+    safe: Sequence[SafeMotion],
+    approved: ApprovedLimits,
     noise: Noise,
     regressor: Regressor,
     base: BaseParameters,
     robots: Mapping[str | None, Robot],
     carrier: str,
-) -> list[Predicted]:
+) -> list[PredictedAccuracy]:
     """Predict the parameters that motions of role fit determine, for each mechanism.
 
     ``carrier`` is the joint that moves the body with the payloads.
     """
     fit = [one for one in safe if one.motion.role == "fit"]
-    found: list[Predicted] = []
+    found: list[PredictedAccuracy] = []
     for at, joint in enumerate(approved.joints):
         own = [one for one in fit if one.motion.moved == (joint.name,)]
         kinds = {kind: [one for one in own if one.motion.kind == kind] for kind in _SINGLE}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pytest_twin.excitation.approved import Approved
-from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.closed_loop import WORSE, ClosedLoop, Response
 from pytest_twin.excitation.motion import Design, Motion
 from pytest_twin.excitation.safety import Verdict, commanded, reasons, simulated
@@ -24,7 +24,7 @@ _SEED_STEP = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Safe:
+class SafeMotion:
     """A motion within all limits.
 
     Attributes:
@@ -39,7 +39,7 @@ class Safe:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RejectedDesign:
     """A design without a safe motion.
 
     Attributes:
@@ -61,18 +61,18 @@ class Robot:
         approved: limits.
     """
 
-    def __init__(self, realization: Realization, approved: Approved) -> None:
-        self.around = Surroundings(realization, approved)
+    def __init__(self, realization: Realization, approved: ApprovedLimits) -> None:
+        self.around = ClearanceChecker(realization, approved)
         self.nominal = ClosedLoop(realization, approved)
         self.worse = ClosedLoop(realization, approved, WORSE)
 
 
 def find_safe(
     designs: Sequence[Design],
-    approved: Approved,
+    approved: ApprovedLimits,
     robots: Mapping[str | None, Robot],
     progress: Callable[[float], None],
-) -> tuple[list[Safe], list[Refused]]:
+) -> tuple[list[SafeMotion], list[RejectedDesign]]:
     """Find the largest safe motion of each design, or the reason why there is none.
 
     Args:
@@ -82,7 +82,7 @@ def find_safe(
     Returns:
         Safe motions and refused designs, in the order of the designs.
     """
-    safe: dict[int, Safe] = {}
+    safe: dict[int, SafeMotion] = {}
     broken: dict[int, tuple[int, tuple[str, ...]]] = {}
     attempts = {at: _attempts(design) for at, design in enumerate(designs)}
     open_ = list(range(len(designs)))
@@ -106,15 +106,17 @@ def find_safe(
         round_ += 1
         open_ = [at for at in open_ if at not in safe and round_ < len(attempts[at])]
         progress(1.0 - len(open_) / total)
-    refused = [Refused(design, *broken[at]) for at, design in enumerate(designs) if at not in safe]
+    refused = [
+        RejectedDesign(design, *broken[at]) for at, design in enumerate(designs) if at not in safe
+    ]
     return [safe[at] for at in sorted(safe)], refused
 
 
 def _simulated(
     tried: Mapping[int, tuple[Motion, Verdict]],
-    approved: Approved,
+    approved: ApprovedLimits,
     robots: Mapping[str | None, Robot],
-) -> dict[int, Safe]:
+) -> dict[int, SafeMotion]:
     found = {}
     for payload, robot in robots.items():
         own = [at for at, (motion, _) in tried.items() if motion.payload == payload]
@@ -125,7 +127,7 @@ def _simulated(
         for at, motion, first, second in zip(own, motions, nominal, worse, strict=True):
             verdict = simulated(motion, approved, robot.around, first, second)
             kept = (*tried[at][1].kept, *verdict.kept)
-            found[at] = Safe(motion, Verdict(kept, verdict.tracking), first)
+            found[at] = SafeMotion(motion, Verdict(kept, verdict.tracking), first)
     return found
 
 

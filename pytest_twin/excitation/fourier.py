@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.approved import ApprovedLimits
 
 MOST_HARMONICS = 5
 """Largest number of harmonics of a joint's series (Swevers et al. 1997 use five)."""
@@ -47,7 +47,7 @@ class Series:
         return int(self.basis.shape[1])
 
 
-def period_and_frequencies(approved: Approved, travel: float) -> tuple[float, FloatArray]:
+def period_and_frequencies(approved: ApprovedLimits, travel: float) -> tuple[float, FloatArray]:
     """Return the period [s] and the harmonics [Hz] of a series within the task's band.
 
     Args:
@@ -71,12 +71,12 @@ def period_and_frequencies(approved: Approved, travel: float) -> tuple[float, Fl
     return period, numbers / period
 
 
-def free_time(approved: Approved, travel: float) -> float:
+def free_time(approved: ApprovedLimits, travel: float) -> float:
     """Return the part of the approved duration available for whole periods, s."""
     return approved.duration - 2.0 * REST - travel
 
 
-def series(approved: Approved, travel: float = 0.0, samples: int | None = None) -> Series:
+def series(approved: ApprovedLimits, travel: float = 0.0, samples: int | None = None) -> Series:
     """Return the functions at ``samples`` instants of a period; by default at every command."""
     period, frequencies = period_and_frequencies(approved, travel)
     count = round(period * approved.rate) if samples is None else samples

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import Approved
-from pytest_twin.excitation.motion import Drawn, Path
+from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.motion import JointStates, Path
 from pytest_twin.identification.regressor.base_parameters import BaseParameters, base_of
 from pytest_twin.identification.regressor.regressor import Regressor
 
@@ -26,13 +26,13 @@ _RIDGE = 1e-6
 """Information that is assumed for each parameter, as a fraction of that of a mean pose."""
 
 
-def static_base(regressor: Regressor, approved: Approved) -> BaseParameters:
+def static_base(regressor: Regressor, approved: ApprovedLimits) -> BaseParameters:
     """Return the base parameters that poses at rest determine: gravity and constant efforts."""
     poses = random_poses(regressor, approved)
     return base_of(static_matrix(regressor, poses), regressor.columns)
 
 
-def random_poses(regressor: Regressor, approved: Approved, seed: int = 0) -> FloatArray:
+def random_poses(regressor: Regressor, approved: ApprovedLimits, seed: int = 0) -> FloatArray:
     """Return (n, joints) random poses in the approved range, enough to separate all columns."""
     lower, upper = approved.room
     count = max(40, 4 * len(regressor.columns) // len(approved.joints))
@@ -46,11 +46,11 @@ def static_matrix(regressor: Regressor, poses: FloatArray) -> FloatArray:
 
 
 def grid(
-    approved: Approved,
+    approved: ApprovedLimits,
     regressor: Regressor,
     std: FloatArray,
     is_clear: Callable[[FloatArray], bool],
-) -> Callable[[float, int], Drawn]:
+) -> Callable[[float, int], JointStates]:
     """Return a design of poses at rest, each approached from both sides.
 
     Each next pose adds most to log det of the information about the static base parameters
@@ -64,7 +64,7 @@ def grid(
     """
     base = static_base(regressor, approved)
 
-    def make(scale: float, seed: int) -> Drawn:
+    def make(scale: float, seed: int) -> JointStates:
         random = np.random.default_rng(seed)
         lower, upper = approved.room
         start = approved.start
@@ -135,7 +135,7 @@ def _first_reachable(
 
 
 def _fits(
-    path: Path, approved: Approved, pose: FloatArray, approach: FloatArray, scale: float
+    path: Path, approved: ApprovedLimits, pose: FloatArray, approach: FloatArray, scale: float
 ) -> bool:
     """Whether a pose and the return to the start fit in the remaining time."""
     there = path.time_to(pose)

@@ -65,7 +65,7 @@ class Design:
     kind: str
     role: Role
     moved: tuple[str, ...]
-    make: Callable[[float, int], Drawn]
+    make: Callable[[float, int], JointStates]
     seed: int
     payload: str | None = None
 
@@ -90,7 +90,7 @@ class Design:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class JointStates:
     """States of the joints over time.
 
     Attributes:
@@ -105,7 +105,7 @@ class Drawn:
     acceleration: FloatArray
     settings: Mapping[str, Any] = field(default_factory=dict)
 
-    def described(self, **settings: Any) -> Drawn:
+    def described(self, **settings: Any) -> JointStates:
         """Return a copy with settings."""
         return replace(self, settings=settings)
 
@@ -211,13 +211,13 @@ class Path:
         rest = np.zeros((1, position.shape[1]))
         self._add(position[:1], rest, rest)
 
-    def drawn(self) -> Drawn:
+    def drawn(self) -> JointStates:
         """Return all states so far."""
         position, velocity, acceleration = (
             np.concatenate([piece[i] for piece in self._pieces]) for i in range(3)
         )
         time = np.arange(len(position)) / self._rate
-        return Drawn(time, position, velocity, acceleration)
+        return JointStates(time, position, velocity, acceleration)
 
     def _add(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> None:
         if len(position):

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import Approved, JointLimits
+from pytest_twin.excitation.approved import ApprovedLimits, JointLimits
 from pytest_twin.realization.model import Realization
 
 ASSUMED_EFFORT = 0.01
@@ -33,7 +33,7 @@ class Noise:
     position_source: tuple[str, ...]
 
 
-def noise_of(realization: Realization, approved: Approved) -> Noise:
+def noise_of(realization: Realization, approved: ApprovedLimits) -> Noise:
     """Return the measurement noise of each joint."""
     efforts = [_effort(realization, joint) for joint in approved.joints]
     positions = [_position(realization, joint) for joint in approved.joints]

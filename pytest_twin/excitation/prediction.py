@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.approved import ApprovedLimits
 from pytest_twin.excitation.closed_loop import Response
 from pytest_twin.excitation.gravity_grid import SETTLE, random_poses, static_matrix
 from pytest_twin.excitation.motion import Motion
@@ -38,7 +38,7 @@ effort."""
 
 
 @dataclass(frozen=True, slots=True)
-class Predicted:
+class PredictedAccuracy:
     """Predicted accuracy of one parameter.
 
     Attributes:
@@ -87,9 +87,9 @@ def of_base(
     base: BaseParameters,
     regressor: Regressor,
     matrix: FloatArray,
-    approved: Approved,
+    approved: ApprovedLimits,
     noise: Noise,
-) -> list[Predicted]:
+) -> list[PredictedAccuracy]:
     """Predict base parameters from the full regressor along motions.
 
     Args:
@@ -107,7 +107,7 @@ def of_base(
     # Cancellation leaves rounding errors.
     nominal = np.where(np.abs(nominal) < _ROUNDING * resolution, 0.0, nominal)
     return [
-        Predicted(
+        PredictedAccuracy(
             mechanism,
             name,
             expression,
@@ -124,7 +124,7 @@ def of_base(
     ]
 
 
-def _small(base: BaseParameters, nominal: FloatArray, approved: Approved) -> FloatArray:
+def _small(base: BaseParameters, nominal: FloatArray, approved: ApprovedLimits) -> FloatArray:
     """Return the (b,) values below which each parameter's effect is small, in its unit."""
     limits = {joint.name: joint for joint in approved.joints}
     kinds = [base.columns[index] for index in base.independent]
@@ -152,9 +152,9 @@ def inertia(
     motions: Sequence[Motion],
     base: BaseParameters,
     regressor: Regressor,
-    approved: Approved,
+    approved: ApprovedLimits,
     noise: Noise,
-) -> list[Predicted]:
+) -> list[PredictedAccuracy]:
     """Predict all base parameters with friction, from Fourier series."""
     matrix = np.concatenate(
         [regressor.matrix(m.position, m.velocity, m.acceleration) for m in motions]
@@ -166,9 +166,9 @@ def gravity(
     motion: Motion,
     base: BaseParameters,
     regressor: Regressor,
-    approved: Approved,
+    approved: ApprovedLimits,
     noise: Noise,
-) -> list[Predicted]:
+) -> list[PredictedAccuracy]:
     """Predict static base parameters, from poses at rest."""
     still = at_rest(motion, approved.rate)
     matrix = regressor.matrix(
@@ -193,9 +193,9 @@ def friction(
     motions: Sequence[Motion],
     joint: int,
     regressor: Regressor,
-    approved: Approved,
+    approved: ApprovedLimits,
     noise: Noise,
-) -> list[Predicted]:
+) -> list[PredictedAccuracy]:
     """Predict viscous, Coulomb and load-dependent friction of a joint, from reversals under loads.
 
     The joint's other base parameters are fitted at the same time.
@@ -228,7 +228,7 @@ def friction(
             continue
         at = base.names.index(name)
         found.append(
-            Predicted(
+            PredictedAccuracy(
                 "friction", name, base.expressions[at], words, base.units[at],
                 float(nominal[at]), float(std[at]), float(small[at]),
             )
@@ -236,7 +236,7 @@ def friction(
     name = f"{limits.name}.load_dependent_friction"
     words = f"load-dependent friction of '{limits.name}'"
     if separate:
-        found.append(Predicted("friction", name, name, words, "1", None, float(std[-1])))
+        found.append(PredictedAccuracy("friction", name, name, words, "1", None, float(std[-1])))
     elif most > LOADS_APART * limits.effort:
         found.append(
             _open(
@@ -249,17 +249,21 @@ def friction(
     return found
 
 
-def backlash(motions: Sequence[Motion], joint: int, approved: Approved, noise: Noise) -> Predicted:
+def backlash(
+    motions: Sequence[Motion], joint: int, approved: ApprovedLimits, noise: Noise
+) -> PredictedAccuracy:
     """Predict backlash: the position's hysteresis between both directions, on the joint side."""
     limits = approved.joints[joint]
     moving = sum(int((motion.velocity[:, joint] != 0.0).sum()) for motion in motions)
     std = 2.0 * float(noise.position[joint]) / math.sqrt(max(moving, 1))
     name = f"{limits.name}.backlash"
     words = f"backlash of '{limits.name}', if its encoder is on the joint side of the gear"
-    return Predicted("backlash", name, name, words, limits.unit, None, std)
+    return PredictedAccuracy("backlash", name, name, words, limits.unit, None, std)
 
 
-def delay(responses: Sequence[Response], joint: int, approved: Approved, noise: Noise) -> Predicted:
+def delay(
+    responses: Sequence[Response], joint: int, approved: ApprovedLimits, noise: Noise
+) -> PredictedAccuracy:
     """Predict the delay of a joint's motion from its speed: std = noise / sqrt(sum v^2)."""
     limits = approved.joints[joint]
     energy = sum(float((one.velocity[:, joint] ** 2).sum()) for one in responses)
@@ -267,7 +271,7 @@ def delay(responses: Sequence[Response], joint: int, approved: Approved, noise: 
     if not energy > 0.0:
         return _open("delay", name, words, "the joint does not move")
     std = float(noise.position[joint]) / math.sqrt(energy)
-    return Predicted("delay", name, name, words, "s", None, std)
+    return PredictedAccuracy("delay", name, name, words, "s", None, std)
 
 
 def closed_loop(
@@ -275,9 +279,9 @@ def closed_loop(
     response: Response,
     gains: Mapping[str, tuple[float, str, FloatArray]],
     joint: int,
-    approved: Approved,
+    approved: ApprovedLimits,
     noise: Noise,
-) -> list[Predicted]:
+) -> list[PredictedAccuracy]:
     """Predict the gains of one joint's servo, fitted together with its delay.
 
     Args:
@@ -298,7 +302,7 @@ def closed_loop(
     matrix = np.stack([*columns, -response.velocity[:, joint]], axis=1)
     std = predicted_covariance(matrix[:, None], noise.position[joint : joint + 1]).std
     return [
-        Predicted(
+        PredictedAccuracy(
             "closed_loop", f"{limits.name}.servo_{name}", f"{limits.name}.servo_{name}",
             f"{name} of the servo of '{limits.name}'", unit, value, float(std[at]),
         )
@@ -310,9 +314,9 @@ def payload(
     motion: Motion,
     carrier: str,
     regressor: Regressor,
-    approved: Approved,
+    approved: ApprovedLimits,
     noise: Noise,
-) -> list[Predicted]:
+) -> list[PredictedAccuracy]:
     """Predict mass and first moments of a payload, from equal poses with and without it.
 
     A parameter without influence on the effort at any pose is omitted.
@@ -345,7 +349,7 @@ def payload(
             )
             continue
         found.append(
-            Predicted(
+            PredictedAccuracy(
                 "payload", name, own.expressions[at], words, columns[index].unit, None,
                 float(predicted.std[at]),
             )
@@ -353,5 +357,5 @@ def payload(
     return found
 
 
-def _open(mechanism: str, name: str, words: str, why: str) -> Predicted:
-    return Predicted(mechanism, name, name, words, "", 0.0, math.inf, why=why)
+def _open(mechanism: str, name: str, words: str, why: str) -> PredictedAccuracy:
+    return PredictedAccuracy(mechanism, name, name, words, "", 0.0, math.inf, why=why)

@@ -15,7 +15,7 @@ from pytest_twin.excitation.approved import (
     DEFAULT_MARGIN,
     MECHANISMS,
     NO_CLEARANCE,
-    Approved,
+    ApprovedLimits,
     Box,
     Clearance,
     JointLimits,
@@ -53,7 +53,7 @@ def movable_joints(realization: Realization) -> tuple[str, ...]:
     )
 
 
-def read_approved(realization: Realization, twin: Twin) -> Approved:
+def read_approved(realization: Realization, twin: Twin) -> ApprovedLimits:
     """Read the approved limits of a twin.
 
     Raises:
@@ -84,7 +84,7 @@ def read_approved(realization: Realization, twin: Twin) -> Approved:
             expected="it under joints: or under hold:",
         )
     band = _band(section, twin)
-    found = Approved(
+    found = ApprovedLimits(
         approved_by=str(section["approved_by"]),
         mechanisms=tuple(one for one in MECHANISMS if one in section["mechanisms"]),
         duration=float(section["duration"]),

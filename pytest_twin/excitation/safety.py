@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import Approved
-from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.closed_loop import Response
 from pytest_twin.excitation.motion import Motion
 
@@ -76,7 +76,7 @@ class Verdict:
         return max(own, key=lambda one: one.share) if own else None
 
 
-def commanded(motion: Motion, approved: Approved, around: Surroundings) -> Verdict:
+def commanded(motion: Motion, approved: ApprovedLimits, around: ClearanceChecker) -> Verdict:
     """Check the commands, with derivatives by differences of the sent values."""
     lower, upper = approved.room
     rate = approved.rate
@@ -97,8 +97,8 @@ def commanded(motion: Motion, approved: Approved, around: Surroundings) -> Verdi
 
 def simulated(
     motion: Motion,
-    approved: Approved,
-    around: Surroundings,
+    approved: ApprovedLimits,
+    around: ClearanceChecker,
     nominal: Response,
     worse: Response,
 ) -> Verdict:
@@ -132,7 +132,7 @@ def simulated(
 
 
 def _positions(
-    position: FloatArray, lower: FloatArray, upper: FloatArray, approved: Approved, whose: str
+    position: FloatArray, lower: FloatArray, upper: FloatArray, approved: ApprovedLimits, whose: str
 ) -> list[LimitCheck]:
     found = []
     for at, joint in enumerate(approved.joints):
@@ -160,7 +160,7 @@ def _sizes(
     what: str,
     values: FloatArray,
     limits: FloatArray,
-    approved: Approved,
+    approved: ApprovedLimits,
     whose: str,
     per: str | None = None,
 ) -> list[LimitCheck]:
@@ -177,7 +177,7 @@ def _sizes(
     ]
 
 
-def _stops(motion: Motion, approved: Approved) -> list[LimitCheck]:
+def _stops(motion: Motion, approved: ApprovedLimits) -> list[LimitCheck]:
     """Check the rest positions of each joint after an abort at any time."""
     found = []
     reaction = approved.stop.reaction
@@ -200,7 +200,7 @@ def _stops(motion: Motion, approved: Approved) -> list[LimitCheck]:
 
 
 def _clearance_checks(
-    position: FloatArray, around: Surroundings, whose: str = ""
+    position: FloatArray, around: ClearanceChecker, whose: str = ""
 ) -> list[LimitCheck]:
     found = []
     box = around.least_box_spare(position)

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import Approved
-from pytest_twin.excitation.motion import Drawn, Path, Role
+from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.motion import JointStates, Path, Role
 
 STEP_SHARE = 0.05
 """Amplitude of steps and chirps as a share of the approved range, so small that gravity and
@@ -20,13 +20,13 @@ friction, the highest viscous friction."""
 _CYCLES = 2
 """Smallest number of reversals at each speed and direction; the second tests repeatability."""
 
-Make = Callable[[float, int], Drawn]
+Make = Callable[[float, int], JointStates]
 
 
-def steps(approved: Approved, joint: int) -> Make:
+def steps(approved: ApprovedLimits, joint: int) -> Make:
     """Return steps of random height and length about the start, as fast as the limits allow."""
 
-    def make(scale: float, seed: int) -> Drawn:
+    def make(scale: float, seed: int) -> JointStates:
         random = np.random.default_rng(seed)
         height = scale * _amplitude(approved, joint)
         path = _path(approved, scale)
@@ -52,10 +52,10 @@ def steps(approved: Approved, joint: int) -> Make:
     return make
 
 
-def chirp(approved: Approved, joint: int, role: Role) -> Make:
+def chirp(approved: ApprovedLimits, joint: int, role: Role) -> Make:
     """Return a sine sweep over the task's band, upwards for fit and downwards for held-out."""
 
-    def make(scale: float, seed: int) -> Drawn:
+    def make(scale: float, seed: int) -> JointStates:
         random = np.random.default_rng(seed)
         low, high = approved.band
         seconds = math.floor(approved.duration * approved.rate) / approved.rate
@@ -82,12 +82,12 @@ def chirp(approved: Approved, joint: int, role: Role) -> Make:
     return make
 
 
-def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> Make:
+def reversals(approved: ApprovedLimits, joint: int, pose: FloatArray, role: Role) -> Make:
     """Return slow symmetric reversals at several speeds; other joints hold ``pose`` (j,)."""
 
     low, high = approved.band
 
-    def make(scale: float, seed: int) -> Drawn:
+    def make(scale: float, seed: int) -> JointStates:
         centre = approved.start + scale * (pose - approved.start)
         # Use fewer speeds, then shorter periods, until the motion fits in the duration.
         for count in range(len(SPEEDS), 0, -1):
@@ -141,13 +141,13 @@ def reversals(approved: Approved, joint: int, pose: FloatArray, role: Role) -> M
     return make
 
 
-def _path(approved: Approved, scale: float) -> Path:
+def _path(approved: ApprovedLimits, scale: float) -> Path:
     """Return a path whose speed is scaled as well, because servos overshoot."""
     speed, acceleration = scale * approved.speed, scale * approved.acceleration
     return Path(approved.start, speed, acceleration, approved.rate)
 
 
-def _amplitude(approved: Approved, joint: int) -> float:
+def _amplitude(approved: ApprovedLimits, joint: int) -> float:
     """Return the amplitude of a small motion about the start, within the margin."""
     lower, upper = approved.room
     start = approved.start[joint]
@@ -155,16 +155,18 @@ def _amplitude(approved: Approved, joint: int) -> float:
     return float(min(STEP_SHARE * whole, upper[joint] - start, start - lower[joint]))
 
 
-def _of_one(approved: Approved, joint: int, time: FloatArray, wave: FloatArray) -> Drawn:
+def _of_one(
+    approved: ApprovedLimits, joint: int, time: FloatArray, wave: FloatArray
+) -> JointStates:
     position, velocity, acceleration = np.zeros((3, len(time), len(approved.joints)))
     position[:] = approved.start
     position[:, joint] += wave
     velocity[:, joint] = np.gradient(wave, time, edge_order=2)
     acceleration[1:-1, joint] = np.diff(wave, 2) * approved.rate**2
-    return Drawn(time, position, velocity, acceleration)
+    return JointStates(time, position, velocity, acceleration)
 
 
-def _within_limits(wave: FloatArray, approved: Approved, joint: int) -> float:
+def _within_limits(wave: FloatArray, approved: ApprovedLimits, joint: int) -> float:
     """Return the factor (at most 1) at which a wave satisfies speed and acceleration limits."""
     speed = np.abs(np.diff(wave)).max() * approved.rate
     acceleration = np.abs(np.diff(wave, 2)).max() * approved.rate**2

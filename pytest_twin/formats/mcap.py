@@ -13,9 +13,9 @@ from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats.atomic import open_replacement
 from pytest_twin.formats.bag import Contents
 from pytest_twin.formats.compressed import ZSTD_MAGIC, unpacked_file
-from pytest_twin.formats.gather import Gatherer
 from pytest_twin.formats.joint_state import SCHEMA_NAME, SCHEMA_TEXT, encode_cdr
 from pytest_twin.formats.mcap_walk import walk
+from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.paths import open_regular
 from pytest_twin.formats.recording import TOPICS, Damage, JointSeries, Recording
 from pytest_twin.formats.serialized import QUANTITIES, Floats
@@ -49,23 +49,23 @@ def read_recording(path: Path, topics: Mapping[str, str] = TOPICS) -> Recording:
         RecordingError: a topic has an unsupported type or encoding, none of its messages can be
             decoded, or the file's metadata records ``trial`` differ.
     """
-    gatherer = Gatherer(path, topics)
-    gather_mcap(path, gatherer)
-    return gatherer.recording()
+    collector = MessageCollector(path, topics)
+    gather_mcap(path, collector)
+    return collector.recording()
 
 
-def gather_mcap(path: Path, gatherer: Gatherer) -> None:
+def gather_mcap(path: Path, collector: MessageCollector) -> None:
     """Read one MCAP file of a recording; raises as :func:`read_recording`."""
-    contents = gatherer.file(path)
+    contents = collector.file(path)
     with open_regular(path) as stream:
         try:
             magic = stream.read(4)
             stream.seek(0)
             if magic == ZSTD_MAGIC:
                 with unpacked_file(stream, path) as unpacked:
-                    _gather(unpacked, path, contents, gatherer)
+                    _gather(unpacked, path, contents, collector)
             else:
-                _gather(stream, path, contents, gatherer)
+                _gather(stream, path, contents, collector)
         except OSError as error:
             raise RecordingError(f"cannot be read: {error.strerror}", path=path) from error
         except MemoryError:
@@ -76,9 +76,9 @@ def gather_mcap(path: Path, gatherer: Gatherer) -> None:
             ) from None
 
 
-def _gather(stream: BinaryIO, path: Path, contents: Contents, gatherer: Gatherer) -> None:
+def _gather(stream: BinaryIO, path: Path, contents: Contents, collector: MessageCollector) -> None:
     for region in walk(stream, path, contents):
-        gatherer.take(region, contents)
+        collector.take(region, contents)
 
 
 def write_recording(

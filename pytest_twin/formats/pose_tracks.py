@@ -9,7 +9,7 @@ import numpy as np
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats import tosses
 from pytest_twin.formats.pose_track import PoseTrack, WrenchTrack
-from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
+from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
 from pytest_twin.formats.stamped_readings import WRENCH
 
 _TRANSFORMS = ("/tf", "/tf_static")
@@ -36,7 +36,7 @@ def read_pose_tracks(
     """
     if holds_tosses(path):
         return tosses.read_tosses(path)
-    bag = gather_sensors(SensorGatherer(path, {}))
+    bag = gather_sensors(SensorCollector(path, {}))
     topics = sorted(name for name in bag.poses if name not in _TRANSFORMS)
     if topic is None and len(topics) == 1:
         topic = topics[0]
@@ -64,7 +64,7 @@ def read_pose_tracks(
     ]
 
 
-def _wrenches(bag: SensorGatherer, topic: str, zero: int) -> WrenchTrack:
+def _wrenches(bag: SensorCollector, topic: str, zero: int) -> WrenchTrack:
     readings = bag.readings.get(topic, ())
     frames = {one.frame for one in readings}
     if len(readings) < 2 or bag.reading_type[topic] != WRENCH or len(frames) > 1:

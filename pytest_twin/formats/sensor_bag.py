@@ -11,8 +11,8 @@ import numpy as np
 from pytest_twin.errors import FormatError, RecordingError
 from pytest_twin.formats.bag import Channel, Contents, Region
 from pytest_twin.formats.compressed import unpacked_messages
-from pytest_twin.formats.gather import Gatherer
 from pytest_twin.formats.limits import MCAP
+from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.message_types import long_name
 from pytest_twin.formats.recordings import reader_of
 from pytest_twin.formats.recordings.base import BagReader
@@ -41,7 +41,7 @@ _IN_JSON = ("geometry_msgs/msg/PoseStamped", *READINGS)
 
 
 @dataclass
-class SensorGatherer(Gatherer):
+class SensorCollector(MessageCollector):
     """Collects poses, sensor readings and images, besides joint states.
 
     Attributes:
@@ -63,16 +63,16 @@ class SensorGatherer(Gatherer):
     stamps: dict[str, list[int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        Gatherer.__init__(self, self.path, self.state)
+        MessageCollector.__init__(self, self.path, self.state)
 
     def wants(self, topic: str, schema: str) -> bool:
         """Whether messages of a topic have to be read."""
         known = long_name(schema) in _KINDS
-        return known or Gatherer.wants(self, topic, schema)
+        return known or MessageCollector.wants(self, topic, schema)
 
     def take(self, region: Region, contents: Contents) -> None:
         """Collect all messages of a region."""
-        Gatherer.take(self, region, contents)
+        MessageCollector.take(self, region, contents)
         for number in np.unique(region.channel).tolist():
             channel = contents.channels.get(number)
             declared = None if channel is None else contents.schemas.get(channel.schema_id)
@@ -126,20 +126,20 @@ class SensorGatherer(Gatherer):
             self.picture(topic, number, picture_of(message, kind, encoding))
 
 
-def gather_sensors(gatherer: SensorGatherer) -> SensorGatherer:
-    """Read the bag of a gatherer, and return the gatherer.
+def gather_sensors(collector: SensorCollector) -> SensorCollector:
+    """Read the bag of a collector, and return the collector.
 
     Raises:
         TwinError: the bag cannot be read.
         FormatError: the recording is not message-based, such as a CSV file.
     """
-    reader = reader_of(gatherer.path)
+    reader = reader_of(collector.path)
     if not isinstance(reader, BagReader):
         raise FormatError(
             f"a {reader.kind} cannot contain poses or images",
-            path=gatherer.path,
+            path=collector.path,
             expected="an MCAP file, a rosbag2 folder, a .db3 file, or observations.csv",
         )
-    reader.gather(gatherer.path, gatherer)
-    gatherer.metadata = gatherer.trial_metadata()
-    return gatherer
+    reader.gather(collector.path, collector)
+    collector.metadata = collector.trial_metadata()
+    return collector

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
-from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
+from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
 from pytest_twin.formats.serialized import Integers
 
 _FEWEST = 20
@@ -47,7 +47,7 @@ def read_streams(path: Path, asked: Sequence[tuple[str, str | None, str]]) -> li
         TwinError: the bag cannot be read.
     """
     state = {f"{at}": topic for at, (topic, joint, _) in enumerate(asked) if joint is not None}
-    bag = gather_sensors(SensorGatherer(path, state))
+    bag = gather_sensors(SensorCollector(path, state))
     found = []
     for at, (topic, joint, quantity) in enumerate(asked):
         if joint is not None:
@@ -105,7 +105,7 @@ def _of_joint(
     return series.stamp[rows], np.asarray(np.abs(slope))
 
 
-def _turning(bag: SensorGatherer, topic: str) -> tuple[Integers, FloatArray]:
+def _turning(bag: SensorCollector, topic: str) -> tuple[Integers, FloatArray]:
     """Return the angular speed by central differences of the poses, which have no delay."""
     stamps = np.array([one.stamp for one in bag.poses[topic]], dtype=np.int64)
     _, rows = np.unique(stamps, return_index=True)

@@ -20,7 +20,7 @@ from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Contents, Region, Schema
 from pytest_twin.formats.compressed import ZSTD_MAGIC, unpacked_file
-from pytest_twin.formats.gather import Gatherer
+from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.paths import open_regular
 
 MAGIC = b"SQLite format 3\0"
@@ -51,7 +51,7 @@ _TABLES = {"messages", "topics", "sqlite_master"}
 _ALLOWED = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ}
 
 
-def gather_sqlite(path: Path, gatherer: Gatherer) -> None:
+def gather_sqlite(path: Path, collector: MessageCollector) -> None:
     """Read one SQLite file of a bag, also one compressed by rosbag2.
 
     Raises:
@@ -60,7 +60,7 @@ def gather_sqlite(path: Path, gatherer: Gatherer) -> None:
         LimitError: the file exceeds ``limits.MCAP``.
         RecordingError: a topic has an unsupported type or encoding.
     """
-    contents = gatherer.file(path)
+    contents = collector.file(path)
     with open_regular(path) as stream:
         size = stream.seek(0, 2)
         if size > limits.MCAP.file_bytes:
@@ -75,7 +75,7 @@ def gather_sqlite(path: Path, gatherer: Gatherer) -> None:
         magic = stream.read(len(MAGIC))
         if magic[:4] == ZSTD_MAGIC:
             with unpacked_file(stream, path) as unpacked:
-                _Database(Path(unpacked.name), path, contents, gatherer).read()
+                _Database(Path(unpacked.name), path, contents, collector).read()
             return
     if magic != MAGIC:
         raise FormatError("not an SQLite file", path=path, expected="a .db3 file of rosbag2")
@@ -86,12 +86,14 @@ def gather_sqlite(path: Path, gatherer: Gatherer) -> None:
             "a write-ahead log that was never merged into the file: its messages are not read "
             f"(merge it with: sqlite3 {path.name} 'PRAGMA wal_checkpoint')",
         )
-    _Database(path, path, contents, gatherer).read()
+    _Database(path, path, contents, collector).read()
 
 
 class _Database:
-    def __init__(self, file: Path, path: Path, contents: Contents, gatherer: Gatherer) -> None:
-        self.file, self.path, self.contents, self.gatherer = file, path, contents, gatherer
+    def __init__(
+        self, file: Path, path: Path, contents: Contents, collector: MessageCollector
+    ) -> None:
+        self.file, self.path, self.contents, self.collector = file, path, contents, collector
         self.size = file.stat().st_size
         self.steps = 0
         self.most_steps = _STEPS_FREE + _STEPS_A_ROW * limits.MCAP.messages_of(self.size)
@@ -105,7 +107,7 @@ class _Database:
                 self.confine(connection)
                 self.topics(connection)
                 for region in self.regions(connection):
-                    self.gatherer.take(region, self.contents)
+                    self.collector.take(region, self.contents)
         except sqlite3.Error as error:
             if self.steps > self.most_steps:
                 raise LimitError(
@@ -213,11 +215,13 @@ class _Database:
         known = [
             number
             for number, channel in self.contents.channels.items()
-            if self.gatherer.wants(channel.topic, schemas[number].name if number in schemas else "")
+            if self.collector.wants(
+                channel.topic, schemas[number].name if number in schemas else ""
+            )
         ]
         others = set(self.contents.channels) - set(known)
         if others:
-            self.gatherer.count(self.contents, self.counts(connection, others))
+            self.collector.count(self.contents, self.counts(connection, others))
         marks = ",".join("?" * len(set(known)))
         # Column and table names are constants: only the numbers come from the file.
         query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY rowid"  # noqa: E501

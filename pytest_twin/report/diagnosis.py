@@ -55,15 +55,15 @@ _WHAT_TO_DO = (
 _MOOD = {"no_mismatch": "good", "explained": "good", "improved": "part", "unexplained": "bad"}
 
 
-def words(said: Mapping[str, Any]) -> list[str]:
+def words(document: Mapping[str, Any]) -> list[str]:
     """Return lines for a terminal: verdict, findings, errors, unexplained residuals, notes.
 
     Args:
-        said: ``diagnosis.json``.
+        document: content of ``diagnosis.json``.
     """
-    held_out = bool(said["trials"]["held_out"])
-    lines = [headline(said)]
-    for i, finding in enumerate(said["findings"], 1):
+    held_out = bool(document["trials"]["held_out"])
+    lines = [headline(document)]
+    for i, finding in enumerate(document["findings"], 1):
         lines.append(f"  {i}. {finding_sentence(finding)}")
         buys = f"Correcting it {gain(finding, held_out=held_out)}."
         lines.append(f"     {buys} Confidence: {percent(finding['confidence'])}.")
@@ -71,34 +71,35 @@ def words(said: Mapping[str, Any]) -> list[str]:
             lines.append(f"     {rivals}")
         if finding["confidence"] < SURE:
             lines.append(f"     {to_confirm(finding)}")
-    if said.get("small_corrections"):
+    if document.get("small_corrections"):
         lines.append(f"  {SMALL}:")
         lines += [
-            f"    {finding_sentence(f)} Small: {f['why_small']}." for f in said["small_corrections"]
+            f"    {finding_sentence(f)} Small: {f['why_small']}."
+            for f in document["small_corrections"]
         ]
-    if said["held_out"]:
+    if document["held_out"]:
         which = "held-out recordings" if held_out else "fitted recordings, none is held out"
         lines.append(f"  RMS error on the {which}:")
-        width = max(len(joint) for joint in said["held_out"])
-        for joint, error in said["held_out"].items():
+        width = max(len(joint) for joint in document["held_out"])
+        for joint, error in document["held_out"].items():
             before, after, floor = errors_shown(error)
             lines.append(
                 f"    {joint:<{width}}  model {before}, patched model {after}, noise floor {floor}"
             )
-    lines += [f"  {line}" for line in _left(said)]
-    if said["unexplained"]:
+    lines += [f"  {line}" for line in _left(document)]
+    if document["unexplained"]:
         lines.append(f"  {_WHAT_TO_DO}")
-    lines += [f"  Note: {note}" for note in said["notes"]]
+    lines += [f"  Note: {note}" for note in document["notes"]]
     return lines
 
 
-def headline(said: Mapping[str, Any]) -> str:
+def headline(document: Mapping[str, Any]) -> str:
     """Return the verdict of ``diagnosis.json`` as a sentence."""
-    if said["verdict"] == "no_mismatch" and said.get("small_corrections"):
+    if document["verdict"] == "no_mismatch" and document.get("small_corrections"):
         return _NO_MISMATCH_WITH_CORRECTIONS
-    if said["verdict"] == "unexplained" and said.get("not_tried"):
+    if document["verdict"] == "unexplained" and document.get("not_tried"):
         return _ENDED_EARLY
-    return _VERDICT[said["verdict"]]
+    return _VERDICT[document["verdict"]]
 
 
 def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -118,27 +119,27 @@ def _score_shown(score: float | None) -> str:
 def render(view: DiagnosisView) -> str:
     """Return the report as one HTML document without external files."""
     style = style_of("report.css", "diagnosis.css")
-    said = view.said
+    document = view.document
     drawn = view.joints[:MAX_FIGURES]
     figures = Forks(usable_cores()).map(joint_figure, drawn)
     return _template().render(
         view=view,
         style=style.text,
         style_hash=style.sha256,
-        headline=headline(said),
-        mood=_MOOD[said["verdict"]],
-        findings=[_shown(f, view) for f in said["findings"]],
+        headline=headline(document),
+        mood=_MOOD[document["verdict"]],
+        findings=[_shown(f, view) for f in document["findings"]],
         small_title=SMALL,
         small=[
             {"sentence": finding_sentence(f), "why": f["why_small"]}
-            for f in said.get("small_corrections", ())
+            for f in document.get("small_corrections", ())
         ],
-        left=_left(said),
+        left=_left(document),
         what_to_do=_WHAT_TO_DO,
         figures=[(v.joint, svg_uri(f)) for v, f in zip(drawn, figures, strict=True)],
         figures_left_out=[v.joint for v in view.joints[MAX_FIGURES:]],
-        frequency_rows=rows_of(said.get("frequency_response", ())),
-        frequency_figures=figures_of(said.get("frequency_response", ())),
+        frequency_rows=rows_of(document.get("frequency_response", ())),
+        frequency_figures=figures_of(document.get("frequency_response", ())),
         at_floor=view.at_floor,
         share_left=view.share_left,
         left_floors=view.left_floors,
@@ -152,24 +153,24 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
         **finding,
         "name": place(finding),
         "sentence": finding_sentence(finding),
-        "gain": gain(finding, held_out=bool(view.said["trials"]["held_out"])),
+        "gain": gain(finding, held_out=bool(view.document["trials"]["held_out"])),
         "ambiguous": ambiguous(finding),
         "to_confirm": to_confirm(finding),
         "rows": [table_row(finding, key) for key in finding["parameters"]],
         "alternatives": [{**a, "name": place_of_set(a)} for a in finding["alternatives"]],
         "correlated": finding.get("correlated", []),
-        "windows": [(n, spans_said(w)) for n, w in finding["where"]["windows"].items()],
+        "windows": [(n, spans_in_words(w)) for n, w in finding["where"]["windows"].items()],
         "equation": equation,
         "source": source,
         "curve": svg_uri(law_figure(law, finding["joint"])) if law is not None else None,
     }
 
 
-def _left(said: Mapping[str, Any]) -> list[str]:
+def _left(document: Mapping[str, Any]) -> list[str]:
     return [
         f"Unexplained: {percent(u['fraction'])} of the squared error of joint {joint}; "
         f"mainly {u['where']}.{_modelled(u)}"
-        for joint, u in said["unexplained"].items()
+        for joint, u in document["unexplained"].items()
     ]
 
 
@@ -180,14 +181,14 @@ def _modelled(unexplained: Mapping[str, Any]) -> str:
     return f" The fitted law removes {percent(removed)} of the squared held-out error."
 
 
-def spans_said(windows: Sequence[Sequence[float]]) -> str:
+def spans_in_words(windows: Sequence[Sequence[float]]) -> str:
     """Return time intervals of a recording in order; if there are many, only the longest."""
     longest = sorted(windows, key=lambda w: w[0] - w[1])[:_MOST_SPANS]
-    said = ", ".join(
+    shown = ", ".join(
         f"{number(start)} to {number(end)}" for start, end in sorted((w[0], w[1]) for w in longest)
     )
     more = len(windows) - len(longest)
-    return f"{said} s, and {more} shorter" if more else f"{said} s"
+    return f"{shown} s, and {more} shorter" if more else f"{shown} s"
 
 
 @cache
@@ -197,7 +198,7 @@ def _template() -> jinja2.Template:
         number=number,
         quantity=quantity,
         percent=percent,
-        spans=spans_said,
+        spans=spans_in_words,
         errors=errors_shown,
         score=_score_shown,
     )

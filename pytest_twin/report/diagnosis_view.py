@@ -80,7 +80,7 @@ class DiagnosisView:
     Attributes:
         model: name of the diagnosed model.
         created: RFC 3339.
-        said: ``diagnosis.json``.
+        document: content of ``diagnosis.json``.
         joints: figures, the largest error in noise floors first.
         floor_parts: source -> joint -> RMS in the joint's unit.
         is_simulated: whether predictions contain the integration error of the time step.
@@ -95,7 +95,7 @@ class DiagnosisView:
 
     model: str
     created: str
-    said: Mapping[str, Any]
+    document: Mapping[str, Any]
     joints: tuple[JointView, ...]
     floor_parts: Mapping[str, Mapping[str, float]]
     is_simulated: bool
@@ -110,13 +110,13 @@ class DiagnosisView:
 
 
 def view_of(
-    found: Diagnosis, said: Mapping[str, Any], patched: Patched, model: str
+    found: Diagnosis, document: Mapping[str, Any], patched: Patched, model: str
 ) -> DiagnosisView:
     """Return the content of the report.
 
     Args:
         found: the diagnosis.
-        said: its ``diagnosis.json``.
+        document: its ``diagnosis.json``.
         patched: the patched model that was written.
         model: name of the diagnosed model.
     """
@@ -128,7 +128,7 @@ def view_of(
     return DiagnosisView(
         model=model,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
-        said=said,
+        document=document,
         joints=joint_views(found),
         floor_parts={
             source: dict(zip(joints, map(float, values), strict=True))

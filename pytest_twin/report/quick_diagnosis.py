@@ -20,8 +20,8 @@ _MOST_WINDOWS = 2
 
 def quick_diagnosis_in_words(seen: QuickDiagnosis) -> str:
     """Return the most likely effects with confidence, or joint and time of a missing force."""
-    if seen.suspects:
-        parts = [_suspect(found) for found in seen.suspects]
+    if seen.likely_effects:
+        parts = [_in_words(found) for found in seen.likely_effects]
         if seen.unexplained:
             parts.append(
                 f"no known effect explains the error of {_listed(seen.unexplained, 'and')}"
@@ -39,7 +39,7 @@ def quick_diagnosis_in_words(seen: QuickDiagnosis) -> str:
     )
 
 
-def _suspect(found: LikelyEffect) -> str:
+def _in_words(found: LikelyEffect) -> str:
     effect = found.place[0]
     shown = [(name, *value) for name, value in found.values.items() if value[0] != 0.0]
     values = ", ".join(

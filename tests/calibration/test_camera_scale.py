@@ -77,11 +77,11 @@ def test_a_camera_without_a_metric_scale_is_reported(translation: float) -> None
     cell = cell_with_scale(np.random.default_rng(4), 0.7, translation=translation)
     found = calibrate(cells.plan("hand_eye"), cell.observations, None)
     assert found["verdict"] == "rejected"
-    (suspect,) = found["suspected"]
-    told = re.search(r"the camera's motion is (\S+) times the robot's", suspect["what"])
+    (mistake,) = found["suspected"]
+    told = re.search(r"the camera's motion is (\S+) times the robot's", mistake["what"])
     assert told is not None
     assert float(told[1]) == pytest.approx(0.7, rel=0.05)
-    assert "camera: {scale: estimate}" in suspect["mend"]
+    assert "camera: {scale: estimate}" in mistake["mend"]
 
 
 def test_a_missing_scale_is_reported_even_if_the_plan_accepts_its_errors() -> None:

@@ -80,5 +80,5 @@ def test_the_first_answer_names_the_effect_and_is_empty_without_time(tmp_path: P
                          loaded.realization.structure)  # fmt: skip
     answer = first_answer(loaded.realization, trials.fit, None, seconds=600.0)
     assert answer is not None
-    assert [s.place for s in answer.suspects] == [("viscous_friction", ("left",))]
+    assert [s.place for s in answer.likely_effects] == [("viscous_friction", ("left",))]
     assert first_answer(loaded.realization, trials.fit, None, seconds=1e-6) is None

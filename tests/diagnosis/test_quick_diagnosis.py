@@ -31,13 +31,13 @@ def two_errors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Realization, T
     return load(model), make_trial(read_recording(path))
 
 
-def first_suspect(two_errors: tuple[Realization, Trial], *failed: str) -> LikelyEffect:
+def first_effect(two_errors: tuple[Realization, Trial], *failed: str) -> LikelyEffect:
     seen = quick_diagnosis(*two_errors, failed=failed)
-    return seen.suspects[0]
+    return seen.likely_effects[0]
 
 
 def test_the_failed_joint_is_explained(two_errors: tuple[Realization, Trial]) -> None:
-    found = first_suspect(two_errors, "right")
+    found = first_effect(two_errors, "right")
     assert (found.place, found.of) == (("viscous_friction", ("right",)), ("right",))
     value, unit = found.values["coefficient"]
     assert unit == "N*m*s/rad"
@@ -48,7 +48,7 @@ def test_the_failed_joint_is_explained(two_errors: tuple[Realization, Trial]) ->
 def test_a_failed_joint_with_the_smaller_error_is_explained(
     two_errors: tuple[Realization, Trial],
 ) -> None:
-    found = first_suspect(two_errors, "left")
+    found = first_effect(two_errors, "left")
     assert (found.place, found.of) == (("command_delay", ("left",)), ("left",))
     assert found.values["delay"][0] == pytest.approx(0.02, abs=0.002)
 
@@ -59,7 +59,7 @@ def test_a_failed_joint_with_the_smaller_error_is_explained(
 def test_without_a_single_failed_joint_the_largest_error_is_explained(
     two_errors: tuple[Realization, Trial], failed: tuple[str, ...]
 ) -> None:
-    found = first_suspect(two_errors, *failed)
+    found = first_effect(two_errors, *failed)
     assert (found.place, found.of) == (("viscous_friction", ("right",)), ())
 
 
@@ -67,18 +67,18 @@ def test_each_joint_that_failed_is_explained_by_its_own_cause(
     two_errors: tuple[Realization, Trial],
 ) -> None:
     seen = quick_diagnosis(*two_errors, failed=("left", "right"))
-    assert [(s.place, s.of) for s in seen.suspects] == [
+    assert [(s.place, s.of) for s in seen.likely_effects] == [
         (("viscous_friction", ("right",)), ()),
         (("command_delay", ("left",)), ("left",)),
     ]
     assert seen.unexplained == ()
 
 
-def only_suspect(folder: Path, text: str, **hidden: float) -> LikelyEffect:
+def only_effect(folder: Path, text: str, **hidden: float) -> LikelyEffect:
     """The only likely effect of a recording whose left joint failed; ``text`` is its model."""
     (folder / "model.xml").write_text(text)
     trial = make_trial(read_recording(record(folder / "seen.mcap", 1, **hidden)))
-    (found,) = quick_diagnosis(load(folder / "model.xml"), trial, failed=("left",)).suspects
+    (found,) = quick_diagnosis(load(folder / "model.xml"), trial, failed=("left",)).likely_effects
     return found
 
 
@@ -99,13 +99,13 @@ LIGHTER = mjcf().replace(f'mass="{MASS}"', f'mass="{0.7 * MASS}"', 1)
 def test_an_effect_is_named_alone_if_the_others_explain_clearly_less(
     tmp_path: Path, text: str, hidden: dict[str, float], effect: str
 ) -> None:
-    found = only_suspect(tmp_path, text, **hidden)
+    found = only_effect(tmp_path, text, **hidden)
     assert (found.place, found.rivals) == ((effect, ("left",)), ())
     assert found.removed > 0.95
 
 
 def test_a_delay_too_short_to_distinguish_from_a_lag_is_named_with_it(tmp_path: Path) -> None:
-    found = only_suspect(tmp_path, mjcf(), delay=0.008)
+    found = only_effect(tmp_path, mjcf(), delay=0.008)
     named = {found.place, *found.rivals}
     assert {("command_delay", ("left",)), ("actuator_lag", ("left",))} <= named
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import yaml
 
-from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.excite import Excitation
 from pytest_twin.realization.collision import enabled_pairs
 from pytest_twin.realization.loading import load
@@ -130,7 +130,9 @@ def _overlapping_pairs(path: Path, section: dict[str, Any]) -> list[list[str]]:
     path.write_text(yaml.safe_dump({"model": "drawn.urdf", "excitation": wide}))
     realization, twin = loaded(path)
     approved = read_approved(realization, twin)
-    return [list(one.pair) for one in Surroundings(realization, approved).too_near(approved.start)]
+    return [
+        list(one.pair) for one in ClearanceChecker(realization, approved).too_near(approved.start)
+    ]
 
 
 def pairs_in_contact(

@@ -11,7 +11,7 @@ from approved_arms import Excited, approved_for_arm, loaded, write_twin
 
 from pytest_twin.excitation.d_optimal import Design
 from pytest_twin.excitation.excite import Excitation, excite
-from pytest_twin.excitation.find_safe import Safe
+from pytest_twin.excitation.find_safe import SafeMotion
 from pytest_twin.excitation.prediction import at_rest, delay, inertia
 
 _RUNS = 400
@@ -22,7 +22,7 @@ def found(excited: Excited) -> Excitation:
     return excited.found
 
 
-def motion_of(found: Excitation, name: str) -> Safe:
+def motion_of(found: Excitation, name: str) -> SafeMotion:
     return next(one for one in found.safe if one.motion.name == name)
 
 

@@ -11,11 +11,11 @@ import pytest
 from approved_arms import Excited, approved_for_arm, loaded, write_twin
 
 from pytest_twin.excitation import single_joint
-from pytest_twin.excitation.approved import Approved
-from pytest_twin.excitation.clearance import Surroundings
+from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.closed_loop import WORSE
 from pytest_twin.excitation.excite import Excitation, excite
-from pytest_twin.excitation.find_safe import Robot, Safe
+from pytest_twin.excitation.find_safe import Robot, SafeMotion
 from pytest_twin.excitation.motion import Motion
 from pytest_twin.excitation.reading import read_approved
 from pytest_twin.excitation.safety import commanded, reasons, simulated
@@ -30,7 +30,7 @@ def found(excited: Excited) -> Excitation:
     return excited.found
 
 
-def safe(found: Excitation, name: str) -> Safe:
+def safe(found: Excitation, name: str) -> SafeMotion:
     return next(one for one in found.safe if one.motion.name == name)
 
 
@@ -38,7 +38,7 @@ def checked(folder: Path, motion: Motion, **changes: Any) -> list[str]:
     """Limits that the commands of a motion exceed, with changed lines under ``excitation:``."""
     realization, twin = loaded(write_twin(folder, approved_for_arm(**changes)))
     approved = read_approved(realization, twin)
-    return reasons([commanded(motion, approved, Surroundings(realization, approved))])
+    return reasons([commanded(motion, approved, ClearanceChecker(realization, approved))])
 
 
 def tip(position: np.ndarray) -> np.ndarray:
@@ -177,7 +177,7 @@ def test_an_abort_at_any_time_ends_within_the_range_of_the_joint(
 
 
 def test_a_margin_is_kept_from_every_limit(found: Excitation) -> None:
-    approved: Approved = found.approved
+    approved: ApprovedLimits = found.approved
     for one in found.safe:
         effort = np.abs(one.response.effort).max(axis=0)
         power = np.maximum(one.response.effort * one.response.velocity, 0.0).sum(axis=1).max()

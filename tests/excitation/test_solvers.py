@@ -18,7 +18,7 @@ from in_process import InProcess
 
 from pytest_twin import cli
 from pytest_twin.errors import SpecError
-from pytest_twin.excitation.approved import Approved
+from pytest_twin.excitation.approved import ApprovedLimits
 from pytest_twin.excitation.d_optimal import Design
 from pytest_twin.excitation.excite import excite
 from pytest_twin.excitation.minimizers import SOLVERS, minimizer
@@ -29,7 +29,7 @@ from pytest_twin.identification.regressor.base_parameters import structural_base
 from pytest_twin.identification.regressor.regressor import Regressor
 
 
-def designs(twin: Path) -> tuple[Approved, int, dict[str, Design]]:
+def designs(twin: Path) -> tuple[ApprovedLimits, int, dict[str, Design]]:
     """The approved limits, the number of base parameters, and the design problem per solver."""
     realization, read = loaded(twin)
     approved = read_approved(realization, read)

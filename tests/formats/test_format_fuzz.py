@@ -16,7 +16,7 @@ from mcap_files import BARE, mcap, sines
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import schema, xml, yaml
 from pytest_twin.formats.mcap import read_recording
-from pytest_twin.formats.recordings.base import Asked
+from pytest_twin.formats.recordings.base import ReadingOptions
 from pytest_twin.formats.recordings.csv import CsvFile
 from pytest_twin.formats.recordings.rosbag2 import Rosbag2Folder
 from pytest_twin.formats.recordings.sqlite import SqliteFile
@@ -74,11 +74,11 @@ rosbag2_bagfile_information:
 
 
 def read_csv(path: Path) -> object:
-    return CsvFile().read(path, Asked())
+    return CsvFile().read(path, ReadingOptions())
 
 
 def read_sqlite(path: Path) -> object:
-    return SqliteFile().read(path, Asked())
+    return SqliteFile().read(path, ReadingOptions())
 
 
 def read_metadata(path: Path) -> object:
@@ -87,7 +87,7 @@ def read_metadata(path: Path) -> object:
     (folder / "a.mcap").write_bytes(mcap(sines(5)))
     path.replace(folder / "metadata.yaml")
     try:
-        return Rosbag2Folder().read(folder, Asked())
+        return Rosbag2Folder().read(folder, ReadingOptions())
     except TwinError as error:
         if error.path in (folder / "metadata.yaml", folder):
             error.path = path

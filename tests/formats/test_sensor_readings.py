@@ -10,7 +10,7 @@ import sensor_bags
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.pose_tracks import read_pose_tracks
-from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
+from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
 from pytest_twin.formats.serialized import MessageError
 from pytest_twin.formats.stamped_readings import (
     IMU,
@@ -37,7 +37,7 @@ def test_readings_in_both_encodings_equal_the_written_values(encoding: str, tmp_
         },
         encoding,
     )
-    bag = gather_sensors(SensorGatherer(path, {}))
+    bag = gather_sensors(SensorCollector(path, {}))
     for topic in ("/ft", "/imu"):
         assert [one.stamp for one in bag.readings[topic]] == STAMPS.tolist()
         assert np.array([one.values for one in bag.readings[topic]]) == pytest.approx(VALUES)

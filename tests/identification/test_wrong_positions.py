@@ -10,7 +10,7 @@ import pytest
 from arms import NOMINAL, TRUE, write_model
 from test_wrong_signals import identified, measured
 
-from pytest_twin.identification.effort.position_suspects import clipped_ends, position_suspects
+from pytest_twin.identification.effort.position_mistakes import clipped_ends, position_mistakes
 from pytest_twin.identification.measured import Measured
 from pytest_twin.realization import load
 from pytest_twin.signals import Signals
@@ -26,7 +26,7 @@ def spans(folder: Path, factor: float, gear: float = 1.0) -> list[str]:
     one = measured(folder, 1, seconds=4.0)
     large = replace(one, position=one.position * factor)
     robot = load(folder / "model.xml")
-    return [suspect.what for suspect in position_suspects(robot, [large], [gear, gear])]
+    return [mistake.what for mistake in position_mistakes(robot, [large], [gear, gear])]
 
 
 def test_positions_within_the_range_cause_no_suspicion(tmp_path: Path) -> None:

@@ -48,10 +48,10 @@ def test_a_correct_recording_causes_no_suspicion(tmp_path: Path) -> None:
 
 
 def test_a_wrong_effort_sign_of_one_motor_is_reported(tmp_path: Path) -> None:
-    (suspect,) = identified(tmp_path, scaled([1.0, -1.0])).suspected
-    assert suspect.what.startswith("elbow: the effort helps the motion")
-    assert "its sign is wrong" in suspect.what
-    assert suspect.is_fatal
+    (mistake,) = identified(tmp_path, scaled([1.0, -1.0])).suspected
+    assert mistake.what.startswith("elbow: the effort helps the motion")
+    assert "its sign is wrong" in mistake.what
+    assert mistake.is_fatal
 
 
 def test_with_a_suspected_wrong_sign_delay_and_encoder_error_are_not_estimated(
@@ -148,16 +148,16 @@ def test_a_saturated_effort_leaves_the_parameters_unbiased(tmp_path: Path) -> No
 
 def test_a_gear_ratio_not_applied_to_the_effort_is_reported(tmp_path: Path) -> None:
     signals = Signals.from_json({"joints": {"elbow": {"gear": 50.0}}})
-    (suspect,) = identified(tmp_path, scaled([1.0, 0.02]), signals).suspected
-    assert "elbow: the effort is 0.0" in suspect.what
-    assert suspect.what.endswith("the gear ratio 50 is not applied to the effort")
-    assert suspect.mend == "signals: joints: elbow: side of position and effort, and gear"
+    (mistake,) = identified(tmp_path, scaled([1.0, 0.02]), signals).suspected
+    assert "elbow: the effort is 0.0" in mistake.what
+    assert mistake.what.endswith("the gear ratio 50 is not applied to the effort")
+    assert mistake.mend == "signals: joints: elbow: side of position and effort, and gear"
 
 
 def test_a_gear_ratio_applied_in_the_wrong_direction_is_reported(tmp_path: Path) -> None:
     signals = Signals.from_json({"joints": {"shoulder": {"gear": 50.0}}})
-    (suspect,) = identified(tmp_path, scaled([2500.0, 1.0]), signals).suspected
-    assert suspect.what.endswith("the gear ratio 50 is applied the wrong way round")
+    (mistake,) = identified(tmp_path, scaled([2500.0, 1.0]), signals).suspected
+    assert mistake.what.endswith("the gear ratio 50 is applied the wrong way round")
 
 
 def test_friction_that_decreases_during_a_recording_is_reported(tmp_path: Path) -> None:
@@ -168,9 +168,9 @@ def test_friction_that_decreases_during_a_recording_is_reported(tmp_path: Path) 
         effort[:, 0] += fall * way
         return replace(one, effort=effort)
 
-    (suspect,) = identified(tmp_path, warming).suspected
-    assert suspect.what.startswith("shoulder: dry friction changes by -")
-    assert not suspect.is_fatal
+    (mistake,) = identified(tmp_path, warming).suspected
+    assert mistake.what.startswith("shoulder: dry friction changes by -")
+    assert not mistake.is_fatal
 
 
 def drifting(share: float, column) -> object:
@@ -186,16 +186,16 @@ def drifting(share: float, column) -> object:
 
 
 def test_viscous_friction_that_decreases_during_a_recording_is_reported(tmp_path: Path) -> None:
-    (suspect,) = identified(tmp_path, drifting(REAL["damping"], lambda v: v)).suspected
-    assert suspect.what.startswith("shoulder: viscous friction changes by -")
-    assert not suspect.is_fatal
+    (mistake,) = identified(tmp_path, drifting(REAL["damping"], lambda v: v)).suspected
+    assert mistake.what.startswith("shoulder: viscous friction changes by -")
+    assert not mistake.is_fatal
 
 
 def test_a_zero_of_the_effort_that_drifts_is_reported(tmp_path: Path) -> None:
-    (suspect,) = identified(tmp_path, drifting(4.0, np.ones_like)).suspected
-    assert suspect.what.startswith("shoulder: the constant effort changes by -")
-    assert "the zero of its sensor drifts" in suspect.what
-    assert not suspect.is_fatal
+    (mistake,) = identified(tmp_path, drifting(4.0, np.ones_like)).suspected
+    assert mistake.what.startswith("shoulder: the constant effort changes by -")
+    assert "the zero of its sensor drifts" in mistake.what
+    assert not mistake.is_fatal
 
 
 @pytest.mark.parametrize("late", [0.012, -0.008])

@@ -23,9 +23,9 @@ DELAY = LikelyEffect(
 
 
 def said(
-    *suspects: LikelyEffect, unexplained: tuple[str, ...] = (), joint: str | None = "elbow"
+    *likely_effects: LikelyEffect, unexplained: tuple[str, ...] = (), joint: str | None = "elbow"
 ) -> str:
-    return quick_diagnosis_in_words(QuickDiagnosis(suspects, unexplained, joint, WHERE, 2.04))
+    return quick_diagnosis_in_words(QuickDiagnosis(likely_effects, unexplained, joint, WHERE, 2.04))
 
 
 def test_one_likely_effect_is_stated_with_size_confidence_and_gain() -> None:

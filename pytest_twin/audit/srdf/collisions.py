@@ -26,7 +26,7 @@ Pair = frozenset[str]
 
 
 @dataclass
-class Allowed:
+class IgnoredPairs:
     """Pairs of links whose collisions a planner ignores.
 
     Attributes:
@@ -99,9 +99,9 @@ def _pointless(node: Node, code: str, title: str, expected: str | None) -> Findi
     )
 
 
-def allowed(srdf: Srdf) -> Allowed:
+def ignored_pairs(srdf: Srdf) -> IgnoredPairs:
     """Return the pairs that a planner ignores."""
-    found = Allowed()
+    found = IgnoredPairs()
     for node in srdf.root.all("disable_collisions"):
         found.pairs.setdefault(_pair(node), node)
     found.enabled = {_pair(node) for node in srdf.root.all("enable_collisions")}
@@ -115,7 +115,7 @@ def measured(srdf: Srdf, geometry: Geometry) -> tuple[list[PoseResult], list[Fin
     """Compute distances at the base pose and every state, and findings of overlapping pairs."""
     if not any(shape.role == "collision" for shape in srdf.asset.shapes):
         return [], []
-    skipped = allowed(srdf)
+    skipped = ignored_pairs(srdf)
     hulls = self_collision.Hulls(srdf.asset, geometry)
     base = self_collision.base_pose(srdf.asset)
     at_base = hulls.near(BASE_POSE, base, joined=True)
@@ -134,7 +134,7 @@ def measured(srdf: Srdf, geometry: Geometry) -> tuple[list[PoseResult], list[Fin
     return results, findings
 
 
-def _of(near: self_collision.Near) -> Pair:
+def _of(near: self_collision.NearPair) -> Pair:
     return frozenset((near.first, near.second))
 
 
@@ -163,7 +163,9 @@ def _samples(srdf: Srdf) -> list[dict[str, float]]:
     ]
 
 
-def _always(srdf: Srdf, base: PoseResult, always: set[Pair], skipped: Allowed) -> Iterator[Finding]:
+def _always(
+    srdf: Srdf, base: PoseResult, always: set[Pair], skipped: IgnoredPairs
+) -> Iterator[Finding]:
     neighbours = {frozenset((edge.parent, edge.child)) for edge in srdf.asset.edges}
     for near in base.overlaps:
         pair = _of(near)
@@ -189,7 +191,7 @@ def _always(srdf: Srdf, base: PoseResult, always: set[Pair], skipped: Allowed) -
 
 def _never(srdf: Srdf, results: tuple[PoseResult, ...]) -> Iterator[Finding]:
     """Yield findings of pairs that overlap although their reason says that they never do."""
-    disabled = allowed(srdf).pairs
+    disabled = ignored_pairs(srdf).pairs
     told: set[Pair] = set()
     for result in results:
         for near in result.overlaps:
@@ -213,7 +215,7 @@ def _never(srdf: Srdf, results: tuple[PoseResult, ...]) -> Iterator[Finding]:
             )
 
 
-def _where(srdf: Srdf, near: self_collision.Near, result: PoseResult) -> str:
+def _where(srdf: Srdf, near: self_collision.NearPair, result: PoseResult) -> str:
     """Describe the positions of the joints between two links."""
     above = [srdf.carriers(link) for link in (near.first, near.second)]
     between = set(above[0]) ^ set(above[1])
@@ -225,7 +227,7 @@ def _where(srdf: Srdf, near: self_collision.Near, result: PoseResult) -> str:
 
 
 def _state(
-    srdf: Srdf, result: PoseResult, always: set[Pair], skipped: Allowed
+    srdf: Srdf, result: PoseResult, always: set[Pair], skipped: IgnoredPairs
 ) -> Iterator[Finding]:
     node = next(
         node

@@ -18,7 +18,7 @@ from pytest_twin.calibration.clocks.correlation import (
     correlate_speeds,
 )
 from pytest_twin.calibration.clocks.figures import angular_speeds, scene_of_streams
-from pytest_twin.calibration.clocks.mistakes import mistakes
+from pytest_twin.calibration.clocks.mistakes import mistakes_of_streams
 from pytest_twin.calibration.clocks.offset import (
     MOST_OFFSET_SPREAD_S,
     ClockFit,
@@ -204,7 +204,7 @@ def _solve(
     document["held_out"]["pattern"] = pattern_of(residuals_of(hand, camera, seen, fit, middle))
     document["scene"] = scene_of_streams(plan, hand, camera, seen, fit, middle, held_out)
     document["angular_speeds"] = angular_speeds(hand, camera, fit, middle, found.correlation)
-    suspected = mistakes(plan, hand, camera, seen, fit, middle)
+    suspected = mistakes_of_streams(plan, hand, camera, seen, fit, middle)
     document["suspected"] = [one.to_json() for one in suspected]
     document["reasons"] = [
         *(f"{one.what}; {one.mend}" for one in suspected),

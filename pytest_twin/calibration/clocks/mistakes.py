@@ -8,15 +8,15 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.increments import inverse
 from pytest_twin.calibration.clocks.offset import MOST_OFFSET_SPREAD_S, ClockFit, spread_rows
 from pytest_twin.calibration.clocks.streams import PoseStream
+from pytest_twin.calibration.input_mistake import InputMistake
+from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import make_problem
 from pytest_twin.calibration.residual_errors import errors_of
 from pytest_twin.calibration.solve import robust_cost, solve
 from pytest_twin.calibration.starts import starts
-from pytest_twin.calibration.suspect import Suspect
-from pytest_twin.calibration.suspected_scale import scale_beyond_chance
-from pytest_twin.calibration.suspects import has_large_errors, suspects
+from pytest_twin.calibration.wrong_scale import scale_beyond_chance
 
 _POSES = 60
 """Number of poses used. Neighbouring poses have the same errors, so more add nothing."""
@@ -28,14 +28,14 @@ _WORDS = {
 """Terms for columns of a table of observations, and the terms for streams that replace them."""
 
 
-def mistakes(
+def mistakes_of_streams(
     plan: Plan,
     hand: PoseStream,
     camera: PoseStream,
     seen: FloatArray,
     fit: ClockFit,
     middle: float,
-) -> tuple[Suspect, ...]:
+) -> tuple[InputMistake, ...]:
     """Return mistakes that explain the streams far better, with the checks for poses on one clock.
 
     The result is empty if the offset is not determined, because poses of different times cannot be
@@ -65,7 +65,7 @@ def mistakes(
     best = min(candidates.values(), key=lambda state: robust_cost(problem, state))
     found = solve(problem, best)
     if has_large_errors(errors_of(found.problem, found.state, found.kept).summary(), problem):
-        suspected = suspects(found)
+        suspected = find_mistakes(found)
     else:
         scale = scale_beyond_chance(found)
         suspected = () if scale is None else (scale,)

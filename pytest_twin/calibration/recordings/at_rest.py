@@ -19,7 +19,7 @@ counts per revolution is 1.5 mrad."""
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestInterval:
     """Stamps at which the robot stood still in one pose.
 
     Attributes:
@@ -35,7 +35,7 @@ class Rest:
 
 
 @dataclass(frozen=True)
-class Moving:
+class MotionInterval:
     """Consecutive stamps at which the robot was not still.
 
     Attributes:
@@ -47,14 +47,14 @@ class Moving:
     why: str
 
 
-def rests(
+def rest_and_motion(
     stamps: FloatArray,
     time: FloatArray,
     values: FloatArray,
     still: FloatArray,
     names: Sequence[str],
     units: Sequence[str],
-) -> tuple[list[Rest], list[Moving]]:
+) -> tuple[list[RestInterval], list[MotionInterval]]:
     """Return the stamps at rest, grouped by pose of the robot, and the stamps in motion.
 
     Args:
@@ -64,21 +64,21 @@ def rests(
         still: (k,) largest motion within the window of a robot that stands still.
         names, units: names and units of the columns.
     """
-    found: list[Rest] = []
-    moving: list[Moving] = []
+    found: list[RestInterval] = []
+    moving: list[MotionInterval] = []
     before: tuple[bool, FloatArray] | None = None
     for row, stamp in enumerate(stamps):
         reason, place = _at(float(stamp), time, values, still, names, units)
         same = before is not None and (np.abs(place - before[1]) <= still).all()
         if reason:
             if before is None or before[0]:
-                moving.append(Moving((row,), reason))
+                moving.append(MotionInterval((row,), reason))
             else:
-                moving[-1] = Moving((*moving[-1].rows, row), moving[-1].why)
+                moving[-1] = MotionInterval((*moving[-1].rows, row), moving[-1].why)
         elif before is not None and before[0] and same:
-            found[-1] = Rest((*found[-1].rows, row))
+            found[-1] = RestInterval((*found[-1].rows, row))
         else:
-            found.append(Rest((row,)))
+            found.append(RestInterval((row,)))
         before = (not reason, place)
     return found, moving
 

@@ -20,13 +20,13 @@ from pytest_twin.calibration.recordings.at_rest import (
     STILL_M,
     STILL_RAD,
     interpolated,
-    rests,
+    rest_and_motion,
 )
 from pytest_twin.calibration.recordings.pose_topics import first_stamp, poses_asked, seconds
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats import atomic, limits
 from pytest_twin.formats.recording import TOPICS, JointSeries
-from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
+from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
 from pytest_twin.formats.sensor_messages import Picture
 from pytest_twin.trial.roles import refuse_final
 
@@ -91,7 +91,7 @@ def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
             could be meant, or has the role ``final``.
     """
     state = {"state": plan.topics.get("state", TOPICS["state"])}
-    bag = gather_sensors(SensorGatherer(path, state))
+    bag = gather_sensors(SensorCollector(path, state))
     refuse_final(bag.metadata, path, "a calibration")
     recording = bag.recording()
     zero = first_stamp(bag, recording.series.get("state"))
@@ -106,7 +106,7 @@ def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
         topic, seen = poses_asked(plan, bag, "camera_from_target", ("camera", "target"), zero)
         stamps = seen.time
     order = np.argsort(stamps, kind="stable")
-    still, moving = rests(
+    still, moving = rest_and_motion(
         stamps[order], robot.time, robot.values, robot.still, robot.names, robot.units
     )
     left_out = [
@@ -157,7 +157,7 @@ def write_table(rows: Sequence[Mapping[str, str]], path: Path) -> None:
     atomic.write_text(path, text.getvalue())
 
 
-def _robot(plan: Plan, bag: SensorGatherer, joints: JointSeries | None, zero: int) -> _Robot:
+def _robot(plan: Plan, bag: SensorCollector, joints: JointSeries | None, zero: int) -> _Robot:
     if joints is not None and joints.position is not None and "flange" not in plan.topics:
         there = np.isfinite(joints.position).all(axis=1)
         time = seconds(joints.stamp[there], zero)
@@ -182,7 +182,7 @@ def _robot(plan: Plan, bag: SensorGatherer, joints: JointSeries | None, zero: in
     )
 
 
-def _image_topic(plan: Plan, bag: SensorGatherer) -> str:
+def _image_topic(plan: Plan, bag: SensorCollector) -> str:
     topic = plan.topics.get("image")
     if topic is None and len(bag.stamps) == 1:
         topic = next(iter(bag.stamps))
@@ -199,7 +199,7 @@ def _image_topic(plan: Plan, bag: SensorGatherer) -> str:
 
 
 def _write_images(
-    bag: SensorGatherer, topic: str, chosen: Sequence[int], folder: Path
+    bag: SensorCollector, topic: str, chosen: Sequence[int], folder: Path
 ) -> dict[int, str]:
     """Decode the chosen images and write them; return number -> path relative to the folder."""
     if len(chosen) > limits.IMAGES.files_count:

@@ -14,14 +14,14 @@ from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
-from pytest_twin.formats.sensor_bag import SensorGatherer
+from pytest_twin.formats.sensor_bag import SensorCollector
 from pytest_twin.formats.sensor_messages import Stamped
 from pytest_twin.formats.serialized import Integers
 
 TF = ("/tf", "/tf_static")
 
 
-def first_stamp(bag: SensorGatherer, joints: JointSeries | None) -> int:
+def first_stamp(bag: SensorCollector, joints: JointSeries | None) -> int:
     """Return the first stamp of a bag, ns.
 
     Times count from it, because seconds since 1970 as a float have a resolution of 0.2 us only."""
@@ -39,7 +39,7 @@ def seconds(stamps: Integers, zero: int) -> FloatArray:
 
 
 def poses_asked(
-    plan: Plan, bag: SensorGatherer, what: str, frames: tuple[str, str], zero: int
+    plan: Plan, bag: SensorCollector, what: str, frames: tuple[str, str], zero: int
 ) -> tuple[str, PoseStream]:
     """Return topic and poses that a plan asks for.
 
@@ -80,7 +80,7 @@ def _stream(poses: Sequence[Stamped], zero: int) -> PoseStream:
     return PoseStream(seconds(stamps[rows], zero), found)
 
 
-def _between(bag: SensorGatherer, parent: str, child: str, zero: int) -> PoseStream:
+def _between(bag: SensorCollector, parent: str, child: str, zero: int) -> PoseStream:
     """Return the child's poses in the parent at the stamps of the edge with the fewest messages.
 
     The frame of a target is published only when the target is detected; the robot's frames are

@@ -15,10 +15,10 @@ from pathlib import Path
 
 from pytest_twin.errors import FormatError, PathError
 from pytest_twin.formats.recording import TOPICS, Recording
-from pytest_twin.formats.recordings.base import Asked, Reader
+from pytest_twin.formats.recordings.base import Reader, ReadingOptions
 from pytest_twin.installed import is_own, load_plugin, refuse_stale_installation
 
-__all__ = ["Asked", "Reader", "read_one", "read_recordings", "reader_of", "readers"]
+__all__ = ["Reader", "ReadingOptions", "read_one", "read_recordings", "reader_of", "readers"]
 
 _GROUP = "pytest_twin.recordings"
 KINDS = (
@@ -53,7 +53,7 @@ def read_recordings(
         LimitError: the recording exceeds the limits of its format.
         RecordingError: the recording has no usable content.
     """
-    return list(reader_of(path).read(path, Asked(topics, columns or {}, units)))
+    return list(reader_of(path).read(path, ReadingOptions(topics, columns or {}, units)))
 
 
 def read_one(

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
-from pytest_twin.formats.gather import Gatherer
+from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.recording import TOPICS, Recording
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReadingOptions:
     """Options for reading a recording.
 
     Attributes:
@@ -39,7 +39,7 @@ class Reader(Protocol):
         """Whether an existing file or folder has this format; raises nothing."""
         ...
 
-    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+    def read(self, path: Path, options: ReadingOptions) -> Sequence[Recording]:
         """Read the recordings at ``path``.
 
         Raises:
@@ -58,8 +58,8 @@ class BagReader(Protocol):
 
     kind: ClassVar[str]
 
-    def gather(self, path: Path, gatherer: Gatherer) -> None:
-        """Pass all messages to ``gatherer``.
+    def gather(self, path: Path, collector: MessageCollector) -> None:
+        """Pass all messages to ``collector``.
 
         Raises:
             TwinError: ``path`` cannot be read.

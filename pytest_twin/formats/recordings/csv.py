@@ -15,7 +15,7 @@ from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 from pytest_twin.formats.recording import Damage, JointSeries, Recording
-from pytest_twin.formats.recordings.base import Asked
+from pytest_twin.formats.recordings.base import ReadingOptions
 from pytest_twin.formats.recordings.csv_numbers import Body
 from pytest_twin.formats.serialized import QUANTITIES, Floats, Integers
 
@@ -45,15 +45,15 @@ class CsvFile:
         """Whether ``path`` is a file with suffix ``.csv``."""
         return path.is_file() and path.suffix.lower() == ".csv"
 
-    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+    def read(self, path: Path, options: ReadingOptions) -> Sequence[Recording]:
         """Read the file as one recording."""
         data = read_bytes(path, limits.CSV.file_bytes)
-        return [_Table(path, data, asked).recording()]
+        return [_Table(path, data, options).recording()]
 
 
 class _Table:
-    def __init__(self, path: Path, data: bytes, asked: Asked) -> None:
-        self.path, self.asked = path, asked
+    def __init__(self, path: Path, data: bytes, options: ReadingOptions) -> None:
+        self.path, self.options = path, options
         data = data.removeprefix(b"\xef\xbb\xbf")
         head, _, body = data.partition(b"\n")
         if len(head) > limits.CSV.header_bytes:
@@ -174,7 +174,7 @@ class _Table:
     def mapped(self) -> dict[str, str]:
         """Return heading -> meaning, from a mapping in either direction."""
         found: dict[str, str] = {}
-        for left, right in self.asked.columns.items():
+        for left, right in self.options.columns.items():
             if left in self.header:
                 heading, meaning = left, right
             elif right in self.header:
@@ -200,7 +200,7 @@ class _Table:
             notes.append(f"columns without a meaning are left out: {', '.join(self.left_out)}")
         damage: list[Damage] = []
         series = {}
-        for role, topic in self.asked.topics.items():
+        for role, topic in self.options.topics.items():
             one = self.series(role, topic, time, values)
             if one is not None:
                 series[role] = one

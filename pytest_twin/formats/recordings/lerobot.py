@@ -20,7 +20,7 @@ from pytest_twin.errors import FormatError, LimitError, RecordingError
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 from pytest_twin.formats.recording import JointSeries, Notes, Recording
-from pytest_twin.formats.recordings.base import Asked
+from pytest_twin.formats.recordings.base import ReadingOptions
 from pytest_twin.formats.recordings.lerobot_units import Unit, unit_of
 from pytest_twin.formats.recordings.parquet import data_files, read_columns
 from pytest_twin.formats.serialized import QUANTITIES, Floats, Integers
@@ -47,9 +47,9 @@ class LeRobotDataset:
         """Whether ``path`` is a folder with ``meta/info.json``."""
         return path.is_dir() and (path / INFO).is_file()
 
-    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+    def read(self, path: Path, options: ReadingOptions) -> Sequence[Recording]:
         """Read all episodes, in their order."""
-        return _Dataset(path, asked).recordings()
+        return _Dataset(path, options).recordings()
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class _Feature:
 
 
 class _Dataset:
-    def __init__(self, path: Path, asked: Asked) -> None:
-        self.path, self.asked = path, asked
+    def __init__(self, path: Path, options: ReadingOptions) -> None:
+        self.path, self.options = path, options
         self.file = path / INFO
         self.notes = Notes()
         self.info = self.read_info()
@@ -78,7 +78,7 @@ class _Dataset:
         self.features = {
             role: self.feature(features[column], column)
             for role, column in _FEATURES.items()
-            if column in features and role in asked.topics
+            if column in features and role in options.topics
         }
         if not self.features:
             raise RecordingError(
@@ -166,7 +166,7 @@ class _Dataset:
         order = np.lexsort((table["frame_index"], table["episode_index"]))
         table = {name: values[order] for name, values in table.items()}
         unit = unit_of(
-            self.asked.units,
+            self.options.units,
             self.info,
             [self.declared[column] for column in columns],
             {c: table[c] for c in columns},
@@ -223,7 +223,7 @@ class _Dataset:
             scale = 1.0 if quantity == "effort" else unit.scale
             table[:, names.index(name)] = values[:, at] * scale
         return JointSeries(
-            topic=self.asked.topics[role],
+            topic=self.options.topics[role],
             names=names,
             stamp=time,
             log_time=time.copy(),

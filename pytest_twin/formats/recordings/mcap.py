@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from pytest_twin.formats.gather import Gatherer
 from pytest_twin.formats.mcap import gather_mcap, read_recording
 from pytest_twin.formats.mcap_walk import MAGIC
+from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.recording import Recording
-from pytest_twin.formats.recordings.base import Asked, first_bytes
+from pytest_twin.formats.recordings.base import ReadingOptions, first_bytes
 
 SUFFIXES = (".mcap", ".mcap.zstd", ".mcap.zst")
 
@@ -26,13 +26,13 @@ class McapFile:
             return False
         return first_bytes(path, len(MAGIC)) == MAGIC or path.name.lower().endswith(SUFFIXES)
 
-    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+    def read(self, path: Path, options: ReadingOptions) -> Sequence[Recording]:
         """Read the file as one recording."""
-        return [read_recording(path, asked.topics)]
+        return [read_recording(path, options.topics)]
 
-    def gather(self, path: Path, gatherer: Gatherer) -> None:
-        """Pass all messages to ``gatherer``."""
-        gather_mcap(path, gatherer)
+    def gather(self, path: Path, collector: MessageCollector) -> None:
+        """Pass all messages to ``collector``."""
+        gather_mcap(path, collector)
 
 
 __all__ = ["SUFFIXES", "McapFile"]

@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 
 from pytest_twin.errors import FormatError, LimitError, PathError
 from pytest_twin.formats import limits, yaml
-from pytest_twin.formats.gather import Gatherer
 from pytest_twin.formats.mcap import gather_mcap
+from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.recording import Recording
 from pytest_twin.formats.recordings import mcap, sqlite
-from pytest_twin.formats.recordings.base import Asked
+from pytest_twin.formats.recordings.base import ReadingOptions
 from pytest_twin.formats.sqlite_bag import gather_sqlite
 
 METADATA = "metadata.yaml"
@@ -36,23 +36,23 @@ class Rosbag2Folder:
         """Whether ``path`` is a folder with ``metadata.yaml`` or with files of a bag."""
         return path.is_dir() and ((path / METADATA).is_file() or bool(_bag_files(path)))
 
-    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+    def read(self, path: Path, options: ReadingOptions) -> Sequence[Recording]:
         """Read all files of the folder as one recording."""
-        gatherer = Gatherer(path, asked.topics)
-        self.gather(path, gatherer)
-        return [gatherer.recording()]
+        collector = MessageCollector(path, options.topics)
+        self.gather(path, collector)
+        return [collector.recording()]
 
-    def gather(self, path: Path, gatherer: Gatherer) -> None:
-        """Pass all messages of the folder's files to ``gatherer``."""
+    def gather(self, path: Path, collector: MessageCollector) -> None:
+        """Pass all messages of the folder's files to ``collector``."""
         if (path / METADATA).is_file():
             information = _information(path / METADATA)
             files = _named_files(path, information)
-            gatherer.metadata.update(_custom_data(information))
+            collector.metadata.update(_custom_data(information))
         else:
             information = {}
             files = _bag_files(path)
             _refuse_several(path, files)
-            gatherer.notes.add(
+            collector.notes.add(
                 METADATA, "missing: the recorder was killed; the folder's files are read by name"
             )
         if len(files) > limits.MCAP.channels_count:
@@ -61,10 +61,10 @@ class Rosbag2Folder:
             )
         for file in files:
             if file.name.lower().endswith(sqlite.SUFFIXES):
-                gather_sqlite(file, gatherer)
+                gather_sqlite(file, collector)
             else:
-                gather_mcap(file, gatherer)
-        _compare(information, gatherer)
+                gather_mcap(file, collector)
+        _compare(information, collector)
 
 
 def _information(path: Path) -> Mapping[str, Any]:
@@ -136,18 +136,18 @@ def _custom_data(information: Mapping[str, Any]) -> dict[str, str]:
     return {str(key): str(value) for key, value in found.items()}
 
 
-def _compare(information: Mapping[str, Any], gatherer: Gatherer) -> None:
+def _compare(information: Mapping[str, Any], collector: MessageCollector) -> None:
     """Note topics whose number of messages differs from the number in ``metadata.yaml``."""
     stated = information.get("topics_with_message_count")
-    wanted = {reader.topic for reader in gatherer.readers.values()}
+    wanted = {reader.topic for reader in collector.readers.values()}
     for one in stated if isinstance(stated, list) else ():
         topic = one.get("topic_metadata") if isinstance(one, dict) else None
         name = topic.get("name") if isinstance(topic, dict) else None
         if name not in wanted:
             continue
-        known = gatherer.topics.get(name)
+        known = collector.topics.get(name)
         read = 0 if known is None else known.messages
         if one.get("message_count") != read:
-            gatherer.notes.add(
+            collector.notes.add(
                 str(name), f"{read} of {one.get('message_count')} messages that {METADATA} counts"
             )

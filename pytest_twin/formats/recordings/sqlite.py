@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from pytest_twin.formats.gather import Gatherer
+from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.recording import Recording
-from pytest_twin.formats.recordings.base import Asked, first_bytes
+from pytest_twin.formats.recordings.base import ReadingOptions, first_bytes
 from pytest_twin.formats.sqlite_bag import MAGIC, gather_sqlite
 
 SUFFIXES = (".db3", ".db3.zstd", ".db3.zst")
@@ -25,12 +25,12 @@ class SqliteFile:
             return False
         return first_bytes(path, len(MAGIC)) == MAGIC or path.name.lower().endswith(SUFFIXES)
 
-    def read(self, path: Path, asked: Asked) -> Sequence[Recording]:
+    def read(self, path: Path, options: ReadingOptions) -> Sequence[Recording]:
         """Read the file as one recording."""
-        gatherer = Gatherer(path, asked.topics)
-        self.gather(path, gatherer)
-        return [gatherer.recording()]
+        collector = MessageCollector(path, options.topics)
+        self.gather(path, collector)
+        return [collector.recording()]
 
-    def gather(self, path: Path, gatherer: Gatherer) -> None:
-        """Pass all messages to ``gatherer``."""
-        gather_sqlite(path, gatherer)
+    def gather(self, path: Path, collector: MessageCollector) -> None:
+        """Pass all messages to ``collector``."""
+        gather_sqlite(path, collector)

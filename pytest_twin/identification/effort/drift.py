@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.identification.effort.input_mistakes import InputMistake
 from pytest_twin.identification.effort.least_squares import Linear, Solution, dry_levels
 from pytest_twin.identification.effort.sampled import Sampled
-from pytest_twin.identification.effort.suspects import Suspect
 
 _SURE = 6.0
 """Number of standard deviations above which a change is significant."""
@@ -24,7 +24,7 @@ _WARM = "record after the robot is warm, or identify cold and warm recordings ap
 
 def drifts(
     problem: Linear, fitted: Solution, samples: Sequence[Sampled], viscous: Mapping[str, float]
-) -> list[Suspect]:
+) -> list[InputMistake]:
     """Detect joints whose friction or constant effort changes over a recording.
 
     The residual is fitted by dry friction, viscous friction and a constant effort, each with a
@@ -53,11 +53,11 @@ def drifts(
         friction = dry[k] + abs(viscous[joint]) * usual
         effort = float(np.sqrt(np.mean(problem.effort[use, k] ** 2)))
         if sure[0] and abs(trend[0]) > _DRIFT * dry[k] > 0.0:
-            found.append(_suspect(joint, "dry friction", 100.0 * trend[0] / dry[k]))
+            found.append(_mistake(joint, "dry friction", 100.0 * trend[0] / dry[k]))
         if sure[1] and abs(trend[1]) > _DRIFT * friction > 0.0:
-            found.append(_suspect(joint, "viscous friction", 100.0 * trend[1] / friction))
+            found.append(_mistake(joint, "viscous friction", 100.0 * trend[1] / friction))
         if sure[2] and abs(trend[2]) > _ZERO_DRIFT * effort:
-            found.append(Suspect(
+            found.append(InputMistake(
                 f"{joint}: the constant effort changes by {100 * trend[2] / effort:+.0f} % of the "
                 "usual effort over a recording: the zero of its sensor drifts",
                 "set the zero of the effort when the robot is warm, or record for a shorter time",
@@ -66,9 +66,9 @@ def drifts(
     return found
 
 
-def _suspect(joint: str, what: str, percent: float) -> Suspect:
+def _mistake(joint: str, what: str, percent: float) -> InputMistake:
     of = " of the whole friction" if what.startswith("viscous") else ""
-    return Suspect(
+    return InputMistake(
         f"{joint}: {what} changes by {percent:+.0f} %{of} over a recording: the gear warms up, or "
         "its load changes",
         _WARM,

@@ -26,6 +26,7 @@ from pytest_twin.identification.effort.essential import Essential, essential
 from pytest_twin.identification.effort.estimate import INSTRUMENTS, Estimate, estimate
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
 from pytest_twin.identification.effort.groups import EXCLUDES, dry_of, stages_of
+from pytest_twin.identification.effort.input_mistakes import InputMistake, find_mistakes
 from pytest_twin.identification.effort.instruments import (
     along_commands,
     instrumental,
@@ -46,7 +47,7 @@ from pytest_twin.identification.effort.least_squares import (
     moved_by,
     solve,
 )
-from pytest_twin.identification.effort.position_suspects import position_suspects
+from pytest_twin.identification.effort.position_mistakes import position_mistakes
 from pytest_twin.identification.effort.sampled import Sampled, sample
 from pytest_twin.identification.effort.scale import (
     Scale,
@@ -54,7 +55,6 @@ from pytest_twin.identification.effort.scale import (
     payload_scales,
     scaled,
 )
-from pytest_twin.identification.effort.suspects import Suspect, suspects
 from pytest_twin.identification.measured import MeasuredSet
 from pytest_twin.identification.physical import Physical, physical
 from pytest_twin.identification.regressor import (
@@ -126,7 +126,7 @@ class EffortResult:
     samples: tuple[Sampled, ...]
     held_out: tuple[Sampled, ...]
     delay: Delay | None
-    suspected: tuple[Suspect, ...]
+    suspected: tuple[InputMistake, ...]
     notes: tuple[str, ...]
     estimate: Estimate
     encoders: Encoders = field(default_factory=Encoders)
@@ -472,8 +472,8 @@ def _identify(
     named = dict(zip((base.names[i] for i in columns), full.values.tolist(), strict=True))
     viscous = {joint: named.get(f"{joint}.viscous_friction", 0.0) for joint in joints}
     suspected = [
-        *position_suspects(realization, measured.fit, gears),
-        *suspects(realization, measured.fit, fit, regressor, gears),
+        *position_mistakes(realization, measured.fit, gears),
+        *find_mistakes(realization, measured.fit, fit, regressor, gears),
         *drifts(shown, full, fit, viscous),
     ]
     result = EffortResult(

@@ -12,7 +12,7 @@ from scipy.signal import savgol_filter
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
-from pytest_twin.formats.sensor_bag import SensorGatherer, gather_sensors
+from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
 from pytest_twin.formats.sensor_record import FORCE_TORQUE, IMU, JOINT_TORQUE
 from pytest_twin.formats.serialized import Integers
 from pytest_twin.formats.stamped_readings import IMU as IMU_TYPE
@@ -95,7 +95,7 @@ def read_sensor(
     """
     at_joint = sensor.frame in realization.joints
     topics = {"state": state, **({"load": sensor.topic} if at_joint else {})}
-    bag = gather_sensors(SensorGatherer(path, topics))
+    bag = gather_sensors(SensorCollector(path, topics))
     joints = motion or bag.readers["state"].finish()
     if joints is None or joints.position is None:
         raise RecordingError(
@@ -159,7 +159,7 @@ def read_sensor(
 
 
 def _readings(
-    path: Path, sensor: Mounted, bag: SensorGatherer, loads: JointSeries | None
+    path: Path, sensor: Mounted, bag: SensorCollector, loads: JointSeries | None
 ) -> tuple[Integers, FloatArray]:
     """Stamps (ns) and (n, k) values of a wrench, an IMU, or the effort of one joint."""
     if loads is not None and loads.effort is not None and sensor.frame in loads.names:

@@ -14,17 +14,17 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration import closed_form
+from pytest_twin.calibration.input_mistake import FAR_BETTER, InputMistake
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.problem import Problem
 from pytest_twin.calibration.solve import Fit
 from pytest_twin.calibration.starts import starts
-from pytest_twin.calibration.suspect import FAR_BETTER, Suspect
-from pytest_twin.calibration.suspected_scale import (
+from pytest_twin.calibration.terms import PoseTerm
+from pytest_twin.calibration.wrong_scale import (
     scale_beyond_chance,
     scale_of,
     scale_of_fit,
 )
-from pytest_twin.calibration.terms import PoseTerm
 
 DOUBTFUL_M = 0.003
 """RMS error of a fit above which mistakes are searched for if the plan accepts any error. It is
@@ -63,23 +63,23 @@ def has_large_errors(fitted: Mapping[str, float], problem: Problem) -> bool:
     )
 
 
-def suspects(fit: Fit) -> tuple[Suspect, ...]:
+def find_mistakes(fit: Fit) -> tuple[InputMistake, ...]:
     """Return mistakes that explain the observations far better than a fit does, the best first."""
     problem = fit.problem
     rows = {int(row) for term in problem.terms for row in term.rows}
     if len(rows) < LEAST_ROWS or not problem.layout.poses:
         return ()
-    found = [Suspect(what, mend, *_nothing()) for what, mend in _far_away(problem)]
+    found = [InputMistake(what, mend, *_nothing()) for what, mend in _far_away(problem)]
     now = _errors(problem)
     tried = [
-        Suspect(what, mend, *_errors(problem.with_observations(changed)))
+        InputMistake(what, mend, *_errors(problem.with_observations(changed)))
         for what, mend, changed in _alternatives(problem)
     ]
     good = [one for one in tried if _far_better(one, now)]
     good += [
         one
         for one in (
-            Suspect(what, mend, *_errors(problem.with_observations(changed)))
+            InputMistake(what, mend, *_errors(problem.with_observations(changed)))
             for what, mend, changed in _wrong_signs(problem.observations, problem.chain is None)
         )
         # A sign of a position leaves the angles as they were.
@@ -102,7 +102,7 @@ def _nothing() -> tuple[float, float]:
     return float("nan"), float("nan")
 
 
-def _far_better(one: Suspect, now: tuple[float, float]) -> bool:
+def _far_better(one: InputMistake, now: tuple[float, float]) -> bool:
     translation = one.translation < FAR_BETTER * now[0]
     return translation and (np.isnan(now[1]) or one.rotation < FAR_BETTER * now[1])
 

@@ -38,7 +38,7 @@ _BETTER = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Suspect:
+class InputMistake:
     """A suspected mistake of the input.
 
     Attributes:
@@ -56,13 +56,13 @@ class Suspect:
         return {"what": self.what, "mend": self.mend, "fatal": self.is_fatal}
 
 
-def suspects(
+def find_mistakes(
     realization: Realization,
     recordings: Sequence[Measured],
     samples: Sequence[Sampled],
     regressor: Regressor,
     gears: Sequence[float],
-) -> list[Suspect]:
+) -> list[InputMistake]:
     """Detect degrees without joint ranges, wrong signs, and wrong factors of efforts.
 
     Each joint is fitted separately: the nominal rigid-body effort is one column; the others are
@@ -89,13 +89,13 @@ def suspects(
         negative = negative and max(viscous / std[1], dry / std[2]) < _SURE
         unscaled = any(c.joint == joint and c.kind == "effort_scale" for c in regressor.columns)
         if negative:
-            found.append(Suspect(
+            found.append(InputMistake(
                 f"{joint}: the effort helps the motion (viscous {viscous:.3g}, dry {dry:.3g}, both "
                 "should resist): its sign is wrong",
                 f"signals: joints: {joint}: gear: {-gears[k]:g}, or the sign of its effort alone",
             ))  # fmt: skip
         elif factor < 0 and factor < -_SURE * std[0]:
-            found.append(Suspect(
+            found.append(InputMistake(
                 f"{joint}: friction resists and the rigid bodies' effort has the opposite sign "
                 f"(factor {factor:.3g}): position and effort are counted against the model's axis",
                 f"calibration: joints: {joint}: {{sign: -1}}, or the axis of the model",
@@ -121,7 +121,7 @@ def _rescaled_by_effort(
     samples: Sequence[Sampled],
     regressor: Regressor,
     gears: Sequence[float],
-) -> list[Suspect]:
+) -> list[InputMistake]:
     """Detect joints whose effort fits far better along positions times a common factor."""
     spans = np.max([np.ptp(one.position, axis=0) for one in recordings], axis=0)
     best: dict[int, tuple[float, _Rescaling]] = {}
@@ -139,7 +139,7 @@ def _rescaled_by_effort(
             if noise <= limit:
                 best[k] = noise, trial
     return [
-        Suspect(
+        InputMistake(
             f"{regressor.joints[k]}: positions span {spans[k]:.4g} "
             f"{'m' if regressor.slides[k] else 'rad'}, and along {one.factor:.3g} times as much "
             f"the model explains the effort better: {one.what}",
@@ -154,7 +154,7 @@ def _rescalings(
 ) -> list[_Rescaling]:
     """Return factors on the positions that their spans suggest.
 
-    Joints whose positions exceed their limits are left to ``position_suspects``.
+    Joints whose positions exceed their limits are left to ``position_mistakes``.
     """
     model = realization.model
     at = [realization.joint_index(joint) for joint in regressor.joints]
@@ -179,23 +179,23 @@ def _rescalings(
     return [one for one in found if one.joints]
 
 
-def _factor(joint: str, factor: float, gear: float) -> Suspect:
+def _factor(joint: str, factor: float, gear: float) -> InputMistake:
     what = f"{joint}: the effort is {factor:.3g} times what the model's bodies need"
     for power, said in ((1, "is not applied to the effort"), (2, "is applied the wrong way round")):
         near = abs(abs(math.log(factor)) - power * math.log(gear)) < _LIKE
         if gear > 1.0 and near:
-            return Suspect(
+            return InputMistake(
                 f"{what}: the gear ratio {gear:g} {said}",
                 f"signals: joints: {joint}: side of position and effort, and gear",
             )
-    return Suspect(
+    return InputMistake(
         f"{what}: no payload and no rotor explains that",
         f"signals: joints: {joint}: gear, side or unit of its effort; quantity: current where it "
         "is one",
     )
 
 
-def _unsigned(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Suspect | None:
+def _unsigned(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> InputMistake | None:
     """Return a suspicion if an effort of one sign fits far better as an amount.
 
     The effort is given the sign of the model's effort, which depends on the fit: both are repeated
@@ -229,7 +229,7 @@ def _unsigned(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> S
     if turns < _TURNS or found.noise[0] > _BETTER * before.noise[0]:
         return None
     name = regressor.joints[joint]
-    return Suspect(
+    return InputMistake(
         f"{name}: the effort has one sign and fits {before.noise[0] / found.noise[0]:.2g} times "
         "better with the sign of the model's effort: it is an amount, without a sign",
         f"signals: joints: {name}: effort: {{signed: false}}, and record the signed effort",

@@ -27,7 +27,7 @@ _ROLES = ("state", "command")
 _LOOK_BYTES = 2**20
 
 
-class Gatherer:
+class MessageCollector:
     """Collects the messages of a bag's files, file by file, and builds a recording.
 
     Args:

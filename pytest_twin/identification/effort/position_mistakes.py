@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.identification.effort.suspects import Suspect
+from pytest_twin.identification.effort.input_mistakes import InputMistake
 from pytest_twin.identification.measured import Measured
 from pytest_twin.realization import Realization
 
@@ -26,9 +26,9 @@ _STEPS = 5.0
 _FEWEST_PLATEAUS = 2
 
 
-def position_suspects(
+def position_mistakes(
     realization: Realization, recordings: Sequence[Measured], gears: Sequence[float]
-) -> list[Suspect]:
+) -> list[InputMistake]:
     """Return suspected mistakes in the positions of joints.
 
     Args:
@@ -45,7 +45,7 @@ def position_suspects(
         if len(ends) >= _FEWEST_PLATEAUS:
             unit = realization.structure.joint_type[joint] == "slide"
             at = ", ".join(f"{end:.4g}" for end in sorted(set(ends)))
-            found.append(Suspect(
+            found.append(InputMistake(
                 f"{joint}: positions stop in motion at {at} {'m' if unit else 'rad'}, {len(ends)} "
                 "times: the readings are clipped, or the joint runs against a stop",
                 "record within the range of the encoder and of the joint, or cut these parts off",
@@ -88,7 +88,7 @@ def _in_motion(steps: FloatArray, least: float) -> bool:
 
 def _too_wide(
     realization: Realization, recordings: Sequence[Measured], k: int, gear: float
-) -> Suspect | None:
+) -> InputMistake | None:
     """Return a suspicion if positions span far more than the joint's range."""
     joint = recordings[0].joints[k]
     model, index = realization.model, realization.joint_index(joint)
@@ -115,7 +115,7 @@ def _too_wide(
     fitting = [(what, mend) for what, mend, fits in reasons if fits] or [
         ("another unit, the motor's side of a gear, or another joint", side)
     ]
-    return Suspect(
+    return InputMistake(
         f"{joint}: positions span {span:.4g} {unit}, its range is {high - low:.3g} {unit}: "
         + ", or ".join(what for what, _ in fitting),
         ", or ".join(mend for _, mend in fitting),

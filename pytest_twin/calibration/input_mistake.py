@@ -13,7 +13,7 @@ sign by a wrong one reduces the errors by a factor of 2 at most."""
 
 
 @dataclass(frozen=True)
-class Suspect:
+class InputMistake:
     """An input mistake that would explain the errors.
 
     Attributes:

@@ -10,11 +10,11 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration import closed_form
+from pytest_twin.calibration.input_mistake import FAR_BETTER, InputMistake
 from pytest_twin.calibration.jackknife import jackknife
 from pytest_twin.calibration.problem import Problem, predicted_poses
 from pytest_twin.calibration.solve import Fit, robust_cost, solve
 from pytest_twin.calibration.starts import camera_unit, seen_poses, starts
-from pytest_twin.calibration.suspect import FAR_BETTER, Suspect
 from pytest_twin.calibration.terms import PointTerm, PoseTerm
 
 _SCALES = {0.001: "mm", 1000.0: "mm", 0.01: "cm", 100.0: "cm", 0.0254: "inches"}
@@ -30,7 +30,7 @@ _SUBSETS = 6
 """Number of random subsets for starts when a scale is only tested."""
 
 
-def scale_of(problem: Problem, now: tuple[float, float]) -> Suspect | None:
+def scale_of(problem: Problem, now: tuple[float, float]) -> InputMistake | None:
     """Return a scale factor of all measured positions: a unit, or the size of the target."""
     flange = predicted_poses(problem, problem.fixed)
     for term in problem.terms:
@@ -54,7 +54,7 @@ def scale_of(problem: Problem, now: tuple[float, float]) -> Suspect | None:
         for known, unit in _SCALES.items():
             if abs(factor / known - 1.0) < 0.1:
                 who = f"the positions of {column}" if factor < 1.0 else "the robot's positions"
-                return Suspect(
+                return InputMistake(
                     f"{who} seem to be in {unit} (a factor of {factor:.4g} fits)",
                     f"convert {who} to m",
                     error,
@@ -72,7 +72,7 @@ def _median_gap(
     return float(np.median(np.linalg.norm(gaps, axis=1)))
 
 
-def scale_of_fit(fit: Fit) -> Suspect | None:
+def scale_of_fit(fit: Fit) -> InputMistake | None:
     """Return a scale factor of the target's positions, estimated to first order with all else."""
     at = 0
     column = np.zeros(len(fit.jacobian))
@@ -101,7 +101,7 @@ def scale_of_fit(fit: Fit) -> Suspect | None:
     return _of_target(fit.problem, factor, "camera_from_target", usual, float("nan"))
 
 
-def scale_beyond_chance(fit: Fit) -> Suspect | None:
+def scale_beyond_chance(fit: Fit) -> InputMistake | None:
     """Return a statistically significant scale factor of the camera's positions.
 
     The scale is estimated together with all other unknowns. It must differ from 1 beyond its
@@ -132,7 +132,7 @@ def scale_beyond_chance(fit: Fit) -> Suspect | None:
     if abs(scale - 1.0) <= bound or chance > _CHANCE:
         return None
     half = float(student.ppf(0.975, max(found.degrees, 1.0))) * spread / unit
-    suspect = _of_target(
+    mistake = _of_target(
         problem,
         1.0 / scale,
         "camera_from_target",
@@ -140,8 +140,8 @@ def scale_beyond_chance(fit: Fit) -> Suspect | None:
         found.noise["rotation"],
     )
     return replace(
-        suspect,
-        what=f"{suspect.what} (95 %: {scale - half:.4f} to {scale + half:.4f}; {nearer} of "
+        mistake,
+        what=f"{mistake.what} (95 %: {scale - half:.4f} to {scale + half:.4f}; {nearer} of "
         f"{compared} observations, each left out in turn, are nearer with it)",
     )
 
@@ -161,7 +161,7 @@ def _left_out(fit: Fit) -> FloatArray:
 
 def _of_target(
     problem: Problem, factor: float, column: str, translation: float, rotation: float
-) -> Suspect:
+) -> InputMistake:
     what = f"positions of {column} are too large or too small by a factor of {1 / factor:.4f}: "
     mend = f"multiply the target's dimensions by {factor:.4f} after measuring them"
     if problem.plan.target or problem.observations.images is not None or "point" in column:
@@ -172,4 +172,4 @@ def _of_target(
             "stated size, or a single camera's odometry has no metric scale"
         )
         mend += "; for a camera without a metric scale, declare camera: {scale: estimate}"
-    return Suspect(what, mend, translation, rotation, factor)
+    return InputMistake(what, mend, translation, rotation, factor)
