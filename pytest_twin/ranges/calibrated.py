@@ -42,9 +42,9 @@ def zeros_of(entry: CalibrationEntry, structure: Structure, taken: set[str]) -> 
 
 
 def encoder_zero(joint: str, structure: Structure) -> Coordinate:
-    """Return the coordinate of an encoder's reading at the joint's zero."""
+    """Return the coordinate of an encoder's deviation from the calibrated zero."""
     unit = "m" if structure.joint_type[joint] == "slide" else "rad"
     return Coordinate(
         f"{joint}.{EncoderBias.id}", unit, 0.0, 0.0, joint=joint, effect=EncoderBias.id,
-        parameter="bias",
+        parameter="bias", is_deviation=True,
     )  # fmt: skip

@@ -71,6 +71,7 @@ class Coordinate:
         body, index: for a body's inertia: name of the body, and index of the coordinate.
         effect, parameter: for a catalogued effect: name of the effect and of its parameter.
         is_relative: whether the value is a factor, 1 plus the effect's relative parameter.
+        is_deviation: whether the value is added to the one that the twin has.
         field: for a joint of the model: ``damping``, ``frictionloss`` or ``armature``.
         is_condition: whether it is a condition of the trials, such as their temperature, without
             direct effect on the motion.
@@ -90,6 +91,7 @@ class Coordinate:
     effect: str | None = None
     parameter: str | None = None
     is_relative: bool = False
+    is_deviation: bool = False
     field: str | None = None
     is_condition: bool = False
     part_of: Whole | None = None

@@ -18,20 +18,26 @@ from pytest_twin.diagnosis.patched.replay import fixed_values, whole_segment
 from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
 from pytest_twin.diagnosis.temperature import cold_fraction_of_trial
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.actuation import TorqueSaturation
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.effects.sensing import EncoderBias
+from pytest_twin.effects.transmission import JointSpring
 from pytest_twin.errors import LimitError
 from pytest_twin.ranges.bodies import Body, write_bodies
 from pytest_twin.ranges.distribution import Coordinate
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
+from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
 from pytest_twin.trial import Trial
 
 ROWS = 256
 """Number of robots in one batch. The data of more robots would not fit the cache."""
 _MEMORY_SHARE = 0.25
 """Fraction of the child process's memory for the traces of all robots; quantiles need a copy."""
+
+_NO_LIMIT = 1e-12
+"""Reciprocal of an effort limit, 1/(N*m) or 1/N, below which a drive has none."""
 
 Values = dict[str, dict[str, FloatArray]]
 
@@ -210,12 +216,39 @@ class Fleet:
                 dof = self.realization.joint_dof_index(one.joint)
                 for changed, value in zip(models, draws[:, column], strict=True):
                     getattr(changed, f"dof_{one.field}")[dof] = value
+            elif one.effect == TorqueSaturation.id and self._written(one) is not None:
+                self._limit_efforts(models, one, draws[:, column])
         for body in self.bodies:
             columns = [k for k, c in enumerate(self.coordinates) if c.body == body.name]
             x = np.zeros((len(draws), 10))
             x[:, [self.coordinates[k].index for k in columns]] = draws[:, columns]
             write_bodies(models, body, x)
         return models
+
+    def _limit_efforts(
+        self, models: Sequence[mujoco.MjModel], one: Coordinate, inverse: FloatArray
+    ) -> None:
+        """Write the effort limit of each robot: the model contains the twin's own.
+
+        An end of a range that is narrower than the twin's limit belongs to the nominal model. It
+        stays where the robot's limit is wider.
+        """
+        written = self._written(one)
+        assert written is not None
+        model = models[0]
+        for actuator in range(model.nactuator):
+            joint = int(model.actuator_trnid[actuator, 0])
+            is_drive = int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS
+            if not (is_drive and model.joint(joint).name == one.joint):
+                continue
+            gear = abs(float(model.actuator_gear[model.actuator_outadr[actuator], 0]))
+            ends = model.actuator_forcerange[actuator].copy()
+            of_twin = 1.0 / (written.values["inverse_limit"] * gear)
+            is_limit = np.isclose(np.abs(ends), of_twin, rtol=1e-6)
+            for changed, value in zip(models, inverse, strict=True):
+                limit = 1.0 / (max(value, _NO_LIMIT) * gear)
+                own = np.where(is_limit, np.sign(ends) * limit, np.clip(ends, -limit, limit))
+                changed.actuator_forcerange[actuator] = own
 
     def _values(self, draws: FloatArray, joints: Sequence[str]) -> Values:
         """Return effect parameters, (robots, joints) each: values of the twin plus variations."""
@@ -226,6 +259,8 @@ class Fleet:
         }
         for column, one in enumerate(self.coordinates):
             if one.effect is None or one.parameter is None:
+                continue
+            if one.effect == TorqueSaturation.id and self._written(one) is not None:
                 continue
             place: slice | list[int] = slice(None)
             if one.joint is not None:
@@ -259,11 +294,22 @@ class Fleet:
                                if written else drawn - 1.0)[:, None]  # fmt: skip
         elif written is not None:
             # The model contains the twin's value, so the effect adds the difference.
-            array[:, place] = (drawn - written.values[one.parameter])[:, None]
-        elif one.effect == EncoderBias.id:
+            more = drawn - written.values[one.parameter]
+            array[:, place] = more[:, None]
+            if (one.effect, one.parameter) == (JointSpring.id, "stiffness"):
+                # The model turns a preload into an angle of rest, at which the difference acts too.
+                values[one.effect]["preload"][:, place] -= (more * self._rest(one))[:, None]
+        elif one.is_deviation:
             array[:, place] += drawn[:, None]
         else:
             array[:, place] = drawn[:, None]
+
+    def _rest(self, one: Coordinate) -> float:
+        """Return the position at which the model's spring of a joint is at rest, rad or m."""
+        assert one.joint is not None
+        return float(
+            self.realization.model.qpos_spring[self.realization.joint_qpos_index(one.joint)]
+        )
 
     def _written(self, one: Coordinate) -> AppliedEffect | None:
         """Return the effect if the simulated model contains it in its fields, else None."""
