@@ -15,10 +15,10 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.locate import Where
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.recorded import settle, with_doubt
-from pytest_twin.diagnosis.recorded.between_fit import jumps
 from pytest_twin.diagnosis.recorded.command_between import Between, Left, decide
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
 from pytest_twin.diagnosis.recorded.settle import Settled
+from pytest_twin.diagnosis.recorded.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 
 NOISE = np.array([1e-4])
@@ -124,8 +124,8 @@ def test_an_open_question_is_left_at_moving_setpoints_only_if_the_model_is_close
     ],
     ids=["step", "ramp", "start of a motion", "small step", "two commands"],
 )
-def test_a_step_of_a_command_is_a_jump(command: list[float], expected: bool) -> None:
-    assert jumps(np.array(command)[:, None]) is expected
+def test_a_step_is_a_change_of_a_command_that_rests(command: list[float], expected: bool) -> None:
+    assert bool(len(step_intervals(np.array(command)[:, None]))) is expected
 
 
 def test_steps_between_stamps_do_not_decide_about_smooth_motion(tmp_path: Path) -> None:

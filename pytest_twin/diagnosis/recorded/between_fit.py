@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.integrator_detection import SUBSTEPS
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import NOISE
@@ -26,6 +25,7 @@ from pytest_twin.diagnosis.recorded.command_between import (
     without_own_recording,
 )
 from pytest_twin.diagnosis.recorded.joint_fit import DELAY, JointFit, Parameters, fit_joints
+from pytest_twin.diagnosis.recorded.step_times import step_intervals
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
@@ -37,10 +37,6 @@ and number of recordings. They separate a shift of 2 ms from none at the noise o
 tenth of the cost of all data."""
 _BEFORE = 0.2
 """Time before the first motion that is fitted too, s."""
-_JUMP, _OF_ALL = 5.0, 0.1
-"""A command jumps if it changes in one period by this many times the change in the period before
-and after, and by this share of its range. When within the period a setpoint that moves on jumped is
-unknown: a step of 0.5 rad that is 5 ms early outweighs all smooth motion, and then looks held."""
 _CLEARLY = float(np.log(2.0))
 """Reduction of the logarithm of the RMS residual, summed over joints, from which the step of a
 simulation is assumed: a factor of 2 at one joint. A smaller reduction does not matter here."""
@@ -112,23 +108,16 @@ def fit_between(
 def _liveliest(trials: Sequence[Trial]) -> list[Trial]:
     """The beginnings of the recordings whose commands change fastest on average.
 
-    Recordings whose commands jump are used only if there is no other.
+    Recordings whose commands step are used only if there is no other: when within its period a
+    setpoint that moves on stepped is unknown, and the error of a step outweighs all smooth motion.
     """
-    trials = [t for t in trials if not jumps(t.command)] or trials
+    trials = [t for t in trials if not len(step_intervals(t.command))] or trials
 
     def moved(trial: Trial) -> float:
         return float(np.abs(np.diff(trial.command, axis=0)).sum() / max(trial.duration, 1e-3))
 
     most = sorted(range(len(trials)), key=lambda i: moved(trials[i]), reverse=True)[:_MOST]
     return [_beginning(trials[i]) for i in sorted(most)]
-
-
-def jumps(command: FloatArray) -> bool:
-    """Whether a (times, joints) command jumps from one stamp to the next, and rests around it."""
-    change = np.abs(np.diff(command, axis=0))
-    beside = np.maximum(change[:-2], change[2:])
-    least = np.maximum(_JUMP * beside, _OF_ALL * np.ptp(command, axis=0))
-    return bool((change[1:-1] > least).any())
 
 
 def _beginning(trial: Trial) -> Trial:

@@ -50,7 +50,7 @@ _GAIN = 1.0
 # RMS residuals, in encoder noises, up to which only noise remains, and from which far more does.
 _AT_NOISE, _FAR = 1.1, 3.0
 # Number of correlated samples that count as one independent sample, while the residual is smooth.
-_SMOOTH_SAMPLES = 10.0
+SMOOTH_SAMPLES = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ class Parameters:
             return _State(theta, residual, -np.inf)
         square = np.mean(residual**2, axis=0) + 0.01 * self.noise**2
         held_back = float(np.sum((theta / self.prior[:, None]) ** 2))
-        count = len(residual) / _SMOOTH_SAMPLES
+        count = len(residual) / SMOOTH_SAMPLES
         score = -0.5 * (count * float(np.sum(np.log(square))) + held_back)
         return _State(theta, residual, score)
 

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded.between_fit import BetweenFit, fit_between
 from pytest_twin.diagnosis.recorded.command_between import BY_MODEL, Between
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
 from pytest_twin.diagnosis.recorded.logged_efforts import logged_efforts
+from pytest_twin.diagnosis.recorded.step_times import StepTimes, step_intervals, with_steps_at
 from pytest_twin.diagnosis.recorded.velocity import velocity_fact
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.errors import TwinError
@@ -34,17 +36,20 @@ class Settled:
         velocity: joint -> origin of its logged velocity.
         effort: joint -> origin of its logged effort.
         problems: problems that were simulated to determine it.
+        steps: times of command steps between two stamps, for each command period.
     """
 
     between: tuple[Between, ...] = ()
     velocity: Mapping[str, Fact] = field(default_factory=dict)
     effort: Mapping[str, Fact] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
+    steps: tuple[StepTimes, ...] = ()
 
     def applied(self, trials: TrialSet) -> TrialSet:
         """The recordings as they are used from here on, with notes for the reader.
 
-        They have the interpolation that was found. Velocities that are differenced, filtered or
+        They have the interpolation that was found, and their steps where the motion shows them.
+        Velocities that are differenced, filtered or
         late are left out, and so are efforts that were not measured at the time of their stamps.
         """
         each = [tuple(map(self._used, role)) for role in (trials.fit, trials.held_out)]
@@ -72,6 +77,13 @@ class Settled:
                     f"{names}: commands are {said.value} between their stamps, by the recordings "
                     f"themselves (confidence {100 * said.confidence:.3g} %)"
                 )
+        timed = [(t, shares) for t in trials if (shares := self._shares(t)) is not None]
+        if timed:
+            names = ", ".join(dict.fromkeys(t.path.name for t, _ in timed))
+            lines.append(
+                f"{names}: {sum(len(s) for _, s in timed)} commands step between two stamps; the "
+                "times of the steps are fitted to the motion"
+            )
         for what, facts, use in (
             ("velocity", self.velocity, "it is not used as initial velocity"),
             ("effort", self.effort, "it is not used as a sensor's reading"),
@@ -112,6 +124,17 @@ class Settled:
         near = [b for b in self.between if _alike(b.period, period)]
         return near[0] if near else None
 
+    def _shares(self, trial: Trial) -> FloatArray | None:
+        """Times of the steps of a trial whose setpoint moves on; None without one."""
+        between = trial.command_between
+        if trial.between_source == "assumed":
+            answer = self._answer(trial)
+            between = "held" if answer is None else answer.assumed
+        if between != "interpolated":
+            return None
+        near = [s for s in self.steps if _alike(s.period, _period(trial))]
+        return near[0].shares(trial) if near else None
+
     def doubted(self, trials: Sequence[Trial]) -> Between | None:
         """The undetermined answer with the longest command period; None without one."""
         asked = (self._answer(t) for t in trials if t.between_source == "assumed")
@@ -132,6 +155,9 @@ class Settled:
         return unknown("not asked") if answer is None else answer.fact
 
     def _used(self, trial: Trial) -> Trial:
+        shares = self._shares(trial)
+        if shares is not None:
+            trial = with_steps_at(trial, shares)
         answer = self._answer(trial) if trial.between_source == "assumed" else None
         if answer is not None:
             source = "assumed" if answer.fact.value is None else "data"
@@ -157,7 +183,9 @@ def settle(given: ModelSetup, trials: TrialSet) -> Settled:
     fits = []
     for group in _alike_recordings(everything):
         declared = group[0].between_source != "assumed"
-        if declared and all(t.effort is None for t in group):
+        moves_on = declared and group[0].command_between == "interpolated"
+        may_step = moves_on and any(len(step_intervals(t.command)) for t in group)
+        if declared and not may_step and all(t.effort is None for t in group):
             continue
         ways = (group[0].command_between,) if declared else COMMAND_BETWEEN
         try:
@@ -169,7 +197,12 @@ def settle(given: ModelSetup, trials: TrialSet) -> Settled:
             continue
     between = tuple(f.answer for group, f in fits if group[0].between_source == "assumed")
     problems = tuple(f.space.problem for _, f in fits)
-    return Settled(between, velocity, _efforts(everything, fits), problems)
+    steps = tuple(
+        StepTimes(given, f.space, f.fit, f.joints, f.answer.period)
+        for _, f in fits
+        if f.answer.assumed == "interpolated"
+    )
+    return Settled(between, velocity, _efforts(everything, fits), problems, steps)
 
 
 def _efforts(
