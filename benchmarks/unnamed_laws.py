@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent / "concealed"))
 from cases import OUTSIDE_NAMES, make, seeds
 
 from pytest_twin.diagnosis.hypothesis import EMPTY
-from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import read_trials
@@ -41,7 +41,7 @@ def removed(folder: Path, joint: str) -> tuple[float, str]:
     given = ModelSetup.of(realization, None)
     with np.errstate(over="ignore", invalid="ignore"):
         near, _ = build_problem(given, trials, [], window=0.5)
-        laws = free_laws(near, EMPTY, {joint: Where("", {})}, near.problem.fit)
+        laws = free_laws(near, EMPTY, {joint: TimeAndRegime("", {})}, near.problem.fit)
         if not laws.laws:
             return 0.0, "; ".join(laws.notes)
         problem = build_problem(given, trials, [])[0].problem

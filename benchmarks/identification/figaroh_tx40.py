@@ -26,7 +26,7 @@ from tx40 import relative
 from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.groups import dry_of
 from pytest_twin.identification.effort.identify import identify_effort
-from pytest_twin.identification.effort.least_squares import linear
+from pytest_twin.identification.effort.least_squares import linear_problem
 from pytest_twin.identification.effort.sampled import sample
 from pytest_twin.identification.measured import Measured, MeasuredSet, read_measured
 from pytest_twin.identification.regressor import Regressor, SharedMotor, structural_base
@@ -129,7 +129,7 @@ def main() -> None:
     base = structural_base(regressor)
     dry = dry_of(regressor.columns, regressor.joints)[:, base.independent]
     rows = sample(read[1], [regressor], choose_filter(read[0]))
-    tested = linear(rows, base.independent, dry)
+    tested = linear_problem(rows, base.independent, dry)
     print(f"{'held-out effort error in percent':34} " + " ".join(tx40_files.JOINTS) + "  fit")
     for name, values, seconds in (
         ("pytest-twin", ours.fitted.values, spent),

@@ -23,7 +23,7 @@ import usual_way
 
 from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.identify import identify_effort
-from pytest_twin.identification.effort.sampled import Sampled, sample
+from pytest_twin.identification.effort.sampled import RecordingRows, sample
 from pytest_twin.identification.measured import MeasuredSet, read_measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load
@@ -34,7 +34,7 @@ from pytest_twin.twin import DEFAULT_TOPICS
 ITERATIONS = 30
 
 
-def relative(rows: list[Sampled], values: np.ndarray) -> float:
+def relative(rows: list[RecordingRows], values: np.ndarray) -> float:
     """|measured - predicted| / |measured|, percent."""
     effort = np.concatenate([one.effort[:, 0] for one in rows])
     predicted = np.concatenate([one.matrix[:, 0] @ values for one in rows])

@@ -25,7 +25,7 @@ import tx40_files
 from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.groups import dry_of
 from pytest_twin.identification.effort.identify import identify_effort
-from pytest_twin.identification.effort.least_squares import Linear, linear
+from pytest_twin.identification.effort.least_squares import LinearProblem, linear_problem
 from pytest_twin.identification.effort.sampled import sample
 from pytest_twin.identification.measured import MeasuredSet, read_measured
 from pytest_twin.identification.regressor import Regressor, SharedMotor, structural_base
@@ -51,7 +51,7 @@ def published(source: Path) -> list[tuple[str, float, float]]:
     ]
 
 
-def relative(problem: Linear, values: np.ndarray, moving: bool) -> list[float]:
+def relative(problem: LinearProblem, values: np.ndarray, moving: bool) -> list[float]:
     """|measured - predicted| / |measured| of each joint, in percent."""
     off = problem.effort - problem.matrix @ values
     use = ~problem.resting if moving else np.ones_like(problem.resting)
@@ -130,7 +130,7 @@ def compare_errors(document: dict, known: list[tuple[str, float, float]], paths:
     base = structural_base(regressor)
     chosen = choose_filter(read["fit"])
     dry = dry_of(regressor.columns, regressor.joints)[:, base.independent]
-    tested = linear(sample(read["held_out"], [regressor], chosen), base.independent, dry)
+    tested = linear_problem(sample(read["held_out"], [regressor], chosen), base.independent, dry)
     at = {expression: k for k, expression in enumerate(base.expressions)}
     theirs, ours = np.zeros(len(base)), np.zeros(len(base))
     for expression, value, _ in known:

@@ -35,7 +35,7 @@ ERRORS = ("position_rms", "velocity_rms", "position_max")
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class ComparedTwin:
     """The release or the candidate.
 
     Attributes:
@@ -47,7 +47,7 @@ class Side:
     realization: Realization
 
     @classmethod
-    def of(cls, file: str) -> Side:
+    def of(cls, file: str) -> ComparedTwin:
         """Load a ``twin.yaml`` and its first realization.
 
         Raises:
@@ -68,7 +68,7 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
     Raises:
         TwinError: a twin does not load, a recording cannot be used, or a simulation diverges.
     """
-    base, other = Side.of(released), Side.of(candidate)
+    base, other = ComparedTwin.of(released), ComparedTwin.of(candidate)
     read = [
         recording
         for path in recordings
@@ -104,7 +104,7 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
 
 
 def _compared(
-    base: Side, other: Side, trials: Sequence[Trial], policy: ShadowPolicy
+    base: ComparedTwin, other: ComparedTwin, trials: Sequence[Trial], policy: ShadowPolicy
 ) -> dict[str, Any]:
     before = [_replayed(base, trial) for trial in trials]
     spec = other.twin.residual
@@ -146,14 +146,14 @@ def _compared(
         if result.error is not None:
             raise result.error
     return {
-        "metrics": judged(measures(before), measures(after), policy),
+        "metrics": judge_metrics(measures(before), measures(after), policy),
         "faults": faults,
         "acting": acting,
         "notes": notes,
     }
 
 
-def _require_joints(side: Side, trials: Sequence[Trial]) -> None:
+def _require_joints(side: ComparedTwin, trials: Sequence[Trial]) -> None:
     assert side.twin.residual is not None
     for trial in trials:
         for joint in side.twin.residual.joints:
@@ -166,7 +166,7 @@ def _require_joints(side: Side, trials: Sequence[Trial]) -> None:
                 )
 
 
-def _replayed(side: Side, trial: Trial) -> Replayed:
+def _replayed(side: ComparedTwin, trial: Trial) -> Replayed:
     patched = patched_of(side.realization)
     if patched is not None:
         return replay_whole(side.realization, patched, trial)
@@ -218,7 +218,7 @@ def _largest(values: FloatArray) -> float:
     return float(np.abs(some).max()) if len(some) else float("nan")
 
 
-def judged(
+def judge_metrics(
     before: Mapping[str, Mapping[str, float]],
     after: Mapping[str, Mapping[str, float]],
     policy: ShadowPolicy,

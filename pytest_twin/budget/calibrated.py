@@ -30,7 +30,7 @@ Estimate = tuple[float | None, str]
 
 
 @dataclass(frozen=True)
-class Placed:
+class UncertainPose:
     """A pose among the unknowns.
 
     Attributes:
@@ -65,7 +65,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Calibrated:
+class CalibrationUnknowns:
     """Unknowns of one calibration that move a task's frame.
 
     Attributes:
@@ -84,7 +84,7 @@ class Calibrated:
     names: tuple[str, ...]
     covariance: FloatArray
     parts: tuple[Part, ...]
-    placed: tuple[Placed, ...] = ()
+    placed: tuple[UncertainPose, ...] = ()
     zeros: Mapping[int, int] = field(default_factory=dict)
     links: tuple[tuple[LinkParameter, int], ...] = ()
     delay: int | None = None
@@ -138,7 +138,7 @@ class Calibrated:
         return TransformWithJacobian(moving.rotation, moving.position, turn, shift)
 
 
-def _moved(one: Placed, step: FloatArray, width: int, rows: int) -> TransformWithJacobian:
+def _moved(one: UncertainPose, step: FloatArray, width: int, rows: int) -> TransformWithJacobian:
     """Return a pose after a step, ``t + d`` and ``R exp(r)``, with derivatives."""
     own = step[list(one.columns)]
     shift, turn = np.zeros((3, width)), np.zeros((3, width))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.budget.calibrated import Calibrated, Estimate, Part, Placed
+from pytest_twin.budget.calibrated import CalibrationUnknowns, Estimate, Part, UncertainPose
 from pytest_twin.budget.categories import category_of_record
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import LinkParameter
@@ -26,7 +26,9 @@ _SAME = 1e-9
 JSON."""
 
 
-def calibrated(entry: CalibrationEntry, task: Task, twin: Path, taken: set[str]) -> Calibrated:
+def read_calibration_unknowns(
+    entry: CalibrationEntry, task: Task, twin: Path, taken: set[str]
+) -> CalibrationUnknowns:
     """Return the unknowns of a calibration that move a task's frame.
 
     Args:
@@ -54,14 +56,14 @@ class _Reader:
         self.parts: list[Part] = []
         self.left_out: list[str] = []
 
-    def read(self) -> Calibrated:
+    def read(self) -> CalibrationUnknowns:
         zeros = self._zeros()
         links = tuple(self._links())
         placed = tuple(self._placed())
         delay = self._delay()
         names = tuple(self.of[at] for at in self.kept)
         covariance = self.covariance[np.ix_(self.kept, self.kept)]
-        return Calibrated(
+        return CalibrationUnknowns(
             self.entry, names, covariance, tuple(self.parts), placed, zeros, links, delay,
             tuple(self.left_out),
         )  # fmt: skip
@@ -105,7 +107,7 @@ class _Reader:
                 yield LinkParameter(at, one.is_rotation, np.array(one.direction), label), column
         self._part("link geometry", "geometry", tuple(columns), estimate)
 
-    def _placed(self) -> Iterator[Placed]:
+    def _placed(self) -> Iterator[UncertainPose]:
         for name in ("base_world", "robot_world", "fixture", "hand_eye", "tcp"):
             if name not in self.record.frames or name not in self.record.covariances:
                 continue
@@ -126,7 +128,7 @@ class _Reader:
             xyz = self.record.transforms[name][0]
             estimate = self._estimates(name, xyz, len(kept))
             self._part(f"{child} in {parent} ({name})", name, kept, estimate)
-            yield Placed(name, raw, mount, kept)
+            yield UncertainPose(name, raw, mount, kept)
 
     @staticmethod
     def _estimates(name: str, xyz: Sequence[float], size: int) -> dict[str, Estimate]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.categories import category_of_parameter
-from pytest_twin.budget.identified import Identified
+from pytest_twin.budget.identified import IdentifiedParameters
 from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, spread_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
@@ -61,7 +61,7 @@ class SimulatedDisplacement:
 
 
 def simulated_displacement(
-    found: Identified, task: Task, realization: Realization
+    found: IdentifiedParameters, task: Task, realization: Realization
 ) -> SimulatedDisplacement:
     """Return the displacement of joints and frame along the task's motion.
 
@@ -76,7 +76,7 @@ class _Motion:
     """Nominal motion of a trial, and its change with the parameters."""
 
     def __init__(
-        self, found: Identified, task: Task, realization: Realization, trial: Trial
+        self, found: IdentifiedParameters, task: Task, realization: Realization, trial: Trial
     ) -> None:
         self.found, self.task, self.realization = found, task, realization
         self.row: Row = row_of(realization, trial)

@@ -13,7 +13,7 @@ from pytest_twin.budget.propagate import (
     first_order,
     normal_draws,
     root_of,
-    sampled,
+    sample_displacement,
 )
 from pytest_twin.budget.shifts import DELAYS, NO_RULE, Shift, shift_of
 from pytest_twin.budget.task import Task
@@ -32,7 +32,7 @@ _GRAVITY = frozenset({"m", "mx", "my", "mz"})
 
 
 @dataclass(frozen=True)
-class Identified:
+class IdentifiedParameters:
     """Unknowns of one identification.
 
     Attributes:
@@ -60,7 +60,9 @@ class Identified:
         return self.covariance[:count, :count]
 
 
-def identified(entry: FitEntry, task: Task, realization: Realization) -> Identified:
+def identified_parameters(
+    entry: FitEntry, task: Task, realization: Realization
+) -> IdentifiedParameters:
     """Return the parameters of an identification that move a task's frame."""
     record = entry.record
     regressor = regressor_of(record, realization, task.chain.joints)
@@ -97,7 +99,7 @@ def identified(entry: FitEntry, task: Task, realization: Realization) -> Identif
     ]
     matrix = np.reshape(record.covariance, (len(record.covariance_names),) * 2)
     kept += shifting
-    return Identified(
+    return IdentifiedParameters(
         entry,
         tuple(record.covariance_names[at] for at in kept),
         matrix[np.ix_(kept, kept)],
@@ -148,7 +150,7 @@ def _joints_of(record: IdentificationRecord) -> list[str]:
 
 
 def displacement_by_shifts(
-    found: Identified, task: Task, realization: Realization
+    found: IdentifiedParameters, task: Task, realization: Realization
 ) -> tuple[Spread, Spread] | None:
     """Return the frame's displacement by joint shifts, to first order and by draws, or None.
 
@@ -189,10 +191,10 @@ def displacement_by_shifts(
         turn, shift = moving.turn[:, :, places] * scale, moving.shift[:, :, places] * scale
         return TransformWithJacobian(moving.rotation, moving.position, turn, shift)
 
-    return first_order(at(np.zeros(len(places))), root), sampled(at, normal_draws(root))
+    return first_order(at(np.zeros(len(places))), root), sample_displacement(at, normal_draws(root))
 
 
-def gravity_effort(found: Identified, task: Task) -> dict[str, float]:
+def gravity_effort(found: IdentifiedParameters, task: Task) -> dict[str, float]:
     """Return joint -> RMS error of its static effort over the poses, N*m or N."""
     joints = found.regressor.joints
     positions = np.zeros((len(task.readings), len(joints)))

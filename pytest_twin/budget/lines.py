@@ -10,10 +10,14 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.budget.calibrated import Calibrated
+from pytest_twin.budget.calibrated import CalibrationUnknowns
 from pytest_twin.budget.categories import category_of_parameter
 from pytest_twin.budget.forced_motion import simulated_displacement
-from pytest_twin.budget.identified import Identified, displacement_by_shifts, gravity_effort
+from pytest_twin.budget.identified import (
+    IdentifiedParameters,
+    displacement_by_shifts,
+    gravity_effort,
+)
 from pytest_twin.budget.propagate import (
     DRAWS,
     Spread,
@@ -21,7 +25,7 @@ from pytest_twin.budget.propagate import (
     linearization_warnings,
     normal_draws,
     root_of,
-    sampled,
+    sample_displacement,
 )
 from pytest_twin.budget.task import SIMULATED_S, Task, record_path
 from pytest_twin.errors import SimulationError
@@ -89,7 +93,7 @@ class Line:
         }
 
 
-def calibration_line(found: Calibrated, task: Task, twin: Twin) -> Line | None:
+def calibration_line(found: CalibrationUnknowns, task: Task, twin: Twin) -> Line | None:
     """Return the line of a calibration; None if it does not move the frame.
 
     Raises:
@@ -101,7 +105,7 @@ def calibration_line(found: Calibrated, task: Task, twin: Twin) -> Line | None:
     root = root_of(found.covariance, record.path)
     moving = found.frame(task, np.zeros(len(found.names)))
     linear = first_order(moving, root)
-    drawn = sampled(lambda step: found.frame(task, step), normal_draws(root))
+    drawn = sample_displacement(lambda step: found.frame(task, step), normal_draws(root))
     deviations = np.sqrt(np.diag(found.covariance))
     parts = []
     for part in found.parts:
@@ -131,7 +135,9 @@ def calibration_line(found: Calibrated, task: Task, twin: Twin) -> Line | None:
     )
 
 
-def identification_line(found: Identified, task: Task, realization: Realization) -> Line | None:
+def identification_line(
+    found: IdentifiedParameters, task: Task, realization: Realization
+) -> Line | None:
     """Return the line of an identification; None if it states no parameter."""
     record, twin = found.entry.record, realization.twin
     assert twin is not None

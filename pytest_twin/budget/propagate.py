@@ -103,7 +103,9 @@ def first_order(moving: TransformWithJacobian, root: FloatArray) -> Spread:
     return spread_of(shift, turn)
 
 
-def sampled(at: Callable[[FloatArray], TransformWithJacobian], draws: FloatArray) -> Spread:
+def sample_displacement(
+    at: Callable[[FloatArray], TransformWithJacobian], draws: FloatArray
+) -> Spread:
     """Return the displacement of poses over random draws of the unknowns.
 
     Args:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin import __version__
-from pytest_twin.budget.calibration_unknowns import calibrated, claims
+from pytest_twin.budget.calibration_unknowns import claims, read_calibration_unknowns
 from pytest_twin.budget.categories import CATEGORIES, Category
-from pytest_twin.budget.identified import identified
+from pytest_twin.budget.identified import identified_parameters
 from pytest_twin.budget.lines import (
     Line,
     calibration_line,
@@ -102,7 +102,7 @@ def _lines(
     for done, entry in enumerate(reversed(twin.calibrations), 1):
         if entry.record.id in superseded:
             continue
-        cause = calibrated(entry, task, twin.path, taken)
+        cause = read_calibration_unknowns(entry, task, twin.path, taken)
         taken |= claims(entry.record)
         line = calibration_line(cause, task, twin)
         if line is None:
@@ -113,7 +113,9 @@ def _lines(
         progress(done / count)
     for done, fit in enumerate(twin.fits, 1 + len(twin.calibrations)):
         if fit.record.id not in superseded:
-            line = identification_line(identified(fit, task, realization), task, realization)
+            line = identification_line(
+                identified_parameters(fit, task, realization), task, realization
+            )
             if line is not None:
                 found.append(line)
         progress(done / count)

@@ -68,7 +68,7 @@ def sensor_values(
     Raises:
         SpecError: no record has a sensor, or the recording lacks its readings.
     """
-    from pytest_twin.identification.sensing.predicted import compared, sensors_of
+    from pytest_twin.identification.sensing.predicted import compare_readings, sensors_of
 
     twin = realization.twin
     known = sensors_of(twin)
@@ -77,7 +77,9 @@ def sensor_values(
     assert twin is not None
     asked = {name: known[name] for name in golden.target["sensors"]}
     path = results[0].trial.path
-    found, notes = compared(asked, path, realization, _motion(results), twin.topics["state"])
+    found, notes = compare_readings(
+        asked, path, realization, _motion(results), twin.topics["state"]
+    )
     for name in asked:
         if name not in found:
             raise spec_error(

@@ -170,7 +170,7 @@ def replay_file(
     from pytest_twin.diagnosis.patched.frequency import best_responses
     from pytest_twin.identification.sensing.predicted import (
         as_encoders_read,
-        compared,
+        compare_readings,
         encoders_of,
         sensors_of,
     )
@@ -188,7 +188,7 @@ def replay_file(
     encoders = encoders_of(realization.twin)
     parts = [as_encoders_read(part, encoders) for part in ideal]
     predicted = joined(parts, replayed)
-    sensors, unread = compared(
+    sensors, unread = compare_readings(
         sensors_of(realization.twin), read.path, realization, joined(ideal, replayed),
         topics["state"],
     )  # fmt: skip

@@ -16,11 +16,11 @@ from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.evidence import log_likelihood
 from pytest_twin.diagnosis.findings import (
     Explained,
-    by_whole_motions,
-    doubted_by_the_test,
     explain,
     held_out_gains,
-    untested,
+    limit_contradicted_confidence,
+    limit_untested_confidence,
+    order_by_whole_motions,
     with_gains,
 )
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term
@@ -105,7 +105,7 @@ def with_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
     everything = (*found.trials.fit, *found.trials.held_out)
     explained = explain(prepared, found.selected, pruned, everything)
     if found.whole is not None:
-        explained = by_whole_motions(explained, found.whole)
+        explained = order_by_whole_motions(explained, found.whole)
     before, after = (residuals_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
     errors = joint_errors(prepared, before, after)
     return replace(
@@ -180,7 +180,7 @@ def assess(structure: ChosenModel, trials: TrialSet, test: Sequence[Trial]) -> T
             notes.append(f"left out: {error}")
     notes.append("no recording was held out: errors and gains are those of the fitted recordings")
     near, added = _near(structure, found)
-    return TestedModel(untested(found.explained), found, near, tuple(notes), added)
+    return TestedModel(limit_untested_confidence(found.explained), found, near, tuple(notes), added)
 
 
 def _tested(
@@ -220,7 +220,7 @@ def _tested(
             if _is_tested(t, column)
         },
     )
-    prepared.lowers_floor(here.hypothesis)
+    prepared.lower_floor(here.hypothesis)
     gains = held_out_gains(problem, here)
     explained = with_gains(
         found.explained,
@@ -229,7 +229,7 @@ def _tested(
             for t in found.explained.hypothesis.terms
         },
     )
-    explained = doubted_by_the_test(explained, notes)
+    explained = limit_contradicted_confidence(explained, notes)
     before, after = (residuals_everywhere(problem, h) for h in (EMPTY, here.hypothesis))
     errors = joint_errors(prepared, before, after)
     tested = replace(

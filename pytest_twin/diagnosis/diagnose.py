@@ -31,7 +31,12 @@ from pytest_twin.diagnosis.integrator_detection import (
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
-from pytest_twin.diagnosis.recorded import Settled, settle, with_doubt, with_fewer_effects
+from pytest_twin.diagnosis.recorded import (
+    RecordedSignals,
+    determine_signals,
+    with_doubt,
+    with_fewer_effects,
+)
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
@@ -69,7 +74,7 @@ class Diagnosis:
         roles: which recordings were fitted, validated, and held out.
         trace: every step of the search.
         cost: computing time.
-        settled: meaning of the recorded commands, velocities and efforts.
+        signals: meaning of the recorded commands, velocities and efforts.
         untried: searches that were skipped because time or simulations ran out, one line each.
     """
 
@@ -85,7 +90,7 @@ class Diagnosis:
     roles: Roles
     trace: Trace
     cost: Cost
-    settled: Settled
+    signals: RecordedSignals
     untried: tuple[str, ...]
 
     def to_json(self, *, realization: str) -> dict[str, Any]:
@@ -127,7 +132,7 @@ class Diagnosis:
             },
             "realization": realization,
             "trials": self._trials(),
-            "recordings": self.settled.to_json(
+            "recordings": self.signals.to_json(
                 [*self.tested.trials.fit, *self.tested.trials.held_out]
             ),
             "notes": list(self.notes),
@@ -184,13 +189,13 @@ def diagnose(
     run = Run() if run is None else run
     given, known = ModelSetup.of(realization, inherited, threads), roles_of(trials).of_search
     with run.budget.searching(COMPARED):
-        settled = run.attempt(
+        signals = run.attempt(
             "what the commands and efforts of the recordings are",
-            lambda: settle(given, known), Settled(),
+            lambda: determine_signals(given, known), RecordedSignals(),
         )  # fmt: skip
-    as_read, trials = trials, settled.applied(trials)
+    as_read, trials = trials, signals.applied(trials)
     roles = roles_of(trials)
-    open_ = settled.doubted(roles.of_search.fit)
+    open_ = signals.doubted(roles.of_search.fit)
     for i, trial in enumerate(roles.test):
         # A test recording that the model cannot replay is reported before the search of minutes.
         joints = shared_joints(realization, [trial])
@@ -203,8 +208,8 @@ def diagnose(
             possible=() if open_ is None else open_.possible,
         )  # fmt: skip
         if open_ is not None and structure.between is not None:
-            settled = settled.decided(open_, structure.between)
-            trials, open_ = settled.applied(as_read), None
+            signals = signals.decided(open_, structure.between)
+            trials, open_ = signals.applied(as_read), None
             roles = roles_of(trials)
         progress(0.85)
         laws = _laws_of_residual(structure, run)
@@ -221,13 +226,13 @@ def diagnose(
     notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *free.notes, *step]
     notes += not_tried(run)
     progress(0.94)
-    for problem in (*settled.problems, *assessed.problems):
+    for problem in (*signals.problems, *assessed.problems):
         run.budget.add(problem)
     explained = with_doubt(assessed.explained, open_)
     return Diagnosis(
         tested.verdict, explained, free.tested.errors, left, tuple(dict.fromkeys(notes)),
         structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
-        cost(run.budget, since, structure.rival_simulations), settled, tuple(run.untried),
+        cost(run.budget, since, structure.rival_simulations), signals, tuple(run.untried),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import Spread, parameter_spread
-from pytest_twin.diagnosis.locate import Where, motions, place_of
+from pytest_twin.diagnosis.locate import TimeAndRegime, motions, place_of
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, joint_name, label
@@ -80,7 +80,7 @@ class Finding:
     joint: str | None
     confidence: float
     parameters: Mapping[str, Estimate]
-    where: Where
+    where: TimeAndRegime
     held_out_gain: float
     influence: float
     alternatives: tuple[Alternative, ...]
@@ -157,7 +157,7 @@ def explain(
                 f"{label(problem, term)}: the encoder of this joint gives no information. The "
                 "effect was identified from the other joints only; confidence is at most 50 %"
             )
-        if hypothesis.at_bound(term) or problem.out_of_shape(hypothesis, term):
+        if hypothesis.at_bound(term) or problem.has_shape_at_bound(hypothesis, term):
             confidence = min(confidence, FINDINGS.most_in_doubt)
             pruned.notes.append(
                 f"{label(problem, term)}: a parameter is at its physical bound. Another effect may "
@@ -214,7 +214,7 @@ def with_gains(explained: Explained, gains: Mapping[Term, float]) -> Explained:
     return replace(explained, findings=findings)
 
 
-def doubted_by_the_test(explained: Explained, notes: list[str]) -> Explained:
+def limit_contradicted_confidence(explained: Explained, notes: list[str]) -> Explained:
     """The same findings, with at most 50 % confidence if one increases the held-out error.
 
     Args:
@@ -234,7 +234,7 @@ def doubted_by_the_test(explained: Explained, notes: list[str]) -> Explained:
     return replace(explained, findings=tuple(findings))
 
 
-def untested(explained: Explained) -> Explained:
+def limit_untested_confidence(explained: Explained) -> Explained:
     """The same findings with at most 80 % confidence, because no recording was held out."""
     findings = tuple(
         replace(f, confidence=min(f.confidence, FINDINGS.most_without_held_out))
@@ -272,7 +272,7 @@ def _gains(problem: Problem, residuals: Sequence[FloatArray]) -> list[float]:
     return [_gain(error, with_all) for error in without]
 
 
-def by_whole_motions(explained: Explained, problem: Problem) -> Explained:
+def order_by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     """Findings of short windows, reordered by their influence on whole motions of ``problem``.
 
     An integrated velocity or an oscillating servo changes whole motions more than any window. If a

@@ -159,7 +159,7 @@ class Hypothesis:
             for p, value in zip(term.parameters, self.theta[self.slice_of(term)], strict=True)
         )
 
-    def out_of_shape(self, term: Term) -> bool:
+    def has_shape_at_bound(self, term: Term) -> bool:
         """Whether a shape parameter of the effect is at a physical bound.
 
         The law then probably compensates for another effect. Zero is accepted as a special case

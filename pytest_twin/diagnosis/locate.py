@@ -29,7 +29,7 @@ from pytest_twin.trial import Trial
 
 
 @dataclass(frozen=True, slots=True)
-class Where:
+class TimeAndRegime:
     """When and in which regime an error occurs.
 
     Attributes:
@@ -131,7 +131,7 @@ def blame_windows(time: FloatArray, blame: FloatArray) -> list[list[float]]:
     return [[round(found[i][0], 3), round(found[i][1], 3)] for i in sorted(best)]
 
 
-def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> Where:
+def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> TimeAndRegime:
     """When and in which regime of a joint the error ``blame`` occurs.
 
     Args:
@@ -153,7 +153,7 @@ def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) 
         found = blame_windows(time[order], mine[order])
         if found and float(mine.sum()) / total > 0.25 / len(recordings):
             kept[name] = found
-    return Where(regime(paths, blame, joint, unit), kept)
+    return TimeAndRegime(regime(paths, blame, joint, unit), kept)
 
 
 def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> str:

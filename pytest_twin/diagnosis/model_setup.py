@@ -9,7 +9,7 @@ from pytest_twin.diagnosis.hypothesis import Scales
 from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.patched.replay import fixed_values
-from pytest_twin.diagnosis.prepare import Prepared, Simulated, prepare, shared_joints
+from pytest_twin.diagnosis.prepare import Prepared, SimulationSettings, prepare, shared_joints
 from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.realization import Realization
@@ -79,7 +79,7 @@ class ModelSetup:
         return prepare(
             self.realization, fit, held_out,
             threads=self.threads, window=window, contact=contact,
-            simulated=Simulated(
+            simulated=SimulationSettings(
                 self.cold_fractions, fixed_values(self.outside_mjcf, joints, 1),
                 self.has_friction_creep, self.substeps, scales,
             ),

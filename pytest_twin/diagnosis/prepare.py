@@ -58,7 +58,8 @@ class Prepared:
         segment_trial: index of the trial of each segment.
         floor_parts: source of noise -> (joints,) standard deviation, rad or m.
         cold_fractions: normalized temperatures of the trials; empty if they are not known.
-        substeps: substeps of the simulation that made the recordings, as in :class:`Simulated`.
+        substeps: substeps of the simulation that made the recordings, as in
+            :class:`SimulationSettings`.
         window: length in s of the windows that motions are cut into, as in :func:`prepare`.
     """
 
@@ -69,7 +70,7 @@ class Prepared:
     substeps: int = 0
     window: float | None = None
 
-    def lowers_floor(self, hypothesis: Hypothesis) -> bool:
+    def lower_floor(self, hypothesis: Hypothesis) -> bool:
         """Measure the discretization error at a hypothesis, and lower the noise floor if it allows.
 
         The nominal model may diverge from the recordings (for example without a drive's
@@ -95,7 +96,7 @@ class Prepared:
 
 
 @dataclass(frozen=True, slots=True)
-class Simulated:
+class SimulationSettings:
     """Settings of the simulation that are not part of the model.
 
     Attributes:
@@ -116,7 +117,7 @@ class Simulated:
     scales: Scales | None = None
 
 
-_AS_MODELLED = Simulated()
+_AS_MODELLED = SimulationSettings()
 
 
 def prepare(
@@ -127,7 +128,7 @@ def prepare(
     threads: int = 0,
     window: float | None = None,
     contact: ContactGeoms | None = None,
-    simulated: Simulated = _AS_MODELLED,
+    simulated: SimulationSettings = _AS_MODELLED,
 ) -> Prepared:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 

@@ -137,9 +137,9 @@ class Problem:
         at = np.isin(np.arange(len(self.joints)), joints) | (-1 in joints)
         return np.tile(at, len(self.signal_floor) // len(self.joints))
 
-    def out_of_shape(self, hypothesis: Hypothesis, term: Term) -> bool:
+    def has_shape_at_bound(self, hypothesis: Hypothesis, term: Term) -> bool:
         """Whether a shape parameter of a term is at its bound, as in
-        :meth:`Hypothesis.out_of_shape`.
+        :meth:`Hypothesis.has_shape_at_bound`.
 
         A warm-up time at its upper bound is accepted if the trials differ in temperature: the
         robot then need not warm up within one trial.
@@ -150,7 +150,9 @@ class Problem:
         values = hypothesis.theta[hypothesis.slice_of(term)]
         shapes = [v for p, v in zip(term.parameters, values, strict=True) if p.neutral is None]
         longest = [p.upper for p in term.parameters if p.neutral is None]
-        return hypothesis.out_of_shape(term) and not (constant_within_trial and shapes == longest)
+        return hypothesis.has_shape_at_bound(term) and not (
+            constant_within_trial and shapes == longest
+        )
 
     def has_negative_mean_friction(self, hypothesis: Hypothesis, term: Term) -> bool:
         """Whether the mean dry friction of a joint is negative under a law that varies with angle.

@@ -26,7 +26,13 @@ from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.sensitivities import sensitivities
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.locate import MissingForce, Where, missing_force, motions, place_of
+from pytest_twin.diagnosis.locate import (
+    MissingForce,
+    TimeAndRegime,
+    missing_force,
+    motions,
+    place_of,
+)
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.patched.replay import replay_whole
@@ -85,7 +91,7 @@ class QuickDiagnosis:
     likely_effects: tuple[LikelyEffect, ...]
     unexplained: tuple[str, ...]
     joint: str | None
-    where: Where
+    where: TimeAndRegime
     floors: float
 
 
@@ -240,7 +246,9 @@ def _causes(force: MissingForce, size: FloatArray, counted: NDArray[np.bool_]) -
     return list(dict.fromkeys(clear))[: QUICK.most_joints] or [worst]
 
 
-def _where(prepared: Prepared, trial: Trial, since: float, blame: FloatArray, joint: int) -> Where:
+def _where(
+    prepared: Prepared, trial: Trial, since: float, blame: FloatArray, joint: int
+) -> TimeAndRegime:
     problem = prepared.problem
     unit = "m" if problem.simulator.layout.slides[joint] else "rad"
     found = place_of(motions(prepared, [trial]), blame, joint, unit)
@@ -248,7 +256,7 @@ def _where(prepared: Prepared, trial: Trial, since: float, blame: FloatArray, jo
         name: [[round(a + since, 3), round(b + since, 3)] for a, b in windows]
         for name, windows in found.windows.items()
     }
-    return Where(found.summary, moved)
+    return TimeAndRegime(found.summary, moved)
 
 
 def _stretches(problem: Problem, trial: Trial, blame: FloatArray) -> list[Trial]:

@@ -197,7 +197,7 @@ def _to_the_floor(
     """Repeat the search from its own result while that lowers the noise floor."""
     while True:
         best = selected.best.hypothesis
-        if not best.terms or not prepared.lowers_floor(best):
+        if not best.terms or not prepared.lower_floor(best):
             return selected
         selected = from_start(selection.another_search(), best)
 

@@ -7,7 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.locate import Where, frequencies, missing_force, motions, place_of
+from pytest_twin.diagnosis.locate import (
+    TimeAndRegime,
+    frequencies,
+    missing_force,
+    motions,
+    place_of,
+)
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.search_result import SearchResult, residuals_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
@@ -27,7 +33,7 @@ class UnexplainedResidual:
     """
 
     fraction: float
-    where: Where
+    where: TimeAndRegime
 
 
 def unexplained(

@@ -13,7 +13,7 @@ from typing import Any
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.model import patched_of
-from pytest_twin.diagnosis.patched.write import Recorded, load_written, write_realization
+from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written, write_realization
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats import atomic
@@ -65,8 +65,8 @@ def write_diagnosis(
             found.prepared.problem,
             found.free.hypothesis,
             inherited,
-            Recorded(
-                found.prepared.cold_fractions, found.prepared.substeps, found.settled.found_between
+            RecordingSettings(
+                found.prepared.cold_fractions, found.prepared.substeps, found.signals.found_between
             ),
         )
         fitted = load_written(folder / REALIZATION)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_twin.errors import TwinError
 from pytest_twin.identification.measured import Measured
-from pytest_twin.identification.stages import HeldOut, Stage, judged
+from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
 from pytest_twin.metrics.joint_frequency import effort_response
 from pytest_twin.metrics.residual import residual
 from pytest_twin.realization import Realization
@@ -92,7 +92,7 @@ def simulated(
         "nominal position error",
     )  # fmt: skip
     why = "open-loop simulation under the recorded commands"
-    return found, judged(Stage("closed_loop", "accepted", why, (), None, _EXCLUDES), held)
+    return found, judge_stage(Stage("closed_loop", "accepted", why, (), None, _EXCLUDES), held)
 
 
 def effort_responses(recordings: Sequence[Measured]) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 from pytest_twin.formats.identification_record import EncoderChange
-from pytest_twin.identification.effort.encoders import BIAS, Reading
+from pytest_twin.identification.effort.encoders import BIAS, EncoderError
 from pytest_twin.identification.effort.identify import EffortResult
 from pytest_twin.realization import Realization
 from pytest_twin.twin import JointCalibration
@@ -39,7 +39,7 @@ def encoder_changes(realization: Realization, result: EffortResult) -> dict[str,
     }
 
 
-def _corrected(now: JointCalibration, readings: Sequence[Reading]) -> JointCalibration:
+def _corrected(now: JointCalibration, readings: Sequence[EncoderError]) -> JointCalibration:
     """Return the calibration corrected for ``position = (1 + scale) q + bias``."""
     bias = sum(one.value for one in readings if one.kind == BIAS)
     scale = 1.0 + sum(one.value for one in readings if one.kind != BIAS)

@@ -13,7 +13,7 @@ from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.effort.delay import DELAY, LAG, without_delay
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.judging import errors_of
-from pytest_twin.identification.effort.least_squares import linear
+from pytest_twin.identification.effort.least_squares import linear_problem
 from pytest_twin.identification.effort.sampled import sample
 from pytest_twin.identification.effort.scale import Scale, payload_effort, scaled
 from pytest_twin.identification.measured import Measured, read_measured
@@ -94,7 +94,7 @@ def recheck(
         if carried is not None:
             taken.effort[...] -= carried
     every = np.arange(len(regressor.columns))
-    problem = linear(rows, every, np.zeros((len(joints), len(every)), dtype=bool))
+    problem = linear_problem(rows, every, np.zeros((len(joints), len(every)), dtype=bool))
     slides = dict(zip(joints, regressor.slides, strict=True))
     return {
         joint: Rechecked(error.relative, error.rms, slides[joint])

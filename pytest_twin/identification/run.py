@@ -21,7 +21,7 @@ from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify import identify_sensors
-from pytest_twin.identification.sensing.recorded import Mounted
+from pytest_twin.identification.sensing.recorded import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization, load
@@ -46,7 +46,7 @@ class IdentificationRequest:
         options: settings for reading recordings; they take precedence over the twin's.
         packages, roots: folders of the model's files.
         tosses: fields of ``TossOptions``, for recordings of a free object.
-        sensors: fields of ``Mounted``; if there are any, only sensors are estimated.
+        sensors: fields of ``NamedSensor``; if there are any, only sensors are estimated.
     """
 
     model: str
@@ -93,7 +93,7 @@ def identify_files(
     progress(0.1)
     if sensors:
         document = identify_sensors(
-            realization, paths, tested, [Mounted(**one) for one in sensors],
+            realization, paths, tested, [NamedSensor(**one) for one in sensors],
             {**stated, **topics}["state"], _made(Path(out) / REALIZATION),
             lambda fraction: progress(0.1 + 0.9 * fraction),
         )  # fmt: skip
@@ -211,7 +211,7 @@ def _from_commands(
 ) -> dict[str, Any]:
     """Identify without efforts, by closed-loop simulation of the recorded commands."""
     from pytest_twin.diagnosis.patched.model import patched_of
-    from pytest_twin.diagnosis.patched.write import Recorded, write_realization
+    from pytest_twin.diagnosis.patched.write import RecordingSettings, write_realization
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.identification.simulation.document import simulation_document
     from pytest_twin.identification.simulation.identify import identify_simulation
@@ -226,9 +226,9 @@ def _from_commands(
         )  # fmt: skip
         write_realization(
             folder, realization, result.prepared.problem, result.hypothesis, inherited,
-            Recorded(
+            RecordingSettings(
                 result.prepared.cold_fractions, result.prepared.substeps,
-                result.settled.found_between
+                result.signals.found_between
             ),
         )  # fmt: skip
     document = simulation_document(result)

@@ -108,7 +108,7 @@ def shares(recordings: Sequence[str], information: FloatArray) -> dict[str, floa
     return found
 
 
-def judged(stage: Stage, held_out: HeldOut, tolerance: float = 0.0) -> Stage:
+def judge_stage(stage: Stage, held_out: HeldOut, tolerance: float = 0.0) -> Stage:
     """A stage accepted where its held-out error fell, else rejected.
 
     Args:

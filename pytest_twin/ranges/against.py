@@ -22,7 +22,7 @@ _LONGEST_PATTERN, _MOST_REPEATED = 256, 4
 """Limits of a regular expression, in characters and repetitions: others may take long to match."""
 
 
-def compared(
+def compare(
     path: Path,
     terms: Sequence[Term],
     skipped: Sequence[str],

@@ -8,13 +8,13 @@ from pytest_twin.budget.propagate import root_of
 from pytest_twin.dependency import Structure
 from pytest_twin.effects.sensing import EncoderBias
 from pytest_twin.ranges.distribution import Coordinate
-from pytest_twin.ranges.identified import Gathered
+from pytest_twin.ranges.identified import RecordCoordinates
 from pytest_twin.twin import CalibrationEntry
 
 _PREFIX = "joint_zeros."
 
 
-def zeros_of(entry: CalibrationEntry, structure: Structure, taken: set[str]) -> Gathered:
+def zeros_of(entry: CalibrationEntry, structure: Structure, taken: set[str]) -> RecordCoordinates:
     """Return deviations of encoder zeros; those in ``taken`` belong to a later record.
 
     Raises:
@@ -24,7 +24,7 @@ def zeros_of(entry: CalibrationEntry, structure: Structure, taken: set[str]) -> 
     names = record.covariance_names
     matrix = np.reshape(record.covariance, (len(names),) * 2)
     root_of(matrix, record.path)
-    found = Gathered(record.id, [], np.zeros((0, 0)))
+    found = RecordCoordinates(record.id, [], np.zeros((0, 0)))
     kept = []
     for at, name in enumerate(names):
         joint = name.removeprefix(_PREFIX)

@@ -46,7 +46,7 @@ _PLOTTED = 400
 
 
 @dataclass(frozen=True)
-class Predicted:
+class PredictedRecording:
     """One recording with its simulated robots and envelope.
 
     Attributes:
@@ -60,9 +60,9 @@ class Predicted:
     envelope: Envelope
 
 
-def predicted(
+def predict_envelopes(
     traces: Sequence[Traces], noise: Mapping[str, float], share: float, seed: int
-) -> list[Predicted]:
+) -> list[PredictedRecording]:
     """Return the envelopes of recordings, including encoder noise.
 
     Args:
@@ -78,11 +78,11 @@ def predicted(
         robots = one.robots[alive]
         std = np.array([noise.get(joint, 0.0) for joint in one.joints], dtype=np.float32)
         read = robots + std * random.standard_normal(robots.shape, dtype=np.float32)
-        found.append(Predicted(one, read, envelope(read, share)))
+        found.append(PredictedRecording(one, read, envelope(read, share)))
     return found
 
 
-def assessed(found: Sequence[Predicted], share: float) -> dict[str, Any]:
+def assess(found: Sequence[PredictedRecording], share: float) -> dict[str, Any]:
     """Return ``check`` of ``ranges.json``: each joint, all joints together, and the verdict.
 
     Neighbouring samples of a trace, and traces of one robot, are not independent. Therefore each
@@ -121,7 +121,9 @@ def assessed(found: Sequence[Predicted], share: float) -> dict[str, Any]:
     }
 
 
-def _joint(found: Sequence[Predicted], joint: str, share: float, level: float) -> dict[str, Any]:
+def _joint(
+    found: Sequence[PredictedRecording], joint: str, share: float, level: float
+) -> dict[str, Any]:
     """Check one joint over all recordings that have it."""
     own = [(one, one.traces.joints.index(joint)) for one in found if joint in one.traces.joints]
     transforms, of_robots, lengths = [], [], []
@@ -186,7 +188,7 @@ class Coverage:
         }
 
 
-def _coverage(found: Sequence[Predicted], joints: Sequence[str], level: float) -> Coverage:
+def _coverage(found: Sequence[PredictedRecording], joints: Sequence[str], level: float) -> Coverage:
     """Return the coverage of joints over all recordings, with its confidence interval.
 
     The coverage ``c`` of ``n`` independent samples has the variance ``c (1 - c) / n``. The
@@ -211,7 +213,7 @@ def _coverage(found: Sequence[Predicted], joints: Sequence[str], level: float) -
     return Coverage(covered, samples, effective, coverage_interval(covered, effective, level))
 
 
-def _slides(found: Sequence[Predicted]) -> frozenset[str]:
+def _slides(found: Sequence[PredictedRecording]) -> frozenset[str]:
     return frozenset().union(*(one.traces.slides for one in found))
 
 
@@ -226,7 +228,7 @@ def _common(parts: Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def _sharpness(
-    found: Sequence[Predicted], share: float, joint: str | None = None
+    found: Sequence[PredictedRecording], share: float, joint: str | None = None
 ) -> tuple[float, float]:
     """Return the relative width of the envelope, and its p-value among simulated robots.
 
@@ -253,7 +255,7 @@ def _share_at_least(values: FloatArray, value: float) -> float:
     return float((np.sum(values >= value) + 1.0) / (len(values) + 1.0))
 
 
-def plotted(found: Sequence[Predicted]) -> list[dict[str, Any]]:
+def plotted(found: Sequence[PredictedRecording]) -> list[dict[str, Any]]:
     """Return envelopes and traces, reduced to the number of samples of a report."""
     out = []
     for one in found:

@@ -42,7 +42,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class ContainingCoordinate:
     """Coordinate of which another one is a part, as back-EMF is of a joint's damping.
 
     Attributes:
@@ -94,7 +94,7 @@ class Coordinate:
     is_deviation: bool = False
     field: str | None = None
     is_condition: bool = False
-    part_of: Whole | None = None
+    part_of: ContainingCoordinate | None = None
     sources: tuple[Source, ...] = ()
 
     @property

@@ -15,7 +15,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.ranges.bodies import Body
 from pytest_twin.ranges.calibrated import zeros_of
 from pytest_twin.ranges.distribution import Coordinate, Distribution, Source, distribution_of
-from pytest_twin.ranges.identified import Gathered, gathered
+from pytest_twin.ranges.identified import RecordCoordinates, coordinates_of_record
 from pytest_twin.ranges.passive import with_passive_joints
 from pytest_twin.ranges.tolerances import with_tolerances
 from pytest_twin.ranges.trials import spread_over_trials
@@ -28,7 +28,7 @@ rounding errors."""
 
 
 @dataclass(frozen=True)
-class Uncertain:
+class UncertainParameters:
     """Parameters that vary between robots.
 
     Attributes:
@@ -46,7 +46,9 @@ class Uncertain:
     notes: tuple[str, ...]
 
 
-def uncertain(twin: Twin, realization: Realization, patched: Patched | None) -> Uncertain:
+def collect_uncertain_parameters(
+    twin: Twin, realization: Realization, patched: Patched | None
+) -> UncertainParameters:
     """Collect uncertain parameters from the records, trials and tolerances of a twin.
 
     Raises:
@@ -76,7 +78,7 @@ def uncertain(twin: Twin, realization: Realization, patched: Patched | None) -> 
         )
     distribution = with_passive_joints(distribution, realization, patched, notes)
     moving = {one.body for one in distribution.coordinates}
-    return Uncertain(
+    return UncertainParameters(
         distribution,
         tuple(body for body in whole.bodies if body.name in moving),
         tuple(records),
@@ -87,15 +89,15 @@ def uncertain(twin: Twin, realization: Realization, patched: Patched | None) -> 
 
 def _of_records(
     twin: Twin, realization: Realization, patched: Patched | None
-) -> tuple[list[Gathered], list[dict[str, str]]]:
+) -> tuple[list[RecordCoordinates], list[dict[str, str]]]:
     """Collect each valid record, the newest first; parameters of later records take precedence."""
     superseded = {name for entry in twin.calibrations for name in entry.supersedes}
     superseded |= {name for fit in twin.fits for name in fit.supersedes}
-    parts: list[Gathered] = []
+    parts: list[RecordCoordinates] = []
     records: list[dict[str, str]] = []
     for fit in reversed(twin.fits):
         if fit.record.id not in superseded:
-            found = gathered(fit.record, realization, patched)
+            found = coordinates_of_record(fit.record, realization, patched)
             parts.append(_without(found, parts))
             records.append(_record("identification", fit.record.id, fit.record.path, twin))
     taken: set[str] = set()
@@ -116,7 +118,7 @@ def _record(kind: str, ident: str, path: Path, twin: Twin) -> dict[str, str]:
             "file": str(place.relative_to(root) if inside else place)}  # fmt: skip
 
 
-def _without(found: Gathered, later: Sequence[Gathered]) -> Gathered:
+def _without(found: RecordCoordinates, later: Sequence[RecordCoordinates]) -> RecordCoordinates:
     """Remove coordinates that a later record has; a body belongs to one record only."""
     known = {one.name for part in later for one in part.coordinates}
     bodies = {body.name for part in later for body in part.bodies}
@@ -134,7 +136,7 @@ def _without(found: Gathered, later: Sequence[Gathered]) -> Gathered:
     )
 
 
-def _together(parts: Sequence[Gathered]) -> Gathered:
+def _together(parts: Sequence[RecordCoordinates]) -> RecordCoordinates:
     """Combine all records as independent."""
     covariance: FloatArray = linalg.block_diag(*(part.covariance for part in parts))
     coordinates: list[Coordinate] = []
@@ -145,7 +147,7 @@ def _together(parts: Sequence[Gathered]) -> Gathered:
             for one, own in zip(part.coordinates, std, strict=True)
         ]
     size = len(coordinates)
-    return Gathered(
+    return RecordCoordinates(
         "together",
         coordinates,
         np.reshape(covariance, (size, size)) if size else np.zeros((0, 0)),

@@ -36,7 +36,7 @@ _SEED = 57
 
 
 @dataclass
-class Gathered:
+class RecordCoordinates:
     """Uncertain coordinates of one record.
 
     Attributes:
@@ -54,9 +54,9 @@ class Gathered:
     left_out: list[str] = field(default_factory=list)
 
 
-def gathered(
+def coordinates_of_record(
     record: IdentificationRecord, realization: Realization, patched: Patched | None
-) -> Gathered:
+) -> RecordCoordinates:
     """Return the coordinates of an identification, with means from the twin's model.
 
     Friction and armature are varied directly. Inertial base parameters are combinations of
@@ -73,7 +73,7 @@ def gathered(
     joints = list(realization.structure.joint_type)
     regressor = regressor_of(record, realization, joints)
     columns = columns_of(record, regressor)
-    found = Gathered(record.id, [], np.zeros((0, 0)))
+    found = RecordCoordinates(record.id, [], np.zeros((0, 0)))
     rows: list[FloatArray] = []
     inertial: list[int] = []
     for at, name in enumerate(names):
@@ -128,7 +128,7 @@ def _coordinate(
     regressor: Regressor,
     realization: Realization,
     patched: Patched | None,
-    found: Gathered,
+    found: RecordCoordinates,
 ) -> Coordinate | None:
     """Return the coordinate of a drive parameter or effect; None if it is not varied."""
     if column is not None:
@@ -225,7 +225,7 @@ def _total(
 
 
 def _of_joint(
-    realization: Realization, joint: str, kind: str, unit: str, name: str, found: Gathered
+    realization: Realization, joint: str, kind: str, unit: str, name: str, found: RecordCoordinates
 ) -> Coordinate | None:
     if kind not in FIELDS:
         found.left_out.append(f"{name}: the twin's model has no such parameter")

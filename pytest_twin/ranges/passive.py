@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.effects import catalogue
-from pytest_twin.ranges.distribution import Coordinate, Distribution, Whole
+from pytest_twin.ranges.distribution import ContainingCoordinate, Coordinate, Distribution
 from pytest_twin.realization import Realization
 
 _DAMPING = "viscous_friction"
@@ -70,7 +70,7 @@ def with_passive_joints(
             coordinates[at] = replace(coordinates[at], lower=lower)
         else:
             coordinates[place] = replace(
-                coordinates[place], part_of=Whole(coordinates[at].name, rest)
+                coordinates[place], part_of=ContainingCoordinate(coordinates[at].name, rest)
             )
     return replace(distribution, coordinates=tuple(coordinates))
 

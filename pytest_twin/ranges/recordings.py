@@ -25,7 +25,7 @@ _SHORTEST_S = 0.2
 
 
 @dataclass(frozen=True)
-class Checked:
+class RecordingsByRole:
     """Recordings by role.
 
     Attributes:
@@ -46,7 +46,7 @@ def checked_recordings(
     held_out: Sequence[Path],
     options: RecordingOptions,
     topics: Mapping[str, str],
-) -> Checked:
+) -> RecordingsByRole:
     """Read the final and the held-out recordings of a twin.
 
     Explicitly named recordings are used; else those named in ``ranges:`` of ``twin.yaml``; else
@@ -82,7 +82,9 @@ def checked_recordings(
             if role in found and not named[role]:
                 found[role].append(trial)
     _refuse_used(found[FINAL], found[HELD_OUT], twin)
-    return Checked(tuple(found[FINAL]), tuple(found[HELD_OUT]), tuple(dict.fromkeys(notes)))
+    return RecordingsByRole(
+        tuple(found[FINAL]), tuple(found[HELD_OUT]), tuple(dict.fromkeys(notes))
+    )
 
 
 def _files_next_to(twin: Twin) -> list[Path]:

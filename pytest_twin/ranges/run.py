@@ -12,15 +12,15 @@ import numpy as np
 from pytest_twin import __version__
 from pytest_twin.diagnosis.noise import sensor_noise
 from pytest_twin.diagnosis.patched.model import patched_of
-from pytest_twin.ranges.against import compared
+from pytest_twin.ranges.against import compare
 from pytest_twin.ranges.bodies import Body
-from pytest_twin.ranges.check import assessed, plotted, predicted
+from pytest_twin.ranges.check import assess, plotted, predict_envelopes
 from pytest_twin.ranges.distribution import Distribution
-from pytest_twin.ranges.gather import Uncertain, uncertain
+from pytest_twin.ranges.gather import UncertainParameters, collect_uncertain_parameters
 from pytest_twin.ranges.given import read_given
 from pytest_twin.ranges.quantities import quantities
-from pytest_twin.ranges.recordings import Checked, checked_recordings
-from pytest_twin.ranges.simulate import Fleet, Traces
+from pytest_twin.ranges.recordings import RecordingsByRole, checked_recordings
+from pytest_twin.ranges.simulate import Traces, VariedRobots
 from pytest_twin.ranges.widening import widened
 from pytest_twin.ranges.words import summary_lines
 from pytest_twin.realization import Realization, load
@@ -102,29 +102,31 @@ def ranges(
     patched = patched_of(realization)
     share = request.share or twin.ranges.share
     count = request.draws or twin.ranges.draws
-    found = uncertain(twin, realization, patched)
+    found = collect_uncertain_parameters(twin, realization, patched)
     options = RecordingOptions.from_json(request.options or {}).over(twin.recordings)
     checked = checked_recordings(
         twin, realization, request.final, request.held_out, options,
         {**twin.topics, **(request.topics or {})},
     )  # fmt: skip
-    fleet = Fleet(realization, patched, found.distribution.coordinates, found.bodies, MEMORY_BYTES)
+    robots = VariedRobots(
+        realization, patched, found.distribution.coordinates, found.bodies, MEMORY_BYTES
+    )
     if checked.final:
-        fleet.refuse_too_many(checked.final, count)
-    noise = _noise(fleet, checked)
-    distribution, widening = _widened(found, checked, fleet, noise, count, share, progress)
+        robots.refuse_too_many(checked.final, count)
+    noise = _noise(robots, checked)
+    distribution, widening = _widened(found, checked, robots, noise, count, share, progress)
     document = _document(twin, realization, found, distribution, share, noise, checked)
     document["widening"] = widening
     if given is not None:
         own = quantities(distribution, found.bodies, share)
-        document["against"] = compared(*given, own, twin.ranges.trials, share)
+        document["against"] = compare(*given, own, twin.ranges.trials, share)
     if checked.final:
         draws = distribution.draws(count, _SEED)
-        before = fleet.steps, fleet.seconds
-        traces = fleet.simulate(checked.final, draws, lambda done: progress(0.3 + 0.6 * done))
-        steps, seconds = fleet.steps - before[0], fleet.seconds - before[1]
-        envelopes = predicted(traces, noise, share, _SEED)
-        document["check"] = assessed(envelopes, share)
+        before = robots.steps, robots.seconds
+        traces = robots.simulate(checked.final, draws, lambda done: progress(0.3 + 0.6 * done))
+        steps, seconds = robots.steps - before[0], robots.seconds - before[1]
+        envelopes = predict_envelopes(traces, noise, share, _SEED)
+        document["check"] = assess(envelopes, share)
         document["envelopes"] = plotted(envelopes)
         document["throughput"] = {
             "robots": count, "simulated": steps * float(realization.model.opt.timestep),
@@ -136,22 +138,22 @@ def ranges(
     return document
 
 
-def _noise(fleet: Fleet, checked: Checked) -> dict[str, float]:
+def _noise(robots: VariedRobots, checked: RecordingsByRole) -> dict[str, float]:
     """Return joint -> standard deviation of an encoder reading, rad or m.
 
     It is estimated from held-out recordings if there are any."""
     found: dict[str, list[float]] = {}
     for trial in checked.held_out or checked.final:
         own = sensor_noise(trial.time, trial.position)
-        for joint in fleet.joints_of(trial):
+        for joint in robots.joints_of(trial):
             found.setdefault(joint, []).append(float(own[trial.joints.index(joint)]))
     return {joint: float(np.median(values)) for joint, values in found.items()}
 
 
 def _widened(
-    found: Uncertain,
-    checked: Checked,
-    fleet: Fleet,
+    found: UncertainParameters,
+    checked: RecordingsByRole,
+    robots: VariedRobots,
     noise: Mapping[str, float],
     count: int,
     share: float,
@@ -163,21 +165,21 @@ def _widened(
     def simulate(distribution: Distribution) -> list[Traces]:
         progress(0.1)
         draws = distribution.draws(min(count, _WIDENING_DRAWS), _WIDENING_SEED)
-        return fleet.simulate(checked.held_out, draws)
+        return robots.simulate(checked.held_out, draws)
 
     joints = {one.joint for one in found.distribution.coordinates if one.joint is not None}
-    carrying = {joint: fleet.carrying(joint) for joint in joints}
+    carrying = {joint: robots.carrying(joint) for joint in joints}
     return widened(found.distribution, simulate, noise, carrying, share)
 
 
 def _document(
     twin: Twin,
     realization: Realization,
-    found: Uncertain,
+    found: UncertainParameters,
     distribution: Distribution,
     share: float,
     noise: Mapping[str, float],
-    checked: Checked,
+    checked: RecordingsByRole,
 ) -> dict[str, Any]:
     """Return the parts of the document that do not need the final recordings."""
     notes = [*found.notes, *checked.notes]

@@ -64,7 +64,7 @@ class Traces:
     slides: frozenset[str] = frozenset()
 
 
-class Fleet:
+class VariedRobots:
     """Simulation of robots with different coordinates.
 
     Args:

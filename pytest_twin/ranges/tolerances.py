@@ -14,7 +14,7 @@ from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.ranges.bodies import AXES, Body, bodies_of
 from pytest_twin.ranges.calibrated import encoder_zero
 from pytest_twin.ranges.distribution import Coordinate, Source
-from pytest_twin.ranges.identified import FIELDS, Gathered, joint_coordinate
+from pytest_twin.ranges.identified import FIELDS, RecordCoordinates, joint_coordinate
 from pytest_twin.ranges_spec import Tolerance
 from pytest_twin.realization import Realization
 from pytest_twin.realization.patch import suggest
@@ -25,7 +25,9 @@ _UNIFORM = np.sqrt(3.0)
 _QUANTITY = {"viscous_friction": "damping", "coulomb_friction": "effort", "armature": "inertia"}
 
 
-def with_tolerances(found: Gathered, twin: Twin, realization: Realization) -> Gathered:
+def with_tolerances(
+    found: RecordCoordinates, twin: Twin, realization: Realization
+) -> RecordCoordinates:
     """Return the collected coordinates with declared tolerances added to the covariance.
 
     A tolerance is a uniform distribution of the stated half width, whose variance is added. A
@@ -44,8 +46,8 @@ def with_tolerances(found: Gathered, twin: Twin, realization: Realization) -> Ga
 
 
 def _of_mass(
-    found: Gathered, tolerance: Tolerance, where: str, twin: Twin, realization: Realization
-) -> Gathered:
+    found: RecordCoordinates, tolerance: Tolerance, where: str, twin: Twin, realization: Realization
+) -> RecordCoordinates:
     name = tolerance.parameter.removesuffix(".mass")
     bodies = {body.name: body for body in bodies_of(realization, _joints(realization))}
     if name not in bodies:
@@ -74,8 +76,8 @@ def _of_mass(
 
 
 def _of_parameter(
-    found: Gathered, tolerance: Tolerance, where: str, twin: Twin, realization: Realization
-) -> Gathered:
+    found: RecordCoordinates, tolerance: Tolerance, where: str, twin: Twin, realization: Realization
+) -> RecordCoordinates:
     names = [one.name for one in found.coordinates]
     if tolerance.parameter not in names:
         found = _grown(found, [_declared(tolerance, where, twin, realization)], None)
@@ -125,7 +127,9 @@ def _joints(realization: Realization) -> list[str]:
             if kind in ("hinge", "slide")]  # fmt: skip
 
 
-def _grown(found: Gathered, more: Sequence[Coordinate], body: Body | None) -> Gathered:
+def _grown(
+    found: RecordCoordinates, more: Sequence[Coordinate], body: Body | None
+) -> RecordCoordinates:
     before = len(found.coordinates)
     covariance: FloatArray = np.zeros((before + len(more),) * 2)
     covariance[:before, :before] = found.covariance
@@ -137,7 +141,7 @@ def _grown(found: Gathered, more: Sequence[Coordinate], body: Body | None) -> Ga
     )
 
 
-def _added(found: Gathered, covariance: FloatArray, name: str) -> Gathered:
+def _added(found: RecordCoordinates, covariance: FloatArray, name: str) -> RecordCoordinates:
     std = np.sqrt(np.diag(covariance))
     return replace(
         found,

@@ -10,7 +10,7 @@ from scipy import stats
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.ranges.distribution import Coordinate, Source
-from pytest_twin.ranges.identified import Gathered
+from pytest_twin.ranges.identified import RecordCoordinates
 from pytest_twin.ranges_spec import TrialGroup
 from pytest_twin.realization import Realization
 from pytest_twin.twin import Twin
@@ -20,8 +20,8 @@ NAME = "ranges: trials: of twin.yaml"
 
 
 def spread_over_trials(
-    found: Gathered, twin: Twin, realization: Realization, notes: list[str]
-) -> Gathered:
+    found: RecordCoordinates, twin: Twin, realization: Realization, notes: list[str]
+) -> RecordCoordinates:
     """Return the collected coordinates with the variance between groups of trials added.
 
     The covariance between groups is the covariance of their estimates minus the mean of their own
@@ -108,12 +108,12 @@ def _prediction_factor(groups: int) -> float:
 
 
 def _grown(
-    found: Gathered,
+    found: RecordCoordinates,
     shared: list[int],
     conditions: list[str],
     table: FloatArray,
     between: FloatArray,
-) -> Gathered:
+) -> RecordCoordinates:
     before = len(found.coordinates)
     covariance = np.zeros((before + len(conditions),) * 2)
     covariance[:before, :before] = found.covariance

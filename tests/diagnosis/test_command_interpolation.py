@@ -12,12 +12,12 @@ from recorded_pendulum import Reality, cell
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded import settle, with_doubt
-from pytest_twin.diagnosis.recorded.command_between import Between, Left, decide
+from pytest_twin.diagnosis.recorded import determine_signals, with_doubt
+from pytest_twin.diagnosis.recorded.command_between import AssumptionResiduals, Between, decide
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
-from pytest_twin.diagnosis.recorded.settle import Settled
+from pytest_twin.diagnosis.recorded.recorded_signals import RecordedSignals
 from pytest_twin.diagnosis.recorded.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 
@@ -29,7 +29,7 @@ def detected(folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3)) ->
     model, recordings = cell(folder / "cell", reality, seeds)
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
-    (between,) = settle(ModelSetup.of(loaded.realization, None, 1), trials).between
+    (between,) = determine_signals(ModelSetup.of(loaded.realization, None, 1), trials).between
     return between
 
 
@@ -75,12 +75,16 @@ def test_held_commands_are_detected_at_a_low_command_rate(tmp_path: Path) -> Non
     assert found.fact.value == "held", found.fact.evidence
 
 
-def residual_of(rms: float, *, nominal: float = 1.0, delay: float = 0.0, seed: int = 0) -> Left:
+def residual_of(
+    rms: float, *, nominal: float = 1.0, delay: float = 0.0, seed: int = 0
+) -> AssumptionResiduals:
     noise = np.random.default_rng(seed).standard_normal((2000, 1))
-    return Left(1e-4 * rms * noise, np.array([1e-4 * nominal]), True, np.array([delay]))
+    return AssumptionResiduals(
+        1e-4 * rms * noise, np.array([1e-4 * nominal]), True, np.array([delay])
+    )
 
 
-def decided(**each: Left) -> Between:
+def decided(**each: AssumptionResiduals) -> Between:
     return decide(each, [1000, 1000], [0, 1], NOISE, 0.004)  # type: ignore[arg-type]
 
 
@@ -135,11 +139,11 @@ def test_steps_between_stamps_do_not_decide_about_smooth_motion(tmp_path: Path) 
     assert found.fact.value == "interpolated", found.fact.evidence
 
 
-def two_joints(first_nominal: float, second_nominal: float) -> Left:
+def two_joints(first_nominal: float, second_nominal: float) -> AssumptionResiduals:
     one = residual_of(1.0)
     residual = np.repeat(one.residual, 2, axis=1)
     nominal = 1e-4 * np.array([first_nominal, second_nominal])
-    return Left(residual, nominal, True, np.zeros(2))
+    return AssumptionResiduals(residual, nominal, True, np.zeros(2))
 
 
 def test_a_joint_with_an_exact_model_decides_for_all_joints() -> None:
@@ -181,8 +185,8 @@ def test_a_delay_between_those_of_two_assumptions_gives_no_result() -> None:
 def explained_by_delay(value: float) -> Explained:
     estimate = Estimate(value, "s", value - 2e-4, value + 2e-4)
     finding = Finding(
-        "command_delay", "j1", 0.99, {"delay": estimate}, Where("", {}), 0.5, 9.0, (), "a test", (),
-        Term("command_delay", 0),
+        "command_delay", "j1", 0.99, {"delay": estimate}, TimeAndRegime("", {}), 0.5, 9.0, (),
+        "a test", (), Term("command_delay", 0),
     )  # fmt: skip
     return Explained((finding,), EMPTY)
 
@@ -215,7 +219,7 @@ def test_a_declared_interpolation_is_not_estimated(tmp_path: Path) -> None:
     loaded = load_model(find_model(model))
     options = loaded.options.from_json({"command_between": "held"})
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure, options)
-    settled = settle(ModelSetup.of(loaded.realization, None, 1), trials)
+    settled = determine_signals(ModelSetup.of(loaded.realization, None, 1), trials)
     assert settled.between == ()
     stored = settled.to_json(trials.fit)["r2.mcap"]
     assert stored["command_between"]["value"] == "held"
@@ -227,7 +231,7 @@ def test_the_detected_interpolation_is_stored_for_each_recording(tmp_path: Path)
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
     answer = Between(Fact("interpolated", 0.99, "data", "so it is"), ("interpolated",), 0.004)
-    settled = Settled((answer,))
+    settled = RecordedSignals((answer,))
     used = settled.applied(trials)
     assert [t.command_between for t in used.fit] == ["interpolated"]
     assert not any("assumed" in n for n in used.notes)
@@ -237,4 +241,4 @@ def test_the_detected_interpolation_is_stored_for_each_recording(tmp_path: Path)
 
 
 def test_without_recordings_no_interpolation_is_estimated() -> None:
-    assert Settled().applied(TrialSet((), (), ("a note",))).notes == ("a note",)
+    assert RecordedSignals().applied(TrialSet((), (), ("a note",))).notes == ("a note",)

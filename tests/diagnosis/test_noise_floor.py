@@ -232,16 +232,16 @@ def test_the_floor_of_a_diverging_nominal_model_is_lowered_at_the_found_model(
     found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
     measured, steps = found.problem.floor.copy(), found.floor_parts[STEPS].copy()
     with_raised_floor(found, 10.0)
-    assert found.lowers_floor(EMPTY)
+    assert found.lower_floor(EMPTY)
     np.testing.assert_allclose(found.problem.floor, measured, rtol=1e-6)
     np.testing.assert_allclose(found.floor_parts[STEPS], steps, rtol=1e-6)
-    assert not found.lowers_floor(EMPTY), "the floor must be lowered once only"
+    assert not found.lower_floor(EMPTY), "the floor must be lowered once only"
 
 
 def test_a_floor_that_is_slightly_too_high_is_kept(tmp_path: Path) -> None:
     found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
     high = with_raised_floor(found, 1.2)
-    assert not found.lowers_floor(EMPTY)
+    assert not found.lower_floor(EMPTY)
     assert found.problem.floor[0] == high
 
 
@@ -249,7 +249,7 @@ def test_the_floor_of_a_stuck_encoder_is_kept(tmp_path: Path) -> None:
     found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
     with_raised_floor(found, 10.0)
     found.problem.floor = np.array([1e6])
-    assert not found.lowers_floor(EMPTY)
+    assert not found.lower_floor(EMPTY)
     assert found.problem.floor[0] == 1e6
 
 

@@ -8,9 +8,9 @@ from test_elastic_transmissions import single_effect
 from test_first_order import ELBOW, problem_of
 
 from pytest_twin.diagnosis import findings
-from pytest_twin.diagnosis.findings import Explained, Finding, _heights, by_whole_motions
+from pytest_twin.diagnosis.findings import Explained, Finding, _heights, order_by_whole_motions
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.locate import TimeAndRegime
 
 WEAK, DRAG = Term("torque_constant", 0), Term("viscous_friction", ELBOW)
 SOON = 0.25
@@ -48,7 +48,7 @@ def finding_of(term: Term, joints: tuple[str, ...]) -> Finding:
     """A finding with an effect and a joint only."""
     joint = None if term.joint < 0 else joints[term.joint]
     return Finding(
-        term.effect, joint, 1.0, {}, Where("", {}), 1.0, 0.0, (), "", (), term
+        term.effect, joint, 1.0, {}, TimeAndRegime("", {}), 1.0, 0.0, (), "", (), term
     )  # fmt: skip
 
 
@@ -65,7 +65,7 @@ def test_findings_are_ordered_by_their_influence_on_whole_motions(
     explained = Explained(wrong, both)
     if diverges:
         monkeypatch.setattr(findings, "_heights", lambda *_: [np.inf, 1.0])
-    found = by_whole_motions(explained, problem).findings
+    found = order_by_whole_motions(explained, problem).findings
     expected = ["torque_constant", "viscous_friction"]
     assert [f.effect for f in found] == (expected if diverges else expected[::-1])
     if not diverges:
@@ -79,6 +79,6 @@ def test_a_finding_that_changes_whole_motions_less_than_the_residual_keeps_its_r
     slight = single_effect(problem, DRAG, {"coefficient": 0.001})
     both = far.with_term_of(slight, DRAG)
     order = (finding_of(DRAG, problem.joints), finding_of(WEAK, problem.joints))
-    found = by_whole_motions(Explained(order, both), problem).findings
+    found = order_by_whole_motions(Explained(order, both), problem).findings
     assert [f.effect for f in found] == ["viscous_friction", "torque_constant"]
     assert found[1].influence > found[0].influence

@@ -328,12 +328,12 @@ def test_a_shape_parameter_of_zero_does_not_count_as_its_bound(
     term = Term(effect, 0)
     theta = np.zeros(len(term.parameters))
     theta[:2] = 0.01, shape
-    assert EMPTY.with_term(term, theta).out_of_shape(term) is is_out
+    assert EMPTY.with_term(term, theta).has_shape_at_bound(term) is is_out
 
 
 def test_an_external_force_may_begin_and_end_with_the_trial() -> None:
     push = Term("external_force", 0)
-    assert not EMPTY.with_term(push, np.array([0.5, 0.0, 12.0])).out_of_shape(push)
+    assert not EMPTY.with_term(push, np.array([0.5, 0.0, 12.0])).has_shape_at_bound(push)
 
 
 def test_effects_that_were_found_in_windows_are_not_pruned_again(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from recorded_pendulum import Reality, cell
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded import Settled, settle
+from pytest_twin.diagnosis.recorded import RecordedSignals, determine_signals
 from pytest_twin.diagnosis.recorded.effort import Law, Signals, effort_fact, is_the_command
 from pytest_twin.diagnosis.recorded.velocity import velocity_fact, velocity_signal
 from pytest_twin.diagnosis.trials import read_trials
@@ -77,11 +77,11 @@ def test_a_joint_at_rest_does_not_determine_the_source_of_its_velocity() -> None
     assert velocity_fact(TIME, np.zeros(len(TIME)), np.zeros(len(TIME))).value is None
 
 
-def settled(folder: Path, reality: Reality) -> tuple[Settled, tuple]:
+def settled(folder: Path, reality: Reality) -> tuple[RecordedSignals, tuple]:
     model, recordings = cell(folder / "cell", reality)
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
-    found = settle(ModelSetup.of(loaded.realization, None, 1), trials)
+    found = determine_signals(ModelSetup.of(loaded.realization, None, 1), trials)
     return found, found.applied(trials).fit
 
 

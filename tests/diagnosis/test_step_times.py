@@ -12,8 +12,8 @@ from recorded_pendulum import Reality, cell
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded import settle
-from pytest_twin.diagnosis.recorded.settle import Settled
+from pytest_twin.diagnosis.recorded import determine_signals
+from pytest_twin.diagnosis.recorded.recorded_signals import RecordedSignals
 from pytest_twin.diagnosis.recorded.step_times import (
     fitted_shares,
     step_intervals,
@@ -35,8 +35,8 @@ def read(folder: Path, reality: Reality, *, seconds: float = 2.5) -> tuple[Model
     return ModelSetup.of(loaded.realization, None, 1), trials
 
 
-def settled(given: ModelSetup, trials: TrialSet) -> Settled:
-    return settle(given, replace(trials, held_out=()))
+def settled(given: ModelSetup, trials: TrialSet) -> RecordedSignals:
+    return determine_signals(given, replace(trials, held_out=()))
 
 
 def rms(given: ModelSetup, trial: Trial) -> float:

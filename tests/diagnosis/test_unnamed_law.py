@@ -18,7 +18,7 @@ from one_joint_plant import JOINT, STEP, Hidden, record
 
 from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.hypothesis import EMPTY
-from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched, read_effects
 from pytest_twin.diagnosis.patched.ranges import outside_in_words
@@ -112,7 +112,7 @@ def fitted_laws(folder: Path, hidden: Hidden) -> FreeLaws:
     """Laws fitted to the fit recordings, without a preceding search."""
     near, _ = prepared_case(folder, hidden, 0.5)
     with np.errstate(over="ignore", invalid="ignore"):
-        return free_laws(near, EMPTY, {JOINT: Where("", {})}, near.problem.fit)
+        return free_laws(near, EMPTY, {JOINT: TimeAndRegime("", {})}, near.problem.fit)
 
 
 def removed(folder: Path, hidden: Hidden, laws: FreeLaws) -> float:

@@ -7,18 +7,18 @@ import pytest
 from scipy import signal
 
 from pytest_twin.identification.effort.blocks import block_of, bootstrap
-from pytest_twin.identification.effort.least_squares import Linear, solve
+from pytest_twin.identification.effort.least_squares import LinearProblem, solve
 
 TRUE = np.array([2.0, -0.7])
 
 
-def linear_problem(seed: int, recordings: int, rows: int, correlated: float) -> Linear:
+def linear_problem(seed: int, recordings: int, rows: int, correlated: float) -> LinearProblem:
     """One joint and two parameters; the noise has unit variance and is correlated in time."""
     random = np.random.default_rng(seed)
     count = recordings * rows
     matrix = np.stack([np.ones(count), np.sin(np.arange(count) / 7.0)], axis=1)[:, None]
     noise = signal.lfilter([1.0], [1.0, -correlated], random.standard_normal((count, 1)), axis=0)
-    return Linear(
+    return LinearProblem(
         matrix, matrix @ TRUE + noise * np.sqrt(1 - correlated**2),
         np.ones((count, 1), dtype=bool), np.zeros((count, 1), dtype=bool),
         np.zeros((1, 2), dtype=bool), (rows,) * recordings,

@@ -13,7 +13,7 @@ from test_identify_simulation import MODEL, NOMINAL
 
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded import settle
+from pytest_twin.diagnosis.recorded import determine_signals
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.identification.motions import undetermined_by_command
@@ -42,7 +42,7 @@ def undetermined(folder: Path, command: Callable[[float], float]) -> set[str]:
     options = RecordingOptions.from_json({"command_between": "held"})
     trials = read_trials([path], [], DEFAULT_TOPICS, robot.structure, options)
     given = ModelSetup.of(robot, None, 1)
-    used = settle(given, replace(trials, held_out=())).applied(trials)
+    used = determine_signals(given, replace(trials, held_out=())).applied(trials)
     prepared, _ = build_problem(given, used, [])
     terms = undetermined_terms(prepared.problem, EMPTY, ["position"])
     return {term.effect for term in terms}

@@ -28,12 +28,12 @@ from ranges_files import (
 )
 
 from pytest_twin.metrics.envelope import coverage_interval, envelope, inside
-from pytest_twin.ranges.check import assessed, predicted
+from pytest_twin.ranges.check import assess, predict_envelopes
 from pytest_twin.ranges.distribution import Coordinate
-from pytest_twin.ranges.gather import uncertain
+from pytest_twin.ranges.gather import collect_uncertain_parameters
 from pytest_twin.ranges.recordings import checked_recordings
 from pytest_twin.ranges.run import ranges_of_file
-from pytest_twin.ranges.simulate import Fleet
+from pytest_twin.ranges.simulate import VariedRobots
 from pytest_twin.realization import load
 from pytest_twin.replay import replay
 from pytest_twin.twin import load_twin
@@ -61,12 +61,12 @@ def test_a_robot_with_mean_parameters_moves_like_the_replay_of_the_twin(tmp_path
     twin = load_twin(make_twin(tmp_path, [record(covariance())]))
     record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
     robot = load(twin.first_realization.file, twin=twin)
-    found = uncertain(twin, robot, None)
+    found = collect_uncertain_parameters(twin, robot, None)
     final = [tmp_path / "a.mcap"]
     trial = checked_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
-    fleet = Fleet(robot, None, found.distribution.coordinates, found.bodies, 2**32)
+    robots = VariedRobots(robot, None, found.distribution.coordinates, found.bodies, 2**32)
     means = np.array([[one.mean for one in found.distribution.coordinates]])
-    (traces,) = fleet.simulate([trial], means)
+    (traces,) = robots.simulate([trial], means)
     replayed = replay(robot, [trial])[0].position
     assert np.abs(traces.robots[0] - replayed).max() < 2e-6
 
@@ -76,12 +76,12 @@ def test_a_drawn_robot_moves_like_a_compiled_model_with_its_values(tmp_path: Pat
     twin = load_twin(make_twin(tmp_path, [record(covariance())]))
     record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
     robot = load(twin.first_realization.file, twin=twin)
-    found = uncertain(twin, robot, None)
+    found = collect_uncertain_parameters(twin, robot, None)
     final = [tmp_path / "a.mcap"]
     trial = checked_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
-    fleet = Fleet(robot, None, found.distribution.coordinates, found.bodies, 2**32)
+    robots = VariedRobots(robot, None, found.distribution.coordinates, found.bodies, 2**32)
     draws = found.distribution.draws(3, 5)
-    (traces,) = fleet.simulate([trial], draws)
+    (traces,) = robots.simulate([trial], draws)
     spec = mujoco.MjSpec.from_string(ARM)
     columns = {one.name: k for k, one in enumerate(found.distribution.coordinates)}
     for joint in spec.joints:
@@ -119,7 +119,7 @@ def test_the_spread_over_trials_includes_the_correlation_of_friction_and_tempera
         (tmp_path / f"trial{k}.json").write_text(json.dumps(one))
         more += f"  - {{file: trial{k}.json, temperature: {warm}}}\n"
     twin = load_twin(make_twin(tmp_path, [record(covariance(0.05))], more))
-    found = uncertain(twin, load(twin.first_realization.file, twin=twin), None)
+    found = collect_uncertain_parameters(twin, load(twin.first_realization.file, twin=twin), None)
     names = [one.name for one in found.distribution.coordinates]
     friction, temperature = names.index("elbow.coulomb_friction"), names.index("trials.temperature")
     assert found.distribution.correlation[friction, temperature] > 0.97
@@ -153,7 +153,7 @@ def test_tolerances_add_to_the_record_and_a_mass_tolerance_scales_the_inertia(
     more = "ranges:\n  tolerance:\n  - {parameter: elbow.armature, absolute: 0.03}\n"
     more += "  - {parameter: fore.mass, relative: 0.1}\n"
     twin = load_twin(make_twin(tmp_path, [record(covariance(0.01))], more))
-    found = uncertain(twin, load(twin.first_realization.file, twin=twin), None)
+    found = collect_uncertain_parameters(twin, load(twin.first_realization.file, twin=twin), None)
     std = {one.name: one.std for one in found.distribution.coordinates}
     armature = 0.01 * STD[NAMES.index("elbow.armature")]
     assert std["elbow.armature"] == pytest.approx(np.hypot(armature, 0.03 / np.sqrt(3)))
@@ -185,7 +185,7 @@ def test_a_tolerance_of_an_unknown_parameter_is_refused(
     more = f"ranges:\n  tolerance:\n  - {line}\n"
     twin = load_twin(make_twin(tmp_path, [record(covariance())], more))
     with pytest.raises(Exception, match=words) as error:
-        uncertain(twin, load(twin.first_realization.file, twin=twin), None)
+        collect_uncertain_parameters(twin, load(twin.first_realization.file, twin=twin), None)
     assert "ranges.tolerance.0" in str(error.value)
 
 
@@ -196,17 +196,17 @@ def test_recordings_of_robots_drawn_from_the_record_lie_in_the_envelope_at_the_s
     rng = np.random.default_rng(11)
     twin = load_twin(make_twin(tmp_path, [record(covariance())]))
     robot = load(twin.first_realization.file, twin=twin)
-    found = uncertain(twin, robot, None)
+    found = collect_uncertain_parameters(twin, robot, None)
     draws = found.distribution.draws(64, 3)
     coverages = []
     for _ in range(6):
         truth = true_arm(rng.multivariate_normal(MEANS, covariance()))
         paths = [record_motion(tmp_path / f"{k}.mcap", truth, rng, seconds=1.5) for k in range(2)]
         final = checked_recordings(twin, robot, paths, [], twin.recordings, twin.topics).final
-        fleet = Fleet(robot, None, found.distribution.coordinates, found.bodies, 2**32)
+        robots = VariedRobots(robot, None, found.distribution.coordinates, found.bodies, 2**32)
         noise = dict.fromkeys(("shoulder", "elbow"), NOISE)
-        envelopes = predicted(fleet.simulate(final, draws), noise, 0.95, 0)
-        coverages.append(assessed(envelopes, 0.95)["coverage"])
+        envelopes = predict_envelopes(robots.simulate(final, draws), noise, 0.95, 0)
+        coverages.append(assess(envelopes, 0.95)["coverage"])
         # The number of simulated steps is that of all robots together.
-        assert fleet.steps == pytest.approx(2 * 64 * 1.5 / TIMESTEP, rel=0.01)
+        assert robots.steps == pytest.approx(2 * 64 * 1.5 / TIMESTEP, rel=0.01)
     assert 0.90 <= np.mean(coverages) <= 0.99, coverages

@@ -20,8 +20,8 @@ from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import read_recording
-from pytest_twin.ranges.gather import uncertain
-from pytest_twin.ranges.simulate import Fleet
+from pytest_twin.ranges.gather import collect_uncertain_parameters
+from pytest_twin.ranges.simulate import VariedRobots
 from pytest_twin.realization import load
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import load_twin
@@ -104,12 +104,12 @@ def test_a_drawn_robot_moves_like_a_twin_with_the_drawn_value(
     twin = load_twin(path)
     robot = load(twin.first_realization.file, twin=twin)
     patched = patched_of(robot)
-    found = uncertain(twin, robot, patched)
+    found = collect_uncertain_parameters(twin, robot, patched)
     assert [one.name for one in found.distribution.coordinates] == [name], found.left_out
     (one,) = found.distribution.coordinates
     # What the time step adds is estimated at the twin's values, not at the drawn ones.
-    monkeypatch.setattr(Fleet, "_correction", lambda self, segment, joints: 0.0)
-    fleet = Fleet(robot, patched, found.distribution.coordinates, found.bodies, 2**32)
+    monkeypatch.setattr(VariedRobots, "_correction", lambda self, segment, joints: 0.0)
+    fleet = VariedRobots(robot, patched, found.distribution.coordinates, found.bodies, 2**32)
     # A factor or a field of the model is drawn as a whole.
     own = 1.0 if law.relation == "relative" else 0.0
     own = one.mean - values[parameter] if one.field is not None else own
@@ -121,7 +121,7 @@ def test_a_drawn_robot_moves_like_a_twin_with_the_drawn_value(
         )
         twin = load_twin(other)
         again = load(twin.first_realization.file, twin=twin)
-        (of_other,) = Fleet(again, patched_of(again), (), (), 2**32).simulate(
+        (of_other,) = VariedRobots(again, patched_of(again), (), (), 2**32).simulate(
             [trial], np.zeros((1, 0))
         )
         motions.append(of_other.robots[0])
@@ -154,7 +154,7 @@ def test_correlated_delay_and_rate_limit_are_drawn_together(bench: tuple, tmp_pa
     (path.parent / "record.json").write_text(json.dumps(document))
     twin = load_twin(path)
     robot = load(twin.first_realization.file, twin=twin)
-    found = uncertain(twin, robot, patched_of(robot)).distribution
+    found = collect_uncertain_parameters(twin, robot, patched_of(robot)).distribution
     columns = {one.name: k for k, one in enumerate(found.coordinates)}
     draws = found.draws(4000, 0)
     pair = draws[:, columns[name]], draws[:, columns[delay]]

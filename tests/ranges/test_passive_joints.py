@@ -18,11 +18,11 @@ from pytest_twin.formats.recording import JointSeries
 from pytest_twin.ranges import gather
 from pytest_twin.ranges.distribution import Coordinate
 from pytest_twin.ranges.files import write_files
-from pytest_twin.ranges.gather import uncertain
+from pytest_twin.ranges.gather import collect_uncertain_parameters
 from pytest_twin.ranges.identified import bounds
 from pytest_twin.ranges.recordings import checked_recordings
 from pytest_twin.ranges.run import ranges_of_file
-from pytest_twin.ranges.simulate import Fleet
+from pytest_twin.ranges.simulate import VariedRobots
 from pytest_twin.realization import load
 from pytest_twin.twin import load_twin
 
@@ -89,11 +89,11 @@ def turns(folder: Path) -> np.ndarray:
     twin = load_twin(make_twin(folder))
     robot = load(twin.first_realization.file, twin=twin)
     patched = patched_of(robot)
-    found = uncertain(twin, robot, patched)
+    found = collect_uncertain_parameters(twin, robot, patched)
     paths = [record_release(folder / "final.mcap")]
     trials = checked_recordings(twin, robot, paths, [], twin.recordings, twin.topics).final
-    fleet = Fleet(robot, patched, found.distribution.coordinates, found.bodies, 2**32)
-    (traces,) = fleet.simulate(trials, found.distribution.draws(64, 1))
+    robots = VariedRobots(robot, patched, found.distribution.coordinates, found.bodies, 2**32)
+    (traces,) = robots.simulate(trials, found.distribution.draws(64, 1))
     return np.abs(traces.robots[:, :, 0]).max(axis=1) / (2.0 * np.pi)
 
 
@@ -109,7 +109,7 @@ def test_no_drawn_joint_turns_faster_and_faster_after_its_drive_switched_off(
 def test_drawn_back_emf_is_a_part_of_the_drawn_damping_in_both_samplers(tmp_path: Path) -> None:
     twin = load_twin(make_twin(tmp_path))
     robot = load(twin.first_realization.file, twin=twin)
-    found = uncertain(twin, robot, patched_of(robot)).distribution
+    found = collect_uncertain_parameters(twin, robot, patched_of(robot)).distribution
     whole, part = found.draws(10_000, 0).T
     assert (part <= whole).all()
     apart = STD * np.sqrt(2.0 * (1.0 - CORRELATION))
@@ -138,7 +138,7 @@ def test_a_part_or_whole_that_does_not_vary_is_the_bound_of_the_other(
 ) -> None:
     twin = load_twin(make_twin(tmp_path, {name: NAMES[name]}))
     robot = load(twin.first_realization.file, twin=twin)
-    (one,) = uncertain(twin, robot, patched_of(robot)).distribution.coordinates
+    (one,) = collect_uncertain_parameters(twin, robot, patched_of(robot)).distribution.coordinates
     assert getattr(one, side) == pytest.approx(bound)
     drawn = one.values(np.random.default_rng(0).standard_normal(2000))
     assert (drawn >= bound).all() if side == "lower" else (drawn <= bound).all()

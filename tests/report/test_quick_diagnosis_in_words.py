@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.quick_diagnosis import LikelyEffect, QuickDiagnosis
 from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
-WHERE = Where("fast, |velocity| > 3 rad/s", {"a.mcap": [[0.5, 0.75], [2.0, 3.25], [4.0, 4.5]]})
+WHERE = TimeAndRegime(
+    "fast, |velocity| > 3 rad/s", {"a.mcap": [[0.5, 0.75], [2.0, 3.25], [4.0, 4.5]]}
+)
 
 
 STICTION = LikelyEffect(

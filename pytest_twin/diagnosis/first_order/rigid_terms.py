@@ -160,7 +160,7 @@ def changes_bodies(effect: Effect, values: Values, joints: int) -> bool:
     return tilted or changed.has_changed_links
 
 
-def tilts(effect: Effect, values: Values, joints: int) -> bool:
+def changes_gravity(effect: Effect, values: Values, joints: int) -> bool:
     """Whether an effect changes gravity; efforts are then not linear in inertial parameters."""
     return _fields([(effect, values)], len(next(iter(values.values()))), joints)[1]
 

@@ -31,8 +31,8 @@ from pytest_twin.diagnosis.first_order.rigid_terms import (
     Efforts,
     Rigid,
     changes_bodies,
+    changes_gravity,
     rigid_terms,
-    tilts,
     upsampled,
 )
 from pytest_twin.diagnosis.first_order.sensor_readings import Column, SensorReadings
@@ -521,7 +521,7 @@ class Linear:
         self.efforts.know(
             [
                 (e, v) for e, v in in_reading_order(values)
-                if changes_bodies(e, v, joints) and not tilts(e, v, joints)
+                if changes_bodies(e, v, joints) and not changes_gravity(e, v, joints)
             ],
             len(hypotheses),
         )  # fmt: skip

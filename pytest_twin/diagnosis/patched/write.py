@@ -26,7 +26,7 @@ from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Twin, load_twin
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordingSettings:
     """Simulation settings that follow from recordings.
 
     Attributes:
@@ -41,7 +41,7 @@ class Recorded:
     between: CommandBetween | None = None
 
 
-_AS_MODELLED = Recorded()
+_AS_MODELLED = RecordingSettings()
 
 
 def write_realization(
@@ -50,7 +50,7 @@ def write_realization(
     problem: Problem,
     hypothesis: Hypothesis,
     inherited: Patched | None = None,
-    recorded: Recorded = _AS_MODELLED,
+    recorded: RecordingSettings = _AS_MODELLED,
 ) -> Patched:
     """Write ``model.xml``, ``effects.json`` and, if it is needed, ``twin.yaml``.
 

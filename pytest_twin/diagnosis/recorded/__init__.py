@@ -9,6 +9,6 @@ determine the answer it is None, and later steps do not depend on it.
 from pytest_twin.diagnosis.recorded.command_between import Between
 from pytest_twin.diagnosis.recorded.doubt import with_doubt
 from pytest_twin.diagnosis.recorded.reconsidered import with_fewer_effects
-from pytest_twin.diagnosis.recorded.settle import Settled, settle
+from pytest_twin.diagnosis.recorded.recorded_signals import RecordedSignals, determine_signals
 
-__all__ = ["Between", "Settled", "settle", "with_doubt", "with_fewer_effects"]
+__all__ = ["Between", "RecordedSignals", "determine_signals", "with_doubt", "with_fewer_effects"]

@@ -18,8 +18,8 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import NOISE
 from pytest_twin.diagnosis.recorded.command_between import (
     MEAN_DELAY,
+    AssumptionResiduals,
     Between,
-    Left,
     decide,
     level,
     without_own_recording,
@@ -152,7 +152,9 @@ def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> J
     return best
 
 
-def _left(fit: JointFit, space: Parameters, lengths: Sequence[int], owner: Sequence[int]) -> Left:
+def _left(
+    fit: JointFit, space: Parameters, lengths: Sequence[int], owner: Sequence[int]
+) -> AssumptionResiduals:
     """Cross-validated residual of a fit.
 
     Args:
@@ -174,4 +176,4 @@ def _left(fit: JointFit, space: Parameters, lengths: Sequence[int], owner: Seque
             steps[r] = space.step(fit.theta, residual[others], fit.slopes[others])
         residual = without_own_recording(residual, steps, fit.slopes, rows)
     nominal = np.sqrt(np.mean(fit.nominal**2, axis=0))
-    return Left(residual, nominal, fit.has_converged, fit.theta[DELAY])
+    return AssumptionResiduals(residual, nominal, fit.has_converged, fit.theta[DELAY])

@@ -48,7 +48,7 @@ which an open question is left at the assumption that is closer to the model."""
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class AssumptionResiduals:
     """Position residuals under one assumption.
 
     Attributes:
@@ -100,7 +100,7 @@ class Between:
 
 
 def decide(
-    left: Mapping[CommandBetween, Left],
+    left: Mapping[CommandBetween, AssumptionResiduals],
     lengths: Sequence[int],
     owner: Sequence[int],
     noise: FloatArray,
@@ -183,7 +183,13 @@ def _ratio(
     return np.array(found)
 
 
-def _ruled_out(best: Left, other: Left, ratio: FloatArray, noise: FloatArray, later: float) -> bool:
+def _ruled_out(
+    best: AssumptionResiduals,
+    other: AssumptionResiduals,
+    ratio: FloatArray,
+    noise: FloatArray,
+    later: float,
+) -> bool:
     """Whether an alternative is ruled out.
 
     Args:
@@ -204,7 +210,7 @@ def _ruled_out(best: Left, other: Left, ratio: FloatArray, noise: FloatArray, la
 
 
 def _by_the_model(
-    left: Mapping[CommandBetween, Left],
+    left: Mapping[CommandBetween, AssumptionResiduals],
     possible: Sequence[CommandBetween],
     rms: Mapping[CommandBetween, FloatArray],
     noise: FloatArray,
@@ -223,7 +229,9 @@ def _by_the_model(
 
 
 def _closer_to_the_model(
-    left: Mapping[CommandBetween, Left], possible: Sequence[CommandBetween], noise: FloatArray
+    left: Mapping[CommandBetween, AssumptionResiduals],
+    possible: Sequence[CommandBetween],
+    noise: FloatArray,
 ) -> CommandBetween:
     """``interpolated`` if the nominal model is clearly closer to the recordings with it, else
     ``held``.

@@ -130,7 +130,7 @@ def below_noise_floor(tested: RefitComparison) -> Rejections:
 
     def doubtful(t: Term) -> bool:
         # Dry friction that turns to bristles of the least length is dry friction in another form.
-        changed = problem.out_of_shape(fitted.hypothesis, t)
+        changed = problem.has_shape_at_bound(fitted.hypothesis, t)
         seen_once = not len(problem.held_out) and _recordings_that_need(tested, t) < 2
         return seen_once or changed or may_be_absent(fitted, t, tested.known)
 
@@ -282,7 +282,7 @@ def at_bound_or_in_doubt(tested: RefitComparison) -> Rejections:
         if all(explained) if t.joint < 0 else explained[t.joint]:
             continue
         likely = tested.is_likely(t)
-        at_an_end = hypothesis.at_bound(t) or problem.out_of_shape(hypothesis, t)
+        at_an_end = hypothesis.at_bound(t) or problem.has_shape_at_bound(hypothesis, t)
         if likely and not at_an_end and not in_doubt(tested, k):
             continue
         why = (

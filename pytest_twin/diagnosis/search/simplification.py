@@ -92,7 +92,7 @@ def split_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
     out = []
     for term in hypothesis.terms:
         cases = _special_cases(problem, hypothesis, term)
-        if len(cases) > 1 and problem.out_of_shape(hypothesis, term):
+        if len(cases) > 1 and problem.has_shape_at_bound(hypothesis, term):
             out.append(hypothesis.without(term).with_terms(cases))
     return out
 

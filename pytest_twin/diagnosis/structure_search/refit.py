@@ -65,7 +65,7 @@ def corrected_fits(
     return best
 
 
-def settled(scorer: Scorer, model: Model, iterations: int) -> tuple[Model, FloatArray]:
+def fit_by_simulation(scorer: Scorer, model: Model, iterations: int) -> tuple[Model, FloatArray]:
     """A model fitted by simulation, and its (samples, signals, parameters) Jacobian."""
     problem = scorer.problem
     problem.refine_at(model.hypothesis)

@@ -24,7 +24,11 @@ from pytest_twin.diagnosis.structure_search.proposals import (
     best_of_each_size,
     proposals,
 )
-from pytest_twin.diagnosis.structure_search.refit import as_fitted, corrected_fits, settled
+from pytest_twin.diagnosis.structure_search.refit import (
+    as_fitted,
+    corrected_fits,
+    fit_by_simulation,
+)
 from pytest_twin.diagnosis.structure_search.score import Model, Scorer
 from pytest_twin.diagnosis.structure_search.settings import SETTINGS, StructureSearchSettings
 from pytest_twin.diagnosis.trace import Decision
@@ -89,7 +93,7 @@ class StructureSearch:
         result = Result(nominal, np.zeros((*nominal.residual.shape, 0)))
         try:
             if start.terms:
-                model, jacobian = settled(
+                model, jacobian = fit_by_simulation(
                     self.scorer, self.scorer.at(start), self.settings.refinements
                 )
                 result = Result(model, jacobian)
@@ -127,7 +131,7 @@ class StructureSearch:
                 raise OutOfTime
             return None
         try:
-            better, jacobian = settled(scorer, winner, self.settings.refinements)
+            better, jacobian = fit_by_simulation(scorer, winner, self.settings.refinements)
             # Both models are compared with the discretization error at their own parameters.
             refined_incumbent = scorer.at(incumbent.hypothesis)
         except OutOfTime:

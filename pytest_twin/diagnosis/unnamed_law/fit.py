@@ -19,7 +19,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.findings import joint_type, joint_unit
 from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.unnamed_law.covariates import Covariate
@@ -66,7 +66,7 @@ class FreeLaws:
 def free_laws(
     prepared: Prepared,
     hypothesis: Hypothesis,
-    left: Mapping[str, Where],
+    left: Mapping[str, TimeAndRegime],
     segments: NDArray[np.int64],
 ) -> FreeLaws:
     """Fit free laws at the joints that are left unexplained.
@@ -181,7 +181,7 @@ def _named(tables: Sequence[Covariate]) -> str:
 def _laws(
     problem: Problem,
     joint: str,
-    where: Where,
+    where: TimeAndRegime,
     chosen: Chosen,
     after: Fitted,
     ranking: Sequence[Chosen],

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_twin.diagnosis.hypothesis import Term
-from pytest_twin.diagnosis.locate import Where
+from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.unnamed_law.shape import Curve, in_words
 from pytest_twin.effects.unnamed_law import UnnamedLaw
 
@@ -55,7 +55,7 @@ class FreeLaw:
     removed: float
     confidence: float
     rivals: tuple[Rival, ...]
-    where: Where
+    where: TimeAndRegime
 
     @property
     def words(self) -> str:

@@ -23,7 +23,7 @@ from pytest_twin.identification.contact.parameters import (
 from pytest_twin.identification.contact.restitution import restitution_of
 from pytest_twin.identification.contact.roles import TossSet
 from pytest_twin.identification.records import verdict_of
-from pytest_twin.identification.stages import HeldOut, Stage, judged
+from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
 from pytest_twin.realization import Realization
 
 _MOTION = {
@@ -57,7 +57,7 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
         for one in ((fit.nominal_held, fit.fitted_held) if held else (fit.nominal, fit.fitted))
     )
     if held:
-        stage = judged(
+        stage = judge_stage(
             stage, HeldOut(float(before.mean()), float(after.mean()), "half widths plus rad")
         )
     model = fit.contact.model

@@ -25,7 +25,7 @@ from pytest_twin.identification.contact.parameters import (
     TORSIONAL,
     ContactModel,
 )
-from pytest_twin.identification.contact.search import Loss, minimized, starts
+from pytest_twin.identification.contact.search import Loss, minimize, starts
 from pytest_twin.identification.contact.tosses import Toss
 from pytest_twin.identification.contact.uncertainty import (
     UNDETERMINED,
@@ -151,7 +151,7 @@ def fit_contact(
         extra = [one.place(one.start) for one in contact.parameters[len(found) :]]
         loss = Loss(contact, stretches)
         seed = np.concatenate([found, extra])
-        found = minimized(loss, seed, 0.05, _GENERATIONS["stretches"], 2)
+        found = minimize(loss, seed, 0.05, _GENERATIONS["stretches"], 2)
         rivals = []
     equivalent: list[Sequence[FloatArray]] = [rivals]
     around = surface(loss, found, groups)
@@ -220,7 +220,7 @@ def _minima(
     """Return the best minimum over all starts, and other minima that predict equally well."""
     begun = starts(contact)
     minima = [
-        minimized(loss, start, 0.25, _GENERATIONS["stretches"], 1 + at,
+        minimize(loss, start, 0.25, _GENERATIONS["stretches"], 1 + at,
                   lambda f, at=at: progress((at + f) / len(begun)))  # type: ignore[misc]
         for at, start in enumerate(begun)
     ]  # fmt: skip
@@ -230,7 +230,7 @@ def _minima(
     others = [minima[at] for at in order[1:]]
     spare = min(_STRETCHES / len(loss.stretches) - 1.0, _MOST_SPARE)
     more = round(_GENERATIONS["stretches"] * spare)
-    polished = minima[best] if more < 1 else minimized(loss, minima[best], 0.08, more, 7)
+    polished = minima[best] if more < 1 else minimize(loss, minima[best], 0.08, more, 7)
     kept = _mean(loss, polished, groups)
     return polished, [at for at in others if is_as_good(kept, _mean(loss, at, groups))]
 
@@ -344,7 +344,7 @@ def _refined(
     """Refine the estimate on whole tosses; keep the result if it predicts significantly better."""
     some = np.random.default_rng(4).permutation(len(rows))[:_WHOLE]
     search = Loss(contact, [rows[at] for at in some])
-    moved = minimized(search, places, 0.05, _GENERATIONS["whole"], 3)
+    moved = minimize(search, places, 0.05, _GENERATIONS["whole"], 3)
     models = [contact.at(contact.values(one)) for one in (places, moved)]
     before, after = (
         losses(one, contact.size) for one in errors_of(models, contact.body, list(rows))
@@ -383,7 +383,7 @@ def _variants(
     changes = variants_of(contact.model)
     for done, (name, change) in enumerate(changes.items(), 1):
         other = contact.with_options(change)
-        moved = minimized(Loss(other, stretches), places, 0.08, _GENERATIONS["variant"], 6)
+        moved = minimize(Loss(other, stretches), places, 0.08, _GENERATIONS["variant"], 6)
         own = {**values, **other.values(moved)}
         nothing = TossErrors(np.zeros(0), np.zeros(0))
         errors = (

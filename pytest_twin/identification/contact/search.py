@@ -26,7 +26,7 @@ sequence."""
 
 
 @dataclass(frozen=True)
-class Evaluated:
+class Evaluations:
     """Evaluated parameters with the error of each segment.
 
     Attributes:
@@ -61,12 +61,12 @@ class Loss:
         self.rows += rows
         return np.array(rows)
 
-    def evaluated(self) -> Evaluated:
+    def evaluated(self) -> Evaluations:
         """Return all evaluations."""
-        return Evaluated(np.array(self.places), np.array(self.rows))
+        return Evaluations(np.array(self.places), np.array(self.rows))
 
 
-def minimized(
+def minimize(
     loss: Loss,
     start: FloatArray,
     spread: float,

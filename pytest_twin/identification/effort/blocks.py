@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.least_squares import Linear, Solution, weighed
+from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, weighed
 
 _ENOUGH = 10
 """Smallest number of recordings for which each recording is one block."""
@@ -39,7 +39,9 @@ class Bootstrap:
     wider: NDArray[np.bool_]
 
 
-def bootstrap(problem: Linear, fitted: Solution, left: FloatArray | None = None) -> Bootstrap:
+def bootstrap(
+    problem: LinearProblem, fitted: Solution, left: FloatArray | None = None
+) -> Bootstrap:
     """Repeat the fit with random weights of the blocks and the final weights of the rows.
 
     Residuals may be correlated within a block in any way (Künsch, Annals of Statistics 17, 1989).
@@ -62,7 +64,7 @@ def bootstrap(problem: Linear, fitted: Solution, left: FloatArray | None = None)
 
 
 def normal_equations(
-    problem: Linear, weight: FloatArray, left: FloatArray | None = None
+    problem: LinearProblem, weight: FloatArray, left: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """(blocks, b, b) sums of Z^T W and (blocks, b) sums of Z^T y over each block.
 

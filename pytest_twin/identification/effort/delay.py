@@ -10,7 +10,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential import SIGNIFICANT
-from pytest_twin.identification.effort.least_squares import Linear, solve
+from pytest_twin.identification.effort.least_squares import LinearProblem, solve
 from pytest_twin.identification.measured import Measured
 
 DELAY, LAG = "robot.effort_delay", "robot.effort_lag"
@@ -37,7 +37,7 @@ class Delay:
         return abs(self.value) * Z95 >= SIGNIFICANT * self.half_width
 
 
-def delay_of(problem: Linear, recorded: FloatArray, rate: float) -> Delay:
+def delay_of(problem: LinearProblem, recorded: FloatArray, rate: float) -> Delay:
     """Estimate the delay to first order: effort(t) = model(t - delay) = model - delay d(effort)/dt.
 
     All parameters of the problem are estimated together with the delay, so that friction and
@@ -80,7 +80,7 @@ def without_delay(
     )
 
 
-def _slopes(problem: Linear, recorded: FloatArray, rate: float) -> FloatArray:
+def _slopes(problem: LinearProblem, recorded: FloatArray, rate: float) -> FloatArray:
     ends = np.cumsum(problem.lengths)
     parts = [
         np.gradient(recorded[end - n : end], 1.0 / rate, axis=0)

@@ -8,8 +8,8 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.input_mistakes import InputMistake
-from pytest_twin.identification.effort.least_squares import Linear, Solution, dry_levels
-from pytest_twin.identification.effort.sampled import Sampled
+from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, dry_levels
+from pytest_twin.identification.effort.sampled import RecordingRows
 
 _SURE = 6.0
 """Number of standard deviations above which a change is significant."""
@@ -23,7 +23,10 @@ _WARM = "record after the robot is warm, or identify cold and warm recordings ap
 
 
 def drifts(
-    problem: Linear, fitted: Solution, samples: Sequence[Sampled], viscous: Mapping[str, float]
+    problem: LinearProblem,
+    fitted: Solution,
+    samples: Sequence[RecordingRows],
+    viscous: Mapping[str, float],
 ) -> list[InputMistake]:
     """Detect joints whose friction or constant effort changes over a recording.
 

@@ -12,7 +12,7 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential import SIGNIFICANT, shrinkage
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.least_squares import (
-    Linear,
+    LinearProblem,
     Solution,
     moved_by,
     solve,
@@ -35,7 +35,7 @@ _WIDEST = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class EncoderError:
     """One error of an encoder: measured = (1 + scale) q + bias.
 
     Attributes:
@@ -57,7 +57,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Encoders:
+class EncoderErrors:
     """Encoder errors estimated from efforts.
 
     Attributes:
@@ -66,12 +66,12 @@ class Encoders:
         corrected: errors that were removed from the recordings.
     """
 
-    readings: tuple[Reading, ...] = ()
+    readings: tuple[EncoderError, ...] = ()
     undetermined: tuple[tuple[str, str], ...] = ()
-    corrected: tuple[Reading, ...] = ()
+    corrected: tuple[EncoderError, ...] = ()
 
     @property
-    def wrong(self) -> tuple[Reading, ...]:
+    def wrong(self) -> tuple[EncoderError, ...]:
         """Errors that differ significantly from zero."""
         return tuple(one for one in self.readings if one.is_significant)
 
@@ -86,10 +86,10 @@ def encoders_of(
     recordings: Sequence[Measured],
     regressor: Regressor,
     base: BaseParameters,
-    problem: Linear,
+    problem: LinearProblem,
     values: FloatArray,
     chosen: Filter,
-) -> Encoders:
+) -> EncoderErrors:
     """Estimate the errors of all encoders to first order, together with all other parameters.
 
     A zero of the last joint is equivalent to a rotation of its link's centre of mass and is
@@ -121,16 +121,16 @@ def encoders_of(
         half = found.half_width[free:]
         if half.max() <= _WIDEST:
             readings = tuple(
-                Reading(*names[k], float(value), float(width))
+                EncoderError(*names[k], float(value), float(width))
                 for k, value, width in zip(kept, found.values[free:], half, strict=True)
             )
-            return Encoders(readings, tuple(n for k, n in enumerate(names) if k not in kept))
+            return EncoderErrors(readings, tuple(n for k, n in enumerate(names) if k not in kept))
         kept.pop(int(np.argmax(half)))
-    return Encoders((), tuple(names))
+    return EncoderErrors((), tuple(names))
 
 
 def widened(
-    problem: Linear, solution: Solution, slopes: FloatArray, encoders: Encoders
+    problem: LinearProblem, solution: Solution, slopes: FloatArray, encoders: EncoderErrors
 ) -> Solution:
     """A solution whose covariance and intervals allow for errors of the encoders.
 
@@ -183,20 +183,20 @@ def slopes_of(
     for joint, kind in names:
         ends = []
         for step in (_STEP, -_STEP):
-            moved = without_errors(recordings, [Reading(joint, kind, step, 0.0)])
+            moved = without_errors(recordings, [EncoderError(joint, kind, step, 0.0)])
             ends.append(np.concatenate(predicted(moved, regressor, chosen, each)))
         slopes.append((ends[0] - ends[1]) / (2.0 * _STEP))
     return np.stack(slopes, axis=2)
 
 
 def without_errors(
-    recordings: Sequence[Measured], readings: Sequence[Reading]
+    recordings: Sequence[Measured], readings: Sequence[EncoderError]
 ) -> tuple[Measured, ...]:
     """Return the recordings with positions corrected for known encoder errors."""
     return tuple(replace(one, position=_true(one, readings)) for one in recordings)
 
 
-def describe_errors(readings: Sequence[Reading], slides: Mapping[str, bool]) -> str:
+def describe_errors(readings: Sequence[EncoderError], slides: Mapping[str, bool]) -> str:
     """Describe encoder errors as text."""
     words = []
     for one in readings:
@@ -212,7 +212,7 @@ def describe_errors(readings: Sequence[Reading], slides: Mapping[str, bool]) -> 
     return ", ".join(words)
 
 
-def _true(recording: Measured, readings: Sequence[Reading]) -> FloatArray:
+def _true(recording: Measured, readings: Sequence[EncoderError]) -> FloatArray:
     position = recording.position.copy()
     for kind in (BIAS, SCALE):
         for one in readings:

@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.least_squares import Linear, Solution, information, solve
+from pytest_twin.identification.effort.least_squares import (
+    LinearProblem,
+    Solution,
+    information,
+    solve,
+)
 
 SIGNIFICANT = 4.0
 """Distance from zero, in standard deviations, below which a parameter is not essential. On the
@@ -38,7 +43,7 @@ class Essential:
         return whole
 
 
-def essential(problem: Linear) -> Essential:
+def essential(problem: LinearProblem) -> Essential:
     """Backward elimination of parameters that do not differ from zero (Khalil, Dombre 2002, 12.5).
 
     Args:
@@ -56,7 +61,7 @@ def essential(problem: Linear) -> Essential:
         kept = np.delete(kept, removed)
 
 
-def _eliminated(problem: Linear, found: Solution) -> list[int]:
+def _eliminated(problem: LinearProblem, found: Solution) -> list[int]:
     """Return the columns to remove, in order, with the weights of a solution."""
     said = information(problem, found.residual, found.weight)
     values = found.values.copy()
@@ -90,7 +95,7 @@ def shrinkage(t: FloatArray) -> float:
 
 
 def omission(
-    problem: Linear, kept: NDArray[np.intp], held: NDArray[np.intp], found: Solution
+    problem: LinearProblem, kept: NDArray[np.intp], held: NDArray[np.intp], found: Solution
 ) -> FloatArray:
     """(k,) RMS bias of the kept parameters that the omission of the others causes.
 

@@ -12,11 +12,11 @@ from pytest_twin.identification.effort.blocks import Bootstrap, bootstrap
 from pytest_twin.identification.effort.essential import Essential, essential, omission
 from pytest_twin.identification.effort.instruments import (
     Endogeneity,
-    along_commands,
     endogeneity,
-    instrumental,
+    solve_instrumental,
+    with_commanded_motion,
 )
-from pytest_twin.identification.effort.least_squares import Linear, Solution, moved_by, solve
+from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, moved_by, solve
 
 Estimator = Literal["weighted least squares", "instrumental variables"]
 SQUARES: Estimator = "weighted least squares"
@@ -51,7 +51,7 @@ class Estimate:
         return found
 
 
-def estimate(problem: Linear, tested: Linear, found: Essential) -> Estimate:
+def estimate(problem: LinearProblem, tested: LinearProblem, found: Essential) -> Estimate:
     """Choose the estimator by the test of Durbin, Wu and Hausman, and check its intervals.
 
     Args:
@@ -67,18 +67,18 @@ def estimate(problem: Linear, tested: Linear, found: Essential) -> Estimate:
     elif not moved_by(own.instrument, own).all():
         why = "no instrument: the commanded motion does not move every parameter"
     else:
-        instruments = instrumental(own, squares)
+        instruments = solve_instrumental(own, squares)
         test = endogeneity(own, tested.only(kept), squares, instruments)
         why = test.words
         if test.is_biased:
             estimator = INSTRUMENTS
             # The commanded motion is used, because noise in the measured motion would bias least
             # squares.
-            found = essential(along_commands(problem))
+            found = essential(with_commanded_motion(problem))
             kept, own = found.kept, problem.only(found.kept)
             squares = solve(own)
-            solution = instrumental(own, squares)
-            bias = omission(along_commands(problem), kept, found.held, solution)
+            solution = solve_instrumental(own, squares)
+            bias = omission(with_commanded_motion(problem), kept, found.held, solution)
             half = np.hypot(solution.half_width, Z95 * bias)
             solution = replace(solution, half_width=half)
     left = own.instrument if estimator == INSTRUMENTS else None

@@ -14,8 +14,8 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.delay import LAG, Delay, delay_of, without_delay
 from pytest_twin.identification.effort.drift import drifts
 from pytest_twin.identification.effort.encoders import (
-    Encoders,
-    Reading,
+    EncoderError,
+    EncoderErrors,
     describe_errors,
     encoders_of,
     slopes_of,
@@ -28,9 +28,9 @@ from pytest_twin.identification.effort.filtering import Filter, choose_filter
 from pytest_twin.identification.effort.groups import EXCLUDES, dry_of, stages_of
 from pytest_twin.identification.effort.input_mistakes import InputMistake, find_mistakes
 from pytest_twin.identification.effort.instruments import (
-    along_commands,
-    instrumental,
     instruments_of,
+    solve_instrumental,
+    with_commanded_motion,
 )
 from pytest_twin.identification.effort.judging import (
     EffortError,
@@ -40,15 +40,15 @@ from pytest_twin.identification.effort.judging import (
     with_data,
 )
 from pytest_twin.identification.effort.least_squares import (
-    Linear,
+    LinearProblem,
     Solution,
     information,
-    linear,
+    linear_problem,
     moved_by,
     solve,
 )
 from pytest_twin.identification.effort.position_mistakes import position_mistakes
-from pytest_twin.identification.effort.sampled import Sampled, sample
+from pytest_twin.identification.effort.sampled import RecordingRows, sample
 from pytest_twin.identification.effort.scale import (
     Scale,
     payload_effort,
@@ -64,7 +64,7 @@ from pytest_twin.identification.regressor import (
     base_of,
     structural_base,
 )
-from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged
+from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_stage
 from pytest_twin.realization import Realization
 from pytest_twin.signals import Signals
 
@@ -123,13 +123,13 @@ class EffortResult:
     unsure: NDArray[np.bool_]
     physical: Physical
     filter: Filter
-    samples: tuple[Sampled, ...]
-    held_out: tuple[Sampled, ...]
+    samples: tuple[RecordingRows, ...]
+    held_out: tuple[RecordingRows, ...]
     delay: Delay | None
     suspected: tuple[InputMistake, ...]
     notes: tuple[str, ...]
     estimate: Estimate
-    encoders: Encoders = field(default_factory=Encoders)
+    encoders: EncoderErrors = field(default_factory=EncoderErrors)
     scales: Mapping[str, Scale] = field(default_factory=dict)
 
 
@@ -196,7 +196,7 @@ def _with_delay(
                 f"efforts pass a low-pass filter with a time constant of {1e3 * late.value:.2f} ms "
                 f"(± {1e3 * late.half_width:.2f}), {0.5 / np.pi / late.value:.3g} Hz"
             )
-    stage = judged(
+    stage = judge_stage(
         Stage("delay", "accepted", said, (late.name,), None, EXCLUDES["delay"]),
         HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
     )
@@ -241,7 +241,7 @@ def _with_encoders(
             why = "the motion does not tell a zero or scale of an encoder from parameters of links"
         return measured, found, Stage("encoder", "not_observable", why, (), None, excludes)
     right, again, left = measured, found, said
-    applied: dict[tuple[str, str], Reading] = {}
+    applied: dict[tuple[str, str], EncoderError] = {}
     for _ in range(_ROUNDS):
         # Only the most significant error is corrected, since it biases the estimates of the others.
         fresh = [one for one in left.wrong if (one.joint, one.kind) not in applied]
@@ -263,7 +263,7 @@ def _with_encoders(
         left = _encoders(realization, right, again)
         if not any((one.joint, one.kind) not in applied for one in left.wrong):
             break
-    stage = judged(
+    stage = judge_stage(
         Stage(
             "encoder", "accepted", describe_errors(readings, slides),
             tuple(f"{one.joint}.{one.kind}" for one in readings), None, excludes,
@@ -285,7 +285,7 @@ def _with_encoders(
     return right, replace(again, delay=found.delay, encoders=told), stage
 
 
-def _at_true_positions(measured: MeasuredSet, readings: Sequence[Reading]) -> MeasuredSet:
+def _at_true_positions(measured: MeasuredSet, readings: Sequence[EncoderError]) -> MeasuredSet:
     return MeasuredSet(
         without_errors(measured.fit, readings), without_errors(measured.held_out, readings)
     )
@@ -322,7 +322,9 @@ def _reopened(
     )
 
 
-def _encoders(realization: Realization, measured: MeasuredSet, found: EffortResult) -> Encoders:
+def _encoders(
+    realization: Realization, measured: MeasuredSet, found: EffortResult
+) -> EncoderErrors:
     shown = _problem(found.samples, found.regressor, found.base)
     return encoders_of(
         realization, measured.fit, found.regressor, found.base,
@@ -356,7 +358,7 @@ def _with_scales(
     right = MeasuredSet(scaled(measured.fit, off), scaled(measured.held_out, off))
     again, _ = _identify(realization, right, signals)
     words = ", ".join(f"{joint} {scale.value:.3f}" for joint, scale in off.items())
-    stage = judged(
+    stage = judge_stage(
         Stage(
             "drive", "accepted", f"recorded over true effort, from known payloads: {words}",
             tuple(f"{joint}.effort_scale" for joint in off), None, EXCLUDES["drive"],
@@ -453,15 +455,15 @@ def _identify(
     # Noise of the measured motion would look like an error of the stages.
     quiet = found.estimator == INSTRUMENTS
     stages = compare_stages(
-        along_commands(problem) if quiet else problem,
-        along_commands(tested) if quiet else tested,
+        with_commanded_motion(problem) if quiet else problem,
+        with_commanded_motion(tested) if quiet else tested,
         fitted, stage_of, prior, base, bool(held),
     )  # fmt: skip
     stages = with_data(stages, problem, fitted, stage_of, [rows.name for rows in fit])
     values = accepted_values(fitted, stages, stage_of, prior)
     full = solve(shown, intervals=False)
     if found.estimator == INSTRUMENTS:
-        full = instrumental(shown, full)
+        full = solve_instrumental(shown, full)
     said = np.zeros((len(base), len(base)))
     said[np.ix_(columns, columns)] = _precision(shown, full)
     whole = np.zeros(len(base))
@@ -509,18 +511,20 @@ def _base(regressor: Regressor, known: NDArray[np.bool_]) -> BaseParameters:
     return base_of(regressor.matrix(*motion)[:, known], regressor.columns)
 
 
-def _problem(samples: Sequence[Sampled], regressor: Regressor, base: BaseParameters) -> Linear:
+def _problem(
+    samples: Sequence[RecordingRows], regressor: Regressor, base: BaseParameters
+) -> LinearProblem:
     dry = dry_of(regressor.columns, regressor.joints)[:, base.independent]
-    return linear(samples, base.independent, dry)
+    return linear_problem(samples, base.independent, dry)
 
 
-def _unobservable(problem: Linear) -> NDArray[np.bool_]:
+def _unobservable(problem: LinearProblem) -> NDArray[np.bool_]:
     """(b,) True for parameters that the motion does not determine, for any noise."""
     return ~moved_by(problem.matrix, problem)
 
 
 def _unsure(
-    problem: Linear,
+    problem: LinearProblem,
     prior: FloatArray,
     columns: NDArray[np.intp],
     kept: NDArray[np.intp],
@@ -551,7 +555,7 @@ def _unsure(
     return found
 
 
-def _precision(problem: Linear, solution: Solution) -> FloatArray:
+def _precision(problem: LinearProblem, solution: Solution) -> FloatArray:
     """(b, b) inverse covariance of a fit, for residuals correlated in time."""
     said = information(problem, solution.residual, solution.weight)
     shrunk = np.trace(said.matrix) / max(np.trace(said.enlarged), 1e-300)

@@ -10,8 +10,8 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.filtering import choose_filter
-from pytest_twin.identification.effort.least_squares import Linear, Solution, solve
-from pytest_twin.identification.effort.sampled import Sampled, sample
+from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, solve
+from pytest_twin.identification.effort.sampled import RecordingRows, sample
 from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
@@ -59,7 +59,7 @@ class InputMistake:
 def find_mistakes(
     realization: Realization,
     recordings: Sequence[Measured],
-    samples: Sequence[Sampled],
+    samples: Sequence[RecordingRows],
     regressor: Regressor,
     gears: Sequence[float],
 ) -> list[InputMistake]:
@@ -118,7 +118,7 @@ class _Rescaling:
 def _rescaled_by_effort(
     realization: Realization,
     recordings: Sequence[Measured],
-    samples: Sequence[Sampled],
+    samples: Sequence[RecordingRows],
     regressor: Regressor,
     gears: Sequence[float],
 ) -> list[InputMistake]:
@@ -195,7 +195,9 @@ def _factor(joint: str, factor: float, gear: float) -> InputMistake:
     )
 
 
-def _unsigned(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> InputMistake | None:
+def _unsigned(
+    samples: Sequence[RecordingRows], regressor: Regressor, joint: int
+) -> InputMistake | None:
     """Return a suspicion if an effort of one sign fits far better as an amount.
 
     The effort is given the sign of the model's effort, which depends on the fit: both are repeated
@@ -236,13 +238,15 @@ def _unsigned(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> I
     )
 
 
-def _alone(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Solution | None:
+def _alone(samples: Sequence[RecordingRows], regressor: Regressor, joint: int) -> Solution | None:
     """Fit factor of the rigid bodies, viscous and dry friction and constant effort of one joint."""
     problem = _alone_problem(samples, regressor, joint)
     return None if problem is None else solve(problem)
 
 
-def _alone_problem(samples: Sequence[Sampled], regressor: Regressor, joint: int) -> Linear | None:
+def _alone_problem(
+    samples: Sequence[RecordingRows], regressor: Regressor, joint: int
+) -> LinearProblem | None:
     """Columns of one joint: rigid bodies, viscous and dry friction, constant effort, armature."""
     name = regressor.joints[joint]
     at = {c.kind: i for i, c in enumerate(regressor.columns) if c.joint == name}
@@ -264,7 +268,7 @@ def _alone_problem(samples: Sequence[Sampled], regressor: Regressor, joint: int)
     sizes = np.linalg.norm(columns[known], axis=0)
     if known.sum() < 50 or sizes[:3].min() < 1e-6 * sizes.max():
         return None
-    return Linear(
+    return LinearProblem(
         columns[:, None], np.where(known, effort, 0.0)[:, None], known[:, None], resting[:, None],
         np.array([[False, False, True, False, False]]), tuple(len(s.time) for s in samples),
     )  # fmt: skip

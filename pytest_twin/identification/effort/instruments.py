@@ -20,7 +20,12 @@ from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.blocks import bootstrap_deviations, normal_equations
 from pytest_twin.identification.effort.filtering import Filter, low_passed, uniform
-from pytest_twin.identification.effort.least_squares import Linear, Solution, row_weights, weighed
+from pytest_twin.identification.effort.least_squares import (
+    LinearProblem,
+    Solution,
+    row_weights,
+    weighed,
+)
 from pytest_twin.identification.measured import Measured
 
 _ITERATIONS = 3
@@ -108,13 +113,13 @@ def commanded_motion(recording: Measured, chosen: Filter) -> Measured | None:
     return replace(even, position=np.column_stack(columns))
 
 
-def along_commands(problem: Linear) -> Linear:
+def with_commanded_motion(problem: LinearProblem) -> LinearProblem:
     """Return the problem with the noise-free regressor of the commanded motion."""
     assert problem.instrument is not None
     return replace(problem, matrix=problem.instrument, instrument=None)
 
 
-def instrumental(problem: Linear, start: Solution) -> Solution:
+def solve_instrumental(problem: LinearProblem, start: Solution) -> Solution:
     """Solve by weighted instrumental variables, (Z^T W)^-1 Z^T y, with robust weights.
 
     Half widths are at least those of the bootstrap over blocks.
@@ -142,7 +147,7 @@ def instrumental(problem: Linear, start: Solution) -> Solution:
 
 
 def endogeneity(
-    problem: Linear, tested: Linear, squares: Solution, instruments: Solution
+    problem: LinearProblem, tested: LinearProblem, squares: Solution, instruments: Solution
 ) -> Endogeneity:
     """Test whether both estimates differ by more than they would without noise in the regressor.
 
@@ -173,7 +178,7 @@ def endogeneity(
     )
 
 
-def _solved(problem: Linear, left: FloatArray, weight: FloatArray) -> FloatArray:
+def _solved(problem: LinearProblem, left: FloatArray, weight: FloatArray) -> FloatArray:
     z, w = weighed(left, weight), weighed(problem.matrix, weight)
     sizes = np.maximum(np.linalg.norm(w, axis=0), 1e-300)
     rows, right = z.T @ w, z.T @ (problem.effort * weight).ravel()
@@ -181,7 +186,7 @@ def _solved(problem: Linear, left: FloatArray, weight: FloatArray) -> FloatArray
     return np.asarray(np.linalg.lstsq(scaled, right / sizes, rcond=None)[0] / sizes)
 
 
-def _influence(problem: Linear, left: FloatArray, weight: FloatArray) -> FloatArray:
+def _influence(problem: LinearProblem, left: FloatArray, weight: FloatArray) -> FloatArray:
     """(b, n * joints) derivative of the estimate by each effort."""
     z, w = weighed(left, weight), weighed(problem.matrix, weight)
     sizes = np.maximum(np.linalg.norm(w, axis=0), 1e-300)
@@ -189,7 +194,7 @@ def _influence(problem: Linear, left: FloatArray, weight: FloatArray) -> FloatAr
     return np.asarray((scaled / sizes[:, None]) @ (z / sizes).T * weight.ravel())
 
 
-def _variance(influence: FloatArray, residual: FloatArray, problem: Linear) -> FloatArray:
+def _variance(influence: FloatArray, residual: FloatArray, problem: LinearProblem) -> FloatArray:
     """(b, b) covariance of ``influence @ residual``, for residuals correlated in time."""
     rows, joints = residual.shape
     effective = np.maximum(effective_samples(residual, problem.lengths), 2.0)
@@ -203,7 +208,7 @@ def _variance(influence: FloatArray, residual: FloatArray, problem: Linear) -> F
     return total
 
 
-def _explained(tested: Linear, solution: Solution) -> float:
+def _explained(tested: LinearProblem, solution: Solution) -> float:
     """Fraction of the weighted squared residual that the instrument's columns explain."""
     assert tested.instrument is not None
     weight = np.where(tested.known & np.isfinite(solution.noise), 1.0, 0.0)

@@ -12,14 +12,14 @@ from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.identification.effort.essential import Essential
 from pytest_twin.identification.effort.groups import EXCLUDES
 from pytest_twin.identification.effort.least_squares import (
-    Linear,
+    LinearProblem,
     Solution,
     deviations,
     dry_levels,
     solve,
 )
 from pytest_twin.identification.regressor import BaseParameters
-from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged, shares
+from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_stage, shares
 
 _LINEAR_STAGES: tuple[StageName, ...] = ("gravity", "inertia", "friction", "drive")
 _ENOUGH_MOVING = 10
@@ -42,8 +42,8 @@ class EffortError:
 
 
 def compare_stages(
-    problem: Linear,
-    tested: Linear,
+    problem: LinearProblem,
+    tested: LinearProblem,
     fitted: Essential,
     stage_of: Sequence[StageName],
     prior: FloatArray,
@@ -79,7 +79,7 @@ def compare_stages(
         before = np.zeros(len(own))
         held = np.flatnonzero(own == name)
         before[held] = prior[held]
-        rest = Linear(
+        rest = LinearProblem(
             problem.matrix[..., others],
             np.where(problem.known, problem.effort - problem.matrix @ before, 0.0),
             problem.known, problem.resting, problem.dry[:, others], problem.lengths,
@@ -92,13 +92,13 @@ def compare_stages(
         )
         why = "" if held_out else "nothing is held out, the error is that of what was fitted"
         stage = Stage(name, "accepted", why, words, None, EXCLUDES[name])
-        found.append(judged(stage, one, chance))
+        found.append(judge_stage(stage, one, chance))
     return tuple(found)
 
 
 def with_data(
     stages: Sequence[Stage],
-    problem: Linear,
+    problem: LinearProblem,
     fitted: Essential,
     stage_of: Sequence[StageName],
     recordings: Sequence[str],
@@ -143,7 +143,9 @@ def parameter_name(base: BaseParameters, at: int) -> str:
     return base.names[at] if alone else base.expressions[at]
 
 
-def _weighted(problem: Linear, values: FloatArray, fitted: Solution, dry: FloatArray) -> float:
+def _weighted(
+    problem: LinearProblem, values: FloatArray, fitted: Solution, dry: FloatArray
+) -> float:
     """Root mean square of the residuals, divided by the fit's noise of each joint.
 
     Rows at rest of a moving joint are excluded. There, dry friction of unknown sign hides the
@@ -157,7 +159,9 @@ def _weighted(problem: Linear, values: FloatArray, fitted: Solution, dry: FloatA
     return float(np.sqrt(np.mean(off**2)))
 
 
-def errors_of(problem: Linear, values: FloatArray, joints: Sequence[str]) -> dict[str, EffortError]:
+def errors_of(
+    problem: LinearProblem, values: FloatArray, joints: Sequence[str]
+) -> dict[str, EffortError]:
     """Return joint -> error with (b,) parameters, without joints of unknown effort."""
     off = problem.effort - problem.matrix @ values
     found = {}

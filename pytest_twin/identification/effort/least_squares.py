@@ -12,7 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.intervals import clusters, jackknife
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.sampled import Sampled
+from pytest_twin.identification.effort.sampled import RecordingRows
 from pytest_twin.identification.regressor import predicted_covariance
 from pytest_twin.metrics.joint_covariance import upper_covariance
 
@@ -26,7 +26,7 @@ one in 300 normal residuals exceeds it, so the estimate loses no precision."""
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearProblem:
     """Linear problem; rows of all recordings are concatenated.
 
     Attributes:
@@ -47,9 +47,9 @@ class Linear:
     lengths: tuple[int, ...]
     instrument: FloatArray | None = None
 
-    def only(self, columns: NDArray[np.intp]) -> Linear:
+    def only(self, columns: NDArray[np.intp]) -> LinearProblem:
         """Return the problem with these columns only."""
-        return Linear(
+        return LinearProblem(
             self.matrix[..., columns],
             self.effort,
             self.known,
@@ -88,7 +88,9 @@ class Solution:
         return np.asarray(self.half_width / Z95)
 
 
-def linear(samples: Sequence[Sampled], columns: NDArray[np.intp], dry: NDArray[np.bool_]) -> Linear:
+def linear_problem(
+    samples: Sequence[RecordingRows], columns: NDArray[np.intp], dry: NDArray[np.bool_]
+) -> LinearProblem:
     """Build the linear problem of recordings.
 
     Args:
@@ -99,7 +101,7 @@ def linear(samples: Sequence[Sampled], columns: NDArray[np.intp], dry: NDArray[n
     effort = np.concatenate([s.effort for s in samples])
     known = np.isfinite(effort) & ~np.concatenate([s.saturated for s in samples])
     instruments = [s.instrument[..., columns] for s in samples if s.instrument is not None]
-    return Linear(
+    return LinearProblem(
         np.concatenate([s.matrix[..., columns] for s in samples]),
         np.where(known, effort, 0.0),
         known,
@@ -110,7 +112,7 @@ def linear(samples: Sequence[Sampled], columns: NDArray[np.intp], dry: NDArray[n
     )
 
 
-def moved_by(columns: FloatArray, problem: Linear) -> NDArray[np.bool_]:
+def moved_by(columns: FloatArray, problem: LinearProblem) -> NDArray[np.bool_]:
     """(b,) True for parameters that a motion determines, for any noise.
 
     Args:
@@ -122,7 +124,7 @@ def moved_by(columns: FloatArray, problem: Linear) -> NDArray[np.bool_]:
     return ~predicted_covariance(rows, np.where(size > 0, size, 1.0)).undetermined
 
 
-def solve(problem: Linear, *, intervals: bool = True) -> Solution:
+def solve(problem: LinearProblem, *, intervals: bool = True) -> Solution:
     """Solve by iteratively reweighted least squares, with noise per joint and robust weights.
 
     The effort of a joint at rest is uncertain by its dry friction, so the variance of its rows
@@ -168,7 +170,7 @@ def weighed(columns: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def row_weights(
-    problem: Linear, residual: FloatArray, values: FloatArray
+    problem: LinearProblem, residual: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return reciprocal standard deviations of every row, and each joint's noise while moving."""
     count = residual.shape[1]
@@ -184,7 +186,7 @@ def row_weights(
     return np.where(known, robust / np.where(known, deviation, 1.0), 0.0), noise
 
 
-def dry_levels(problem: Linear, values: FloatArray) -> FloatArray:
+def dry_levels(problem: LinearProblem, values: FloatArray) -> FloatArray:
     """(joints,) dry friction of each joint for given parameters, N*m or N."""
     return np.array([np.abs(values[own]).sum() for own in problem.dry])
 
@@ -219,7 +221,7 @@ class Information:
         return np.asarray(inverse @ self.enlarged[np.ix_(columns, columns)] @ inverse)
 
 
-def information(problem: Linear, residual: FloatArray, weight: FloatArray) -> Information:
+def information(problem: LinearProblem, residual: FloatArray, weight: FloatArray) -> Information:
     """Return the information matrices of a problem with given weights.
 
     Residuals are correlated in time, so the effective sample size of each joint is used (Geyer
@@ -238,7 +240,7 @@ def information(problem: Linear, residual: FloatArray, weight: FloatArray) -> In
 
 
 def _uncertainty(
-    problem: Linear, residual: FloatArray, weight: FloatArray
+    problem: LinearProblem, residual: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance for correlated residuals, and half widths checked by a jackknife.
 

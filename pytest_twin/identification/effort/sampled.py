@@ -21,7 +21,7 @@ _REST = 0.002
 
 
 @dataclass(frozen=True)
-class Sampled:
+class RecordingRows:
     """Rows of one recording at the rate of the fit.
 
     Attributes:
@@ -51,7 +51,7 @@ def sample(
     regressors: Sequence[Regressor],
     chosen: Filter,
     commanded: Sequence[Measured] | None = None,
-) -> list[Sampled]:
+) -> list[RecordingRows]:
     """Rows of every recording.
 
     Args:
@@ -106,11 +106,11 @@ def _rest(motions: Sequence[Motion]) -> FloatArray:
 
 def _rows(
     recording: Measured, motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray
-) -> Sampled:
+) -> RecordingRows:
     velocity = decimated(motion.velocity, motion.rate, chosen)
     top = np.abs(motion.effort) >= 0.98 * recording.limit
     inner = _inner(len(velocity), chosen)
-    return Sampled(
+    return RecordingRows(
         name=recording.path.name,
         time=motion.time[:: max(1, round(motion.rate / chosen.rate))][inner],
         matrix=_matrix(motion, regressor, chosen, rest),

@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import Filter
-from pytest_twin.identification.effort.sampled import Sampled, sample
+from pytest_twin.identification.effort.sampled import RecordingRows, sample
 from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
@@ -41,7 +41,7 @@ class Scale:
 
 
 def payload_effort(
-    realization: Realization, regressor: Regressor, recording: Measured, rows: Sampled
+    realization: Realization, regressor: Regressor, recording: Measured, rows: RecordingRows
 ) -> FloatArray | None:
     """(n, joints) effort of a known payload of the recording; None without a payload.
 
@@ -122,7 +122,7 @@ def scaled(recordings: Sequence[Measured], scales: Mapping[str, Scale]) -> tuple
     )
 
 
-def _lengths(use: np.ndarray, rows: Sequence[Sampled]) -> list[int]:
+def _lengths(use: np.ndarray, rows: Sequence[RecordingRows]) -> list[int]:
     ends = np.cumsum([len(own.time) for own in rows])
     starts = [0, *ends[:-1]]
     return [int(use[a:b].sum()) for a, b in zip(starts, ends, strict=True)]

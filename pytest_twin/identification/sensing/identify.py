@@ -21,8 +21,8 @@ from pytest_twin.identification.sensing.estimate import (
     estimate,
     estimate_camera,
 )
-from pytest_twin.identification.sensing.recorded import Mounted, SensorTrial, read_sensor
-from pytest_twin.identification.stages import HeldOut, Stage, judged
+from pytest_twin.identification.sensing.recorded import NamedSensor, SensorTrial, read_sensor
+from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization
 from pytest_twin.sensors.imu import noise_of
@@ -48,7 +48,7 @@ def identify_sensors(
     realization: Realization,
     recordings: Sequence[Path],
     held_out: Sequence[Path],
-    sensors: Sequence[Mounted],
+    sensors: Sequence[NamedSensor],
     state: str,
     folder: Path,
     progress: Callable[[float], None] = lambda fraction: None,
@@ -93,7 +93,7 @@ def identify_sensors(
             excludes=_GIVEN.get(found.kind, "payload and frame of the model are given"),
         )  # fmt: skip
         if tested:
-            stage = judged(stage, HeldOut(before, after, "of an ideal sensor's error"))
+            stage = judge_stage(stage, HeldOut(before, after, "of an ideal sensor's error"))
         better = better and after < before
         stages.append(stage)
         half = found.quantile * np.sqrt(np.diag(found.covariance).clip(0.0))
@@ -155,7 +155,7 @@ def identify_sensors(
 def _by_role(
     recordings: Sequence[Path],
     held_out: Sequence[Path],
-    sensor: Mounted,
+    sensor: NamedSensor,
     realization: Realization,
     state: str,
     notes: list[str],
@@ -193,7 +193,9 @@ def _total(errors: np.ndarray, found: SensorEstimate) -> float:
     return float(np.sqrt(np.mean((errors / np.maximum(found.nominal, 1e-300)) ** 2)))
 
 
-def _estimated(fit: Sequence[_Trial], tested: Sequence[_Trial], sensor: Mounted) -> SensorEstimate:
+def _estimated(
+    fit: Sequence[_Trial], tested: Sequence[_Trial], sensor: NamedSensor
+) -> SensorEstimate:
     linear = [[one for one in part if isinstance(one, SensorTrial)] for part in (fit, tested)]
     frames = [[one for one in part if isinstance(one, CameraTrial)] for part in (fit, tested)]
     kinds = {getattr(one, "kind", "camera") for one in (*fit, *tested)}

@@ -13,7 +13,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.sensor_record import CAMERA, SensorFields
 from pytest_twin.identification.sensing.camera_frames import CameraTrial, turn_errors
-from pytest_twin.identification.sensing.recorded import Mounted, SensorTrial, read_sensor
+from pytest_twin.identification.sensing.recorded import NamedSensor, SensorTrial, read_sensor
 from pytest_twin.realization import Realization
 from pytest_twin.sensors.encoder import Encoder
 from pytest_twin.sensors.stated import axes_of, readings_of, unit_of
@@ -44,7 +44,7 @@ def as_encoders_read(series: JointSeries, encoders: Mapping[str, Encoder]) -> Jo
     return replace(series, position=position)
 
 
-def compared(
+def compare_readings(
     sensors: Mapping[str, SensorFields],
     path: Path,
     realization: Realization,
@@ -70,7 +70,7 @@ def compared(
     found: dict[str, Any] = {}
     notes = []
     for name, stated in sensors.items():
-        mounted = Mounted(name, stated.topic, stated.frame)
+        mounted = NamedSensor(name, stated.topic, stated.frame)
         try:
             trial = read_sensor(path, mounted, realization, state, motion)
         except TwinError as error:

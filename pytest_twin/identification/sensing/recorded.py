@@ -33,7 +33,7 @@ _MOST = 20_000
 
 
 @dataclass(frozen=True)
-class Mounted:
+class NamedSensor:
     """A sensor that a user named.
 
     Attributes:
@@ -76,7 +76,7 @@ class SensorTrial:
 
 def read_sensor(
     path: Path,
-    sensor: Mounted,
+    sensor: NamedSensor,
     realization: Realization,
     state: str,
     motion: JointSeries | None = None,
@@ -159,7 +159,7 @@ def read_sensor(
 
 
 def _readings(
-    path: Path, sensor: Mounted, bag: SensorCollector, loads: JointSeries | None
+    path: Path, sensor: NamedSensor, bag: SensorCollector, loads: JointSeries | None
 ) -> tuple[Integers, FloatArray]:
     """Stamps (ns) and (n, k) values of a wrench, an IMU, or the effort of one joint."""
     if loads is not None and loads.effort is not None and sensor.frame in loads.names:

@@ -18,7 +18,7 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded import Settled, settle
+from pytest_twin.diagnosis.recorded import RecordedSignals, determine_signals
 from pytest_twin.diagnosis.search_result import build_problem, joint_errors, residuals_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
@@ -41,7 +41,7 @@ from pytest_twin.identification.simulation.stage_effects import (
     terms_of,
 )
 from pytest_twin.identification.simulation.undetermined import undetermined_terms
-from pytest_twin.identification.stages import HeldOut, Stage, StageName, judged, shares
+from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_stage, shares
 from pytest_twin.realization import Realization
 
 _LAST = 10
@@ -60,7 +60,7 @@ class SimulationResult:
         stages: in order.
         undetermined: term that may act unnoticed -> stage that fits it.
         errors: joint -> error on what is held out, or fitted where nothing is.
-        settled: what the recordings are.
+        signals: meaning of the recorded commands, velocities and efforts.
         trials: as they were used.
         notes: one line each.
     """
@@ -72,7 +72,7 @@ class SimulationResult:
     stages: tuple[Stage, ...]
     undetermined: dict[Term, StageName]
     errors: dict[str, JointError]
-    settled: Settled
+    signals: RecordedSignals
     trials: TrialSet
     notes: tuple[str, ...]
 
@@ -102,8 +102,8 @@ def identify_simulation(
     given = ModelSetup.of(realization, inherited, threads)
     fit_alone = replace(trials, held_out=())
     with np.errstate(over="ignore", invalid="ignore"):
-        settled = settle(given, fit_alone)
-        used = settled.applied(trials)
+        signals = determine_signals(given, fit_alone)
+        used = signals.applied(trials)
         prepared, used = build_problem(given, used, notes)
         problem = prepared.problem
         modes = [problem.simulator.segments[0].mode_of(j) for j in range(len(problem.joints))]
@@ -130,7 +130,7 @@ def identify_simulation(
         before, after = (residuals_everywhere(problem, h) for h in (EMPTY, found))
         errors = joint_errors(prepared, before, after)
     return SimulationResult(
-        prepared, found, stage_of, spread, tuple(stages), undetermined, errors, settled, used,
+        prepared, found, stage_of, spread, tuple(stages), undetermined, errors, signals, used,
         (*used.notes, *notes),
     )  # fmt: skip
 
@@ -162,7 +162,7 @@ def _stage(
         held_out_error(problem, without), held_out_error(problem, whole_fit), "noise floors"
     )
     words = tuple(f"{place_of(problem, t)}.{t.effect}" for t in kept.terms)
-    stage = judged(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
+    stage = judge_stage(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
     if not kept.terms or held.after > (1.0 - LEAST_GAIN) * held.before:
         stage = replace(
             stage, state="not_observable", parameters=(),
@@ -231,7 +231,7 @@ def _together(
         stage_of[term] = next(k for k, each in FURTHER.items() if term.effect in each)
     held = HeldOut(before, held_out_error(problem, whole), "noise floors")
     words = tuple(f"{place_of(problem, t)}.{t.effect}" for t in whole.terms)
-    stage = judged(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
+    stage = judge_stage(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
     if stage.state != "accepted":
         return found, list(stages), stage
     half = parameter_spread(problem, with_slopes(problem, whole)).half_width

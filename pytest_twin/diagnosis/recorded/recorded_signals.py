@@ -28,7 +28,7 @@ _NOT_OF_THE_STATE = ("differenced", "filtered", "late")
 
 
 @dataclass(frozen=True, slots=True)
-class Settled:
+class RecordedSignals:
     """Meaning of the recorded signals.
 
     Attributes:
@@ -141,7 +141,7 @@ class Settled:
         open_ = [b for b in asked if b is not None and len(b.possible) > 1]
         return max(open_, key=lambda b: b.period, default=None)
 
-    def decided(self, open_: Between, between: CommandBetween) -> Settled:
+    def decided(self, open_: Between, between: CommandBetween) -> RecordedSignals:
         """The same with the undetermined answer ``open_`` decided by the number of effects."""
         words = f"{open_.fact.evidence}; fewer effects explain them if commands are {between}"
         fact = Fact(between, BY_MODEL, "data", words)
@@ -169,7 +169,7 @@ class Settled:
         return trial
 
 
-def settle(given: ModelSetup, trials: TrialSet) -> Settled:
+def determine_signals(given: ModelSetup, trials: TrialSet) -> RecordedSignals:
     """Determine the meaning of the recorded signals.
 
     Args:
@@ -178,7 +178,7 @@ def settle(given: ModelSetup, trials: TrialSet) -> Settled:
     """
     everything = [*trials.fit, *trials.held_out]
     velocity = _velocities(everything)
-    trials = Settled(velocity=velocity).applied(trials)
+    trials = RecordedSignals(velocity=velocity).applied(trials)
     everything = [*trials.fit, *trials.held_out]
     fits = []
     for group in _alike_recordings(everything):
@@ -202,7 +202,7 @@ def settle(given: ModelSetup, trials: TrialSet) -> Settled:
         for _, f in fits
         if f.answer.assumed == "interpolated"
     )
-    return Settled(between, velocity, _efforts(everything, fits), problems, steps)
+    return RecordedSignals(between, velocity, _efforts(everything, fits), problems, steps)
 
 
 def _efforts(
