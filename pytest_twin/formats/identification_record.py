@@ -67,6 +67,8 @@ class IdentificationRecord:
         sensors: calibrated sensors.
         encoder_steps: joint -> quantization step of its encoder, rad or m.
         encoders: joint -> calibration of its encoder, before and after.
+        drive_gains: joint -> recorded current per N*m (N); the parameters belong to the current
+            divided by it.
     """
 
     id: str
@@ -89,6 +91,7 @@ class IdentificationRecord:
     sensors: tuple[SensorFields, ...] = ()
     encoder_steps: Mapping[str, float] = field(default_factory=dict)
     encoders: Mapping[str, EncoderChange] = field(default_factory=dict)
+    drive_gains: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_identification_record(path: Path) -> IdentificationRecord:
@@ -155,11 +158,21 @@ def read_identification_record(path: Path) -> IdentificationRecord:
                 text(joint): EncoderChange(_encoder(one["before"]), _encoder(one["after"]))
                 for joint, one in content.get("encoders", {}).items()
             },
+            drive_gains={
+                text(joint): _positive(gain)
+                for joint, gain in content.get("drive_gains", {}).items()
+            },
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise FormatError(
             f"a field is missing or unusable: {error}", path=path, expected=f"{_EXPECTED}, schema 1"
         ) from None
+
+
+def _positive(value: Any) -> float:
+    if not number(value) > 0.0:
+        raise ValueError(f"{value!r} is not positive")
+    return number(value)
 
 
 def _encoder(value: Mapping[str, Any]) -> Mapping[str, float]:

@@ -11,6 +11,7 @@ import numpy as np
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.effort.delay import DELAY, LAG, without_delay
+from pytest_twin.identification.effort.drive_gains import as_torques
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.judging import errors_of
 from pytest_twin.identification.effort.least_squares import linear_problem
@@ -79,6 +80,8 @@ def recheck(
         for j in joints
         if (own := signals.of(j).shared) is not None
     ]
+    gains = {joint: Scale(gain, 0.0) for joint, gain in record.drive_gains.items()}
+    measured = list(as_torques(measured, gains))
     unscaled = [j for k, j in enumerate(joints) if measured[0].unscaled[k]]
     regressor = Regressor(realization, joints, shared, unscaled)
     values = regressor.prior.copy()
@@ -113,6 +116,7 @@ def _as_identified(
     scales = {
         joint: Scale(record.values[f"{joint}.effort_scale"], 0.0)
         for joint in measured[0].joints
-        if joint not in unscaled and f"{joint}.effort_scale" in record.values
+        if joint not in (*unscaled, *record.drive_gains)
+        and f"{joint}.effort_scale" in record.values
     }
     return scaled(moved, scales)

@@ -97,6 +97,16 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "used": scale.is_significant and "drive" not in rejected,
             "estimator": "least squares of known payloads",
         }
+    for joint, gain in result.gains.items():
+        parameters[f"{joint}.effort_scale"] = {
+            "value": gain.value,
+            "unit": f"A/({_effort_unit(result, joint)})",
+            "ci95": [gain.value - gain.half_width, gain.value + gain.half_width],
+            "prior": None,
+            "stage": "drive",
+            "used": True,
+            "estimator": "least squares of known payloads",
+        }
     for reading in result.encoders.readings:
         slide = result.regressor.slides[result.regressor.joints.index(reading.joint)]
         bias = "m" if slide else "rad"
@@ -163,6 +173,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "unit": "Hz",
             "words": result.filter.words,
         },
+        "drive_gains": {joint: gain.value for joint, gain in result.gains.items()},
         "noise": {
             joint: float(value)
             for joint, value in zip(result.regressor.joints, fitted.solution.noise, strict=True)

@@ -15,6 +15,8 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 
 _ONE_HELD_OUT_OF = 4
+_NO_PAYLOAD = frozenset({"none", "no", "empty", "0"})
+"""Names of a payload that mean that there is none."""
 """One recording of so many is held out if no role is given."""
 
 
@@ -75,7 +77,23 @@ def read_by_role(
         )
     fitted = [one for path in fit for one in known[path]]
     tested = [one for path in aside for one in known[path]]
+    notes += _unknown_payloads(realization, [*fitted, *tested])
     return _common(fitted, tested, notes)
+
+
+def _unknown_payloads(realization: Realization, recordings: Sequence[Measured]) -> list[str]:
+    """Return a note for each payload that recordings name and the twin does not state."""
+    stated = () if realization.twin is None else realization.twin.payloads
+    named: dict[str, list[str]] = {}
+    for one in recordings:
+        payload = one.metadata.get("payload", "")
+        if payload and payload.lower() not in _NO_PAYLOAD and payload not in stated:
+            named.setdefault(payload, []).append(one.path.name)
+    return [
+        f"payload {payload!r} of {', '.join(dict.fromkeys(files))} is not under payloads: in "
+        "twin.yaml: it is identified as a part of the robot"
+        for payload, files in named.items()
+    ]
 
 
 def _common(fit: list[Measured], held_out: list[Measured], notes: list[str]) -> MeasuredSet:

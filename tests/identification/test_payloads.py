@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import JOINTS, REAL, TRUE, simulated_effort, write_model
+from arms import JOINTS, REAL, TRUE, simulated_effort, write_mcap, write_model
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.roles import read_by_role
 from pytest_twin.realization import load
+from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS
-from pytest_twin.twin import load_twin
+from pytest_twin.twin import DEFAULT_TOPICS, load_twin
 
 TWIN = "model: model.xml\npayloads: {kg3: {lower: {mass: 3, com: [0.4, 0, 0.1]}}}\n"
 
@@ -71,3 +73,18 @@ def test_a_correct_effort_scale_is_not_significant(tmp_path: Path) -> None:
     assert not any(scale.is_significant for scale in result.scales.values())
     assert result.scales["elbow"].value == pytest.approx(1.0, abs=0.05)
     assert not any(stage.state == "reopened" for stage in result.stages)
+
+
+def test_a_payload_that_the_twin_does_not_state_is_noted(tmp_path: Path) -> None:
+    write_model(tmp_path)
+    (tmp_path / "twin.yaml").write_text(TWIN)
+    robot = load(tmp_path / "model.xml", twin=load_twin(tmp_path / "twin.yaml"))
+    time = np.arange(100) / 100.0
+    moved = np.column_stack([np.sin(time), np.cos(time)])
+    paths = [
+        write_mcap(tmp_path / f"{payload}.mcap", time, moved, moved, payload)
+        for payload in ("kg3", "none", "kg5")
+    ]
+    read = read_by_role(paths, [], robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS)
+    (note,) = (one for one in read.notes if one.startswith("payload"))
+    assert note.startswith("payload 'kg5' of kg5.mcap is not under payloads: in twin.yaml")

@@ -13,6 +13,7 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.delay import LAG, Delay, delay_of, without_delay
 from pytest_twin.identification.effort.drift import drifts
+from pytest_twin.identification.effort.drive_gains import as_torques, drive_gains
 from pytest_twin.identification.effort.encoders import (
     EncoderError,
     EncoderErrors,
@@ -46,16 +47,18 @@ from pytest_twin.identification.effort.least_squares import (
     linear_problem,
     moved_by,
     solve,
+    weighed,
 )
 from pytest_twin.identification.effort.position_mistakes import position_mistakes
 from pytest_twin.identification.effort.sampled import RecordingRows, sample
 from pytest_twin.identification.effort.scale import (
     Scale,
+    known_payload,
     payload_effort,
     payload_scales,
     scaled,
 )
-from pytest_twin.identification.measured import MeasuredSet
+from pytest_twin.identification.measured import Measured, MeasuredSet
 from pytest_twin.identification.physical import Physical, physical
 from pytest_twin.identification.regressor import (
     BaseParameters,
@@ -105,6 +108,7 @@ class EffortResult:
         held_out: rows of the held-out recordings.
         delay: delay of the efforts, if one was found.
         scales: joint -> recorded over true effort, if known payloads determine it.
+        gains: joint -> recorded current per N*m (N), if known payloads determine it.
         estimate: estimator and the check of its intervals.
         encoders: zeros and scales of encoders.
         suspected: suspected mistakes of the input.
@@ -131,6 +135,7 @@ class EffortResult:
     estimate: Estimate
     encoders: EncoderErrors = field(default_factory=EncoderErrors)
     scales: Mapping[str, Scale] = field(default_factory=dict)
+    gains: Mapping[str, Scale] = field(default_factory=dict)
 
 
 def has_effort(measured: MeasuredSet) -> bool:
@@ -152,6 +157,46 @@ def identify_effort(
         RecordingError: no joint has a usable effort.
         SpecError: the twin does not state a payload.
     """
+    gains = drive_gains(realization, measured, _shared(measured.fit[0].joints, signals))
+    if not gains:
+        return _identify_in_stages(realization, measured, signals)
+    torques = MeasuredSet(as_torques(measured.fit, gains), as_torques(measured.held_out, gains))
+    before, _ = _identify(realization, measured, signals)
+    found = _identify_in_stages(realization, torques, signals)
+    words = ", ".join(f"{joint} {gain.value:.4g} A/(N*m)" for joint, gain in gains.items())
+    stage = judged(
+        Stage(
+            "drive", "accepted", f"recorded current per torque, from known payloads: {words}",
+            tuple(f"{joint}.effort_scale" for joint in gains), None, EXCLUDES["drive"],
+        ),
+        HeldOut(_mean_relative(before.errors), _mean_relative(found.errors), "relative effort"),
+    )  # fmt: skip
+    if stage.state != "accepted":
+        return _identify_in_stages(realization, measured, signals)
+    own = next(s for s in found.stages if s.name == "drive")
+    stage = replace(stage, parameters=(*stage.parameters, *own.parameters), data=own.data)
+    found = _widened_by_scales(realization, torques, found, gains)
+    return replace(
+        found,
+        stages=tuple(stage if s.name == "drive" else s for s in found.stages),
+        gains=_corrected(gains, found.scales),
+        scales={joint: scale for joint, scale in found.scales.items() if joint not in gains},
+    )
+
+
+def _corrected(gains: Mapping[str, Scale], scales: Mapping[str, Scale]) -> dict[str, Scale]:
+    """Return the gains times the scales that were found after them, where these differ from 1."""
+    return {
+        joint: Scale(gain.value * scales[joint].value, gain.half_width * scales[joint].value)
+        if joint in scales and scales[joint].is_significant
+        else gain
+        for joint, gain in gains.items()
+    }
+
+
+def _identify_in_stages(
+    realization: Realization, measured: MeasuredSet, signals: Signals
+) -> EffortResult:
     found, late = _identify(realization, measured, signals)
     if any(one.is_fatal for one in found.suspected):
         why = "not estimated: a mistake of the input is suspected, and would pass for it"
@@ -167,7 +212,9 @@ def identify_effort(
         measured = right
     found = replace(found, stages=(delay, encoder, *found.stages))
     found = _with_scales(realization, measured, signals, found)
-    return _widened(realization, measured, found)
+    rejected = any(one.name == "drive" and one.state == "rejected" for one in found.stages)
+    off = {j: s for j, s in found.scales.items() if s.is_significant and not rejected}
+    return _widened_by_scales(realization, measured, _widened(realization, measured, found), off)
 
 
 def _with_delay(
@@ -346,6 +393,43 @@ def _widened(realization: Realization, measured: MeasuredSet, found: EffortResul
     return replace(found, fitted=replace(fitted, solution=solution))
 
 
+def _widened_by_scales(
+    realization: Realization,
+    measured: MeasuredSet,
+    found: EffortResult,
+    scales: Mapping[str, Scale],
+) -> EffortResult:
+    """The result with intervals that allow for the errors of effort scales.
+
+    An error of a scale changes all efforts of its joint, those of payloads too.
+    """
+    fitted = found.fitted
+    if not scales or not len(fitted.kept):
+        return found
+    joints = found.regressor.joints
+    relative = np.array([
+        scales[j].half_width / (Z95 * scales[j].value) if j in scales else 0.0 for j in joints
+    ])  # fmt: skip
+    efforts = []
+    for recording, rows in zip(measured.fit, found.samples, strict=True):
+        carried = payload_effort(realization, found.regressor, recording, rows)
+        efforts.append(rows.effort if carried is None else rows.effort + carried)
+    problem = _problem(found.samples, found.regressor, found.base).only(fitted.kept)
+    whole = np.where(problem.known, np.concatenate(efforts), 0.0) * relative
+    slopes = np.stack([np.where(np.arange(len(joints)) == k, whole, 0.0)
+                       for k in range(len(joints))], axis=2)  # fmt: skip
+    solution = fitted.solution
+    rows_ = weighed(problem.matrix, solution.weight)
+    change = np.linalg.lstsq(rows_, weighed(slopes, solution.weight), rcond=None)[0]
+    carried_ = change @ change.T
+    solution = replace(
+        solution,
+        covariance=solution.covariance + carried_,
+        half_width=np.hypot(solution.half_width, Z95 * np.sqrt(np.diag(carried_))),
+    )
+    return replace(found, fitted=replace(fitted, solution=solution))
+
+
 def _with_scales(
     realization: Realization, measured: MeasuredSet, signals: Signals, found: EffortResult
 ) -> EffortResult:
@@ -416,14 +500,10 @@ def _identify(
     everything = (*measured.fit, *measured.held_out)
     joints = everything[0].joints
     unscaled = [j for k, j in enumerate(joints) if any(m.unscaled[k] for m in measured.fit)]
-    shared = [
-        SharedMotor(j, own.joint, own.ratio)
-        for j in joints
-        if (own := signals.of(j).shared) is not None
-    ]
+    shared = _shared(joints, signals)
     regressor = Regressor(realization, joints, shared, unscaled)
     chosen = choose_filter(measured.fit)
-    regressors = [regressor] * len(everything)
+    regressors = [_loaded(realization, regressor, one, shared, unscaled) for one in everything]
     sampled = sample(everything, regressors, chosen, instruments_of(everything, chosen))
     recorded = np.concatenate([rows.effort for rows in sampled[: len(measured.fit)]])
     for recording, rows in zip(everything, sampled, strict=True):
@@ -499,6 +579,32 @@ def _identify(
         estimate=found,
     )
     return result, late
+
+
+def _shared(joints: Sequence[str], signals: Signals) -> list[SharedMotor]:
+    return [
+        SharedMotor(j, own.joint, own.ratio)
+        for j in joints
+        if (own := signals.of(j).shared) is not None
+    ]
+
+
+def _loaded(
+    realization: Realization,
+    regressor: Regressor,
+    recording: Measured,
+    shared: Sequence[SharedMotor],
+    unscaled: Sequence[str],
+) -> Regressor:
+    """Return the regressor of a recording: the nominal bodies that scale a current carry its
+    payload.
+    """
+    payload = known_payload(realization, recording)
+    if payload is None or not unscaled:
+        return regressor
+    variant = realization.variant(payload=payload)
+    loaded = Regressor(variant, regressor.joints, shared, unscaled)
+    return loaded if loaded.columns == regressor.columns else regressor
 
 
 def _base(regressor: Regressor, known: NDArray[np.bool_]) -> BaseParameters:

@@ -52,6 +52,13 @@ def payload_effort(
     return None if added is None else np.asarray(rows.matrix @ added)
 
 
+def known_payload(realization: Realization, recording: Measured) -> str | None:
+    """Return the payload of a recording if the twin states it, else None."""
+    payload = recording.metadata.get("payload")
+    stated = () if realization.twin is None else realization.twin.payloads
+    return payload if payload is not None and payload in stated else None
+
+
 def payload_parameters(
     realization: Realization, regressor: Regressor, recording: Measured
 ) -> FloatArray | None:
@@ -60,8 +67,8 @@ def payload_parameters(
     Raises:
         SpecError: the payload names a body that the model lacks.
     """
-    payload = recording.metadata.get("payload")
-    if payload is None or realization.twin is None or payload not in realization.twin.payloads:
+    payload = known_payload(realization, recording)
+    if payload is None:
         return None
     loaded = Regressor(realization.variant(payload=payload), regressor.joints)
     change = loaded.prior - Regressor(realization, regressor.joints).prior
