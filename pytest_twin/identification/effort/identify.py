@@ -164,7 +164,7 @@ def identify_effort(
     before, _ = _identify(realization, measured, signals)
     found = _identify_in_stages(realization, torques, signals)
     words = ", ".join(f"{joint} {gain.value:.4g} A/(N*m)" for joint, gain in gains.items())
-    stage = judged(
+    stage = judge_stage(
         Stage(
             "drive", "accepted", f"recorded current per torque, from known payloads: {words}",
             tuple(f"{joint}.effort_scale" for joint in gains), None, EXCLUDES["drive"],
