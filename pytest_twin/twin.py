@@ -42,7 +42,7 @@ Simulator = Literal["mujoco", "newton"]
 MODEL_FORMATS = "pytest_twin.model_formats"
 """Entry point group of packages that read other formats; the name is the suffix without dot."""
 
-FIT_FAMILIES = ("joint", "actuator", "body", "geom")
+FIT_FAMILIES = ("joint", "actuator", "body", "geom", "pair")
 
 Patch = Mapping[str, float | tuple[float, ...]]
 """Attribute -> value in SI units, as ``schemas/twin.schema.json`` names them."""

@@ -22,7 +22,7 @@ from pytest_twin.formats.record_fields import (
 from pytest_twin.formats.sensor_record import SensorFields, sensor_fields
 
 _EXPECTED = "identification.json of pytest-twin identify"
-_FAMILIES = ("joint", "actuator", "body", "geom")
+_FAMILIES = ("joint", "actuator", "body", "geom", "pair")
 FittedAttributes = Mapping[str, Mapping[str, Mapping[str, float | tuple[float, ...]]]]
 """Family -> element -> attribute -> value in SI units."""
 

@@ -28,8 +28,9 @@ class FreeBody:
         name: its name.
         body: its index.
         qpos, dof: index of its pose in ``qpos`` and of its velocity in ``qvel``.
-        geoms: indices of its geoms that can collide.
-        others: indices of all other geoms that can collide.
+        geoms: indices of its geoms that can collide; of those in ``pairs`` if there are any.
+        others: indices of all other geoms that can collide; likewise.
+        pairs: indices of the contact pairs that the model declares between the body and others.
     """
 
     name: str
@@ -38,6 +39,7 @@ class FreeBody:
     dof: int
     geoms: tuple[int, ...]
     others: tuple[int, ...]
+    pairs: tuple[int, ...] = ()
 
 
 def free_body(realization: NamedModel, name: str | None = None) -> FreeBody:
@@ -68,14 +70,21 @@ def free_body(realization: NamedModel, name: str | None = None) -> FreeBody:
     body = int(model.jnt_bodyid[joint])
     root = int(model.body_rootid[body])
     touching = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
-    own = tuple(g for g in touching if int(model.body_rootid[model.geom_bodyid[g]]) == root)
+    own = tuple(g for g in touching if _root(model, g) == root)
     others = tuple(g for g in touching if g not in own)
+    pairs = _declared_pairs(model, root)
+    if pairs:
+        both = [{int(model.pair_geom1[p]), int(model.pair_geom2[p])} for p in pairs]
+        declared = set().union(*both)
+        own = tuple(g for g in sorted(declared) if _root(model, g) == root)
+        others = tuple(g for g in sorted(declared) if g not in own)
     if not own or not others:
         raise ModelError(
             "nothing for the free body to touch",
             path=realization.path,
             where=f"body {model.body(body).name!r}",
-            expected="a geom of the body and a geom of the surroundings, both with contact",
+            expected="a geom of the body and a geom of the surroundings, both with contact, or a "
+            "pair of them under <contact>",
         )
     return FreeBody(
         model.body(body).name,
@@ -84,6 +93,21 @@ def free_body(realization: NamedModel, name: str | None = None) -> FreeBody:
         int(model.jnt_dofadr[joint]),
         own,
         others,
+        pairs,
+    )
+
+
+def _root(model: mujoco.MjModel, geom: int) -> int:
+    return int(model.body_rootid[model.geom_bodyid[geom]])
+
+
+def _declared_pairs(model: mujoco.MjModel, root: int) -> tuple[int, ...]:
+    """Return the declared pairs of which exactly one geom belongs to a body."""
+    return tuple(
+        p
+        for p in range(model.npair)
+        if (_root(model, int(model.pair_geom1[p])) == root)
+        != (_root(model, int(model.pair_geom2[p])) == root)
     )
 
 

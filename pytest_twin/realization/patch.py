@@ -31,7 +31,8 @@ def apply_fit(
 
     Args:
         spec: changed in place.
-        patches: ``joint``, ``actuator``, ``body`` or ``geom`` -> element -> attribute -> value.
+        patches: ``joint``, ``actuator``, ``body``, ``geom`` or ``pair`` -> element -> attribute ->
+            value.
         option: attribute of the simulation options -> value.
         refuse: creates the error.
         where: dotted field of the fit, for errors.
@@ -55,9 +56,16 @@ def apply_fit(
                 geom = _find(spec.geoms, name, "geom", here, refuse)
                 for attribute, value in patch.items():
                     _set(geom, attribute, value, f"{here}.{attribute}", refuse)
+            elif family == "pair":
+                pair = _find(spec.pairs, name, "contact pair", here, refuse)
+                for attribute, value in patch.items():
+                    _set(pair, attribute, value, f"{here}.{attribute}", refuse)
             else:
                 raise refuse(
-                    where, "unknown table", value=family, expected="body, joint, actuator or geom"
+                    where,
+                    "unknown table",
+                    value=family,
+                    expected="body, joint, actuator, geom or pair",
                 )
     for attribute, value in option.items():
         _set(spec.option, attribute, value, f"{where}.option.{attribute}", refuse)

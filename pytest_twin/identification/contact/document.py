@@ -19,6 +19,7 @@ from pytest_twin.identification.contact.parameters import (
     TORSIONAL,
     UNITS,
     geom_patch,
+    pair_patch,
 )
 from pytest_twin.identification.contact.restitution import restitution_of
 from pytest_twin.identification.contact.roles import TossSet
@@ -186,22 +187,16 @@ def _without_effect(fit: ContactFit, body: str) -> list[dict[str, str]]:
 
 
 def _laid(fit: ContactFit, realization: Realization) -> dict[str, Any]:
-    """Return the changes of the record to the model: attributes of geoms that have a name."""
-    geoms = {}
-    for geom in fit.contact.body.geoms:
-        name = _name(realization.model, geom)
-        if name:
-            geoms[name] = {
-                **geom_patch(realization.model, geom, fit.values),
-                "priority": priority_of(fit),
-            }
-    return {"geom": geoms} if geoms else {}
-
-
-def priority_of(fit: ContactFit) -> int:
-    """Return the geom priority with which the object's parameters apply to the contact pair."""
-    model = fit.contact.model
-    return 1 + max((int(model.geom_priority[g]) for g in fit.contact.body.others), default=0)
+    """Return the changes of the record to the model: attributes of named geoms and pairs."""
+    model, body, values = realization.model, fit.contact.body, fit.values
+    geoms = {_name(model, g): geom_patch(model, body, g, values) for g in body.geoms}
+    pairs = {str(model.pair(p).name): pair_patch(model, p, values) for p in body.pairs}
+    families = {"geom": geoms, "pair": pairs}
+    named = {
+        family: {name: patch for name, patch in own.items() if name and patch}
+        for family, own in families.items()
+    }
+    return {family: own for family, own in named.items() if own}
 
 
 def _name(model: mujoco.MjModel, geom: int) -> str:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.formats.pose_tracks import holds_tosses
-from pytest_twin.identification.contact.document import contact_document, priority_of
+from pytest_twin.identification.contact.document import contact_document
 from pytest_twin.identification.contact.fit import ContactFit, fit_contact
-from pytest_twin.identification.contact.parameters import contact_model, geom_patch
+from pytest_twin.identification.contact.parameters import contact_model, geom_patch, pair_patch
 from pytest_twin.identification.contact.roles import TossOptions, read_by_role
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization
@@ -54,12 +54,16 @@ def identify_contact(
     )  # fmt: skip
     fit = fit_contact(contact_model(realization, body), tosses.fit, tosses.held_out, progress)
     document = contact_document(fit, tosses, realization)
-    unnamed = sum(not realization.model.geom(g).name for g in body.geoms)
-    if unnamed:
-        document["notes"].append(
-            f"{unnamed} geoms of {body.name} have no name: realization/ has their fit, fit: of a "
-            "twin cannot; name them to list the record there"
-        )
+    model = realization.model
+    for kind, unnamed in (
+        ("geoms", sum(not model.geom(g).name for g in body.geoms)),
+        ("declared pairs", sum(not model.pair(p).name for p in body.pairs)),
+    ):
+        if unnamed:
+            document["notes"].append(
+                f"{unnamed} {kind} of {body.name} have no name: realization/ has their fit, fit: "
+                "of a twin cannot; name them to list the record there"
+            )
     document["notes"] = [*tosses.notes, *document["notes"]]
     document["trials"] = {
         "fit": list(dict.fromkeys(one.path.name for one in tosses.fit)),
@@ -77,20 +81,16 @@ def identify_contact(
 
 
 def _with_contact(realization: Realization, fit: ContactFit) -> Realization:
-    """Return the realization with the fitted values, also of geoms without names."""
+    """Return the realization with the fitted values, also of geoms and pairs without names."""
     spec = realization.spec.copy()
     model = realization.model
-    geoms = {int(one.id): one for one in spec.geoms}
-    for geom in fit.contact.body.geoms:
-        patch = geom_patch(model, geom, fit.values)
-        target = geoms[geom]
-        target.friction = patch["friction"]
-        target.solref = patch["solref"]
-        target.priority = priority_of(fit)
-        if "condim" in patch:
-            target.condim = int(patch["condim"])
-        if "size" in patch:
-            target.size = patch["size"]
+    body, values = fit.contact.body, fit.values
+    geoms, pairs = ({int(one.id): one for one in some} for some in (spec.geoms, spec.pairs))
+    patches = [(geoms[g], geom_patch(model, body, g, values)) for g in body.geoms]
+    patches += [(pairs[p], pair_patch(model, p, values)) for p in body.pairs]
+    for element, patch in patches:
+        for name, value in patch.items():
+            setattr(element, name, value)
     return Realization(
         name=realization.name,
         path=realization.path,

@@ -74,7 +74,9 @@ class ContactModel:
     """A model whose free body has contact parameters of its own.
 
     All geoms of the body that can collide get the same friction, stiffness and damping. Their
-    ``priority`` is higher than that of other geoms, so the contact pair uses their parameters.
+    ``priority`` is higher than that of other geoms, so the contact pair uses their parameters. If
+    the model declares contact pairs of the body, these pairs get the parameters instead, and all
+    other contacts keep those of the model.
 
     Attributes:
         model: nominal model.
@@ -128,13 +130,7 @@ class ContactModel:
 def contact_model(realization: Realization, body: FreeBody) -> ContactModel:
     """Return the contact model of a body, with nominal values from its model."""
     model = realization.model
-    geom = body.geoms[0]
-    mine = int(max(model.geom_priority[g] for g in body.geoms))
-    theirs = max(body.others, key=lambda g: int(model.geom_priority[g]))
-    friction = float(model.geom_friction[geom, 0])
-    if mine == int(model.geom_priority[theirs]):
-        friction = max(friction, float(model.geom_friction[theirs, 0]))
-    stiffness, damping = direct_solref(model, geom)
+    friction, stiffness, damping = _nominal(model, body)
     step = float(model.opt.timestep)
     parameters = [
         Parameter(FRICTION, 0.01, 3.0, friction),
@@ -148,14 +144,36 @@ def contact_model(realization: Realization, body: FreeBody) -> ContactModel:
     return ContactModel(model, body, tuple(parameters), {})
 
 
+def _nominal(model: mujoco.MjModel, body: FreeBody) -> tuple[float, float, float]:
+    """Return friction, stiffness and damping of the model's contact."""
+    if body.pairs:
+        pair = body.pairs[0]
+        return float(model.pair_friction[pair, 0]), *direct_solref_of_pair(model, pair)
+    geom = body.geoms[0]
+    mine = int(max(model.geom_priority[g] for g in body.geoms))
+    theirs = max(body.others, key=lambda g: int(model.geom_priority[g]))
+    friction = float(model.geom_friction[geom, 0])
+    if mine == int(model.geom_priority[theirs]):
+        friction = max(friction, float(model.geom_friction[theirs, 0]))
+    return friction, *direct_solref(model, geom)
+
+
 def direct_solref(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
     """Stiffness (1/s^2) and damping (1/s) of a geom's ``solref``, in MuJoCo's direct form.
 
     ``k = 1 / (dmax timeconst dampratio)^2``, ``b = 2 / (dmax timeconst)`` (MuJoCo's documentation,
     Solver parameters). The engine limits the time constant to at least two steps.
     """
-    first, second = (float(v) for v in model.geom_solref[geom])
-    most = float(model.geom_solimp[geom, 1])
+    return _direct(model, model.geom_solref[geom], float(model.geom_solimp[geom, 1]))
+
+
+def direct_solref_of_pair(model: mujoco.MjModel, pair: int) -> tuple[float, float]:
+    """Stiffness (1/s^2) and damping (1/s) of a declared pair, as :func:`direct_solref`."""
+    return _direct(model, model.pair_solref[pair], float(model.pair_solimp[pair, 1]))
+
+
+def _direct(model: mujoco.MjModel, solref: FloatArray, most: float) -> tuple[float, float]:
+    first, second = (float(v) for v in solref)
     if first <= 0.0:
         return -first / most**2, -second / most
     first = max(first, 2.0 * float(model.opt.timestep))
@@ -165,46 +183,73 @@ def direct_solref(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
 def with_contact_parameters(
     model: mujoco.MjModel, body: FreeBody, values: Mapping[str, float]
 ) -> mujoco.MjModel:
-    """Return a copy of a model with contact parameters on its free body."""
+    """Return a copy of a model with contact parameters on its free body or its declared pairs."""
     found = copy_of_model(model)
-    first = 1 + max((int(model.geom_priority[g]) for g in body.others), default=0)
     for geom in body.geoms:
-        patch = geom_patch(model, geom, values)
-        found.geom_priority[geom] = first
-        if "condim" in patch:
-            found.geom_condim[geom] = int(patch["condim"])
-        found.geom_friction[geom] = patch["friction"]
-        found.geom_solref[geom] = patch["solref"]
+        patch = geom_patch(model, body, geom, values)
+        for name, value in patch.items():
+            getattr(found, f"geom_{name}")[geom] = value
         if "size" in patch:
-            found.geom_size[geom] = patch["size"]
             half = _box(model, geom, np.array(patch["size"]))
             found.geom_aabb[geom, 3:] = half
             found.geom_rbound[geom] = float(np.linalg.norm(half))
+    for pair in body.pairs:
+        for name, value in pair_patch(model, pair, values).items():
+            getattr(found, f"pair_{_PAIR_FIELDS.get(name, name)}")[pair] = value
     return found
 
 
-def geom_patch(model: mujoco.MjModel, geom: int, values: Mapping[str, float]) -> dict[str, Any]:
-    """Return the attributes of a geom for contact parameters, in the form of ``fit:`` of a twin."""
-    friction = np.array(model.geom_friction[geom], dtype=float)
-    friction[0] = values.get(FRICTION, friction[0])
-    friction[1] = values.get(TORSIONAL, friction[1])
-    friction[2] = values.get(ROLLING, friction[2])
-    stiffness, damping = direct_solref(model, geom)
-    most = float(model.geom_solimp[geom, 1])
-    # The engine divides by dmax^2 and dmax.
-    solref = [
-        -values.get(STIFFNESS, stiffness) * most**2, -values.get(DAMPING, damping) * most,
-    ]  # fmt: skip
-    patch: dict[str, Any] = {"friction": friction.tolist(), "solref": solref}
-    if ROLLING in values:
-        patch["condim"] = 6
-    elif TORSIONAL in values:
-        patch["condim"] = 4
+_PAIR_FIELDS = {"condim": "dim"}
+"""Attribute of a pair in MJCF -> its field in a compiled model, where the names differ."""
+
+
+def geom_patch(
+    model: mujoco.MjModel, body: FreeBody, geom: int, values: Mapping[str, float]
+) -> dict[str, Any]:
+    """Return the attributes of a geom for contact parameters, in the form of ``fit:`` of a twin.
+
+    If the model declares contact pairs, only the offset of the surface belongs to the geom.
+    """
+    patch: dict[str, Any] = {}
+    if not body.pairs:
+        friction = np.array(model.geom_friction[geom], dtype=float)
+        friction[0] = values.get(FRICTION, friction[0])
+        friction[1] = values.get(TORSIONAL, friction[1])
+        friction[2] = values.get(ROLLING, friction[2])
+        most = float(model.geom_solimp[geom, 1])
+        solref = _solref(direct_solref(model, geom), most, values)
+        priority = 1 + max((int(model.geom_priority[g]) for g in body.others), default=0)
+        patch = {"friction": friction.tolist(), "solref": solref, "priority": priority}
+        patch |= _condim(values)
     if OFFSET in values:
         size = np.array(model.geom_size[geom], dtype=float)
         size[: _SIZES[int(model.geom_type[geom])]] += values[OFFSET]
         patch["size"] = size.tolist()
     return patch
+
+
+def pair_patch(model: mujoco.MjModel, pair: int, values: Mapping[str, float]) -> dict[str, Any]:
+    """Return the attributes of a declared pair for contact parameters, as :func:`geom_patch`."""
+    friction = np.array(model.pair_friction[pair], dtype=float)
+    friction[:2] = values.get(FRICTION, friction[0])
+    friction[2] = values.get(TORSIONAL, friction[2])
+    friction[3:] = values.get(ROLLING, friction[3])
+    most = float(model.pair_solimp[pair, 1])
+    solref = _solref(direct_solref_of_pair(model, pair), most, values)
+    return {"friction": friction.tolist(), "solref": solref, **_condim(values)}
+
+
+def _solref(nominal: tuple[float, float], most: float, values: Mapping[str, float]) -> list[float]:
+    """Return the direct form of ``solref``; the engine divides by dmax^2 and dmax."""
+    stiffness, damping = nominal
+    return [-values.get(STIFFNESS, stiffness) * most**2, -values.get(DAMPING, damping) * most]
+
+
+def _condim(values: Mapping[str, float]) -> dict[str, int]:
+    """Return the dimension of the contact that the given friction coefficients need."""
+    if ROLLING in values:
+        return {"condim": 6}
+    return {"condim": 4} if TORSIONAL in values else {}
 
 
 def _half_size(model: mujoco.MjModel, geom: int) -> float:
