@@ -15,8 +15,8 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.audit import render, table
 
 HELP = (
-    "check a robot's URDF, MJCF or USD file, or an SRDF against its URDF, and list what is wrong, "
-    "doubtful or unknown in it"
+    "check a robot's URDF, MJCF or USD file, or an SRDF against its URDF, and list faults, "
+    "doubtful values and unknown properties"
 )
 EXAMPLES = (
     "pytest-twin audit arm.urdf",
@@ -34,15 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--urdf",
         metavar="FILE",
         type=Path,
-        help="the URDF of an SRDF (default: the one of the same robot beside it, in ../urdf, "
-        "../robots, or in the description package beside *_moveit_config)",
+        help="URDF of an SRDF (default: the file for the same robot in its folder, in ../urdf, "
+        "../robots, or in the description package next to *_moveit_config)",
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         default=Path(),
-        help="folder for NAME.audit.json and NAME.audit.html; NAME is that of the asset (default: "
+        help="folder for NAME.audit.json and NAME.audit.html, where NAME is the asset's (default: "
         "the working directory)",
     )
     parser.add_argument(
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="YAML file with evidence from other sources: signs, zeros, ranges, poses, commands",
     )
     model_files.add_arguments(parser)
-    parser.add_argument("--all", action="store_true", help="list every finding in full")
+    parser.add_argument("--all", action="store_true", help="print all findings in full")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -28,15 +28,13 @@ JSON_NAME, PAGE_NAME = "budget.json", "budget.html"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument(
-        "twin", metavar="TWIN", type=Path, help=f"a {FILE_NAME}, or the folder that holds it"
-    )
+    parser.add_argument("twin", metavar="TWIN", type=Path, help=f"{FILE_NAME} or its folder")
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         required=True,
-        help=f"{JSON_NAME} and {PAGE_NAME} are written here",
+        help=f"folder for {JSON_NAME} and {PAGE_NAME}",
     )
 
 

@@ -53,14 +53,17 @@ _DECIMALS = {"mrad": 2, "mm": 2, "ms": 2, "px": 2, "": 4}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        "plan", metavar="PLAN.yaml", type=Path, help="what to estimate from which observations"
+        "plan",
+        metavar="PLAN.yaml",
+        type=Path,
+        help="plan: what to estimate, from which observations",
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         required=True,
-        help=f"{FILE_NAME} is written here and, once accepted, {', '.join(EXPORTS)}",
+        help=f"folder for {FILE_NAME} and, if it is accepted, {', '.join(EXPORTS)}",
     )
 
 

@@ -54,17 +54,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.mcap",
         type=Path,
         required=True,
-        help="the recording; of several inputs or episodes FILE_000.mcap, FILE_001.mcap, ... in "
-        "their order; FILE.json beside it says what is in each",
+        help="written recording; for several inputs or episodes FILE_000.mcap, FILE_001.mcap, ... "
+        "in their order; FILE.json next to it lists the content of each",
     )
     add_topics_argument(parser)
     add_reading_arguments(parser)
     parser.add_argument(
         "--command-mode",
         choices=COMMAND_MODES,
-        help="what commands are whose format does not say it: columns NAME.command of a CSV file, "
-        "std_msgs/msg/Float64MultiArray (default: position where they follow the positions, else "
-        "all three fields hold them and the model decides)",
+        help="quantity of commands in formats that do not state it: columns NAME.command of a CSV "
+        "file, std_msgs/msg/Float64MultiArray (default: position if they follow the measured "
+        "positions, else they are written to all three fields and the model decides)",
     )
 
 

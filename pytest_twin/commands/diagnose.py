@@ -69,45 +69,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_recordings(
         parser,
         nargs="*",
-        held_out="test recordings, opened once effects and parameters are final (default: those "
-        "whose metadata says role held_out, else whole recordings are split and the report says "
-        "which)",
+        held_out="test recordings, which are read only after effects and parameters are final "
+        "(default: those with the role held_out in their metadata, else whole recordings are "
+        "split and the report lists them)",
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         required=True,
-        help=f"gets {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
-        "replaced whole where it is an earlier diagnosis",
+        help=f"folder for {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
+        "an earlier diagnosis is replaced",
     )
     parser.add_argument(
         "--seconds",
         metavar="N",
         type=_seconds,
-        help="time for the diagnosis: then the best result so far is written, with what was not "
-        f"tried (default: {SECONDS:g}, not counting time in which other programs hold the "
-        "processors; 0: as long as it takes); Ctrl-C ends it early in the same way",
+        help="time limit, after which the best result so far is written with a list of the "
+        f"searches that were not done (default: {SECONDS:g}, without time in which other programs "
+        "use the processors; 0: no limit); Ctrl-C ends a diagnosis early in the same way",
     )
     parser.add_argument(
         "--fleet",
         metavar="FILE.yaml",
         type=Path,
-        help="diagnose many robots, instead of MODEL and RECORDING: "
+        help="diagnose several robots, instead of MODEL and RECORDING: "
         "`robots: {NAME: {model: FILE, recordings: [FILE, ...], held_out: [FILE, ...]}}`; "
-        "--out gets a folder for each, and fleet.json",
+        "a folder for each robot and fleet.json are written to --out",
     )
     parser.add_argument(
         "--jobs",
         metavar="N",
         type=int,
-        help="robots of the fleet at the same time (default: the cores)",
+        help="number of robots that are diagnosed at the same time (default: the number of cores)",
     )
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
         help="run the fleet on the workers of this Dask scheduler, tcp://HOST:PORT (extra `dask`); "
-        "they must see the same files",
+        "they need access to the same files",
     )
     add_recording_arguments(parser)
     model_files.add_arguments(parser)

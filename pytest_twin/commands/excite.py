@@ -18,7 +18,7 @@ from pytest_twin.report import excitation
 from pytest_twin.report.text import printable
 from pytest_twin.words import counted
 
-HELP = "design bounded motions for identification, and predict what they will determine"
+HELP = "design motions for identification within approved limits, and predict their results"
 EXAMPLES = (
     "pytest-twin excite twin.yaml --out excitation/",
     "pytest-twin excite cell/twin.yaml --out excitation/ --seed 7 --json -",
@@ -41,24 +41,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "model",
         metavar="MODEL",
         type=Path,
-        help="twin.yaml whose excitation: a qualified person has filled in; without it, the lines "
-        "that are missing are printed",
+        help="twin.yaml with a section excitation: that a qualified person has filled in; missing "
+        "lines are printed",
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         required=True,
-        help=f"{FILE_NAME}, {ABORT_NAME}, {PAGE_NAME} and trajectories/ are written here",
+        help=f"folder for {FILE_NAME}, {ABORT_NAME}, {PAGE_NAME} and trajectories/",
     )
     parser.add_argument(
-        "--seed", metavar="N", type=_seed, default=1, help="of all random choices (default: 1)"
+        "--seed", metavar="N", type=_seed, default=1, help="seed of all random choices (default: 1)"
     )
     parser.add_argument(
         "--solver",
         choices=SOLVERS,
         default=SOLVERS[0],
-        help="of the D-optimal series; ipopt comes with casadi (default: scipy)",
+        help="solver of the D-optimal series; ipopt needs casadi (default: scipy)",
     )
     model_files.add_arguments(parser)
 

@@ -19,14 +19,14 @@ from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME
 from pytest_twin.words import counted
 
-HELP = "say what has changed in the twin since a data set was stamped, and whether it matters to it"
+HELP = "list changes of the twin since a data set was stamped, and whether they affect its data"
 EXAMPLES = (
     "pytest-twin fresh datasets/pick",
     "pytest-twin fresh policy.onnx --twin cell/ --json -",
 )
 EXIT_STATUS = {
-    0: "nothing that matters to this data has changed",
-    1: "something has; each change and its size are listed",
+    0: "no change affects these data",
+    1: "a change affects these data; each change and its size are listed",
 }
 FRESH, STALE = 0, 1
 
@@ -40,8 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--twin",
         metavar="DIR",
         type=Path,
-        help="folder of the twin (default: the one above DATASET or the working folder, else where "
-        "it lay when the data set was stamped)",
+        help="folder of the twin (default: a parent folder of DATASET or of the working directory, "
+        "else the folder from which the data set was stamped)",
     )
 
 

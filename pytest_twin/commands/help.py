@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 UNUSABLE_INPUT = 2
 """Exit status of all commands for unusable input, as that of argparse."""
-_UNUSABLE = "unusable input; one line on standard error names the file, the place and the remedy"
+_UNUSABLE = "unusable input; one line on standard error states file, place and remedy"
 
 
 class Parser(argparse.ArgumentParser):
@@ -41,7 +41,7 @@ def epilog(examples: Sequence[str], exit_status: Mapping[int, str]) -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return ``; did you mean 'audit'?`` where a known word is spelled alike, else nothing."""
+    """Return ``; did you mean 'audit'?`` if a known word is similar, else nothing."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 

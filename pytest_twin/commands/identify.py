@@ -22,14 +22,14 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import identification
 from pytest_twin.report.text import printable
 
-HELP = "identify weights, inertia, friction and drives in stages, each tested on held-out motion"
+HELP = "identify masses, inertia, friction and drives in stages, each tested on held-out motion"
 EXAMPLES = (
     "pytest-twin identify twin.yaml fourier.mcap --held-out check.mcap --out identified",
     "pytest-twin identify cube.xml tosses.npz --out cube_contact",
     "pytest-twin replay identified check.mcap --out predicted.mcap",
 )
 EXIT_STATUS = {
-    0: "accepted: every stage that the motion shows lowers the held-out error",
+    0: "accepted: every stage that the motion determines reduces the held-out error",
     1: "a stage is rejected, or nothing is held out",
 }
 ACCEPTED, NOT_ACCEPTED = 0, 1
@@ -49,22 +49,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_recordings(
         parser,
         nargs="+",
-        held_out="recordings that nothing is fitted on and every stage is judged on (default: "
-        "those whose metadata says role held_out, else the last of every four)",
+        held_out="recordings that test every stage and are not fitted (default: those with the "
+        "role held_out in their metadata, else the last of every four)",
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         required=True,
-        help=f"gets {FILE_NAME}, {PAGE_NAME} and realization/, the fitted model; replaced whole "
-        "where it is an earlier identification",
+        help=f"folder for {FILE_NAME}, {PAGE_NAME} and realization/, the fitted model; an earlier "
+        "identification is replaced",
     )
     parser.add_argument(
         "--id",
         metavar="ID",
-        help="id of the record, by which fit: of twin.yaml and goldens name it (default: the name "
-        "of DIR)",
+        help="id of the record, for fit: of twin.yaml and for goldens (default: the name of DIR)",
     )
     _add_toss_arguments(parser)
     add_recording_arguments(parser)
@@ -79,40 +78,40 @@ def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help="a force-torque sensor (geometry_msgs/WrenchStamped) or an IMU (sensor_msgs/Imu) at a "
-        "site or body of the model: bias, scale, coupling and filter are estimated, nothing else",
+        "site or body of the model; only its bias, scale, coupling and filter are estimated",
     )
     group = parser.add_argument_group(
         "tosses of a free object",
-        "an .npz file with one array of poses and velocities for each toss, or bags with poses; "
-        "the contact of the model's free body is identified from them",
+        "RECORDING is an .npz file with one array of poses and velocities for each toss, or bags "
+        "with poses; the contact parameters of the model's free body are identified",
     )
     group.add_argument(
         "--pose-topic",
         metavar="TOPIC",
-        help="topic of the object's geometry_msgs/PoseStamped: the bags are tosses of an object",
+        help="topic of the object's geometry_msgs/PoseStamped, if the bags are tosses of an object",
     )
     group.add_argument(
         "--wrench-topic",
         metavar="TOPIC",
-        help="with --pose-topic: topic of geometry_msgs/WrenchStamped, the force and torque with "
-        "which the object was pressed, pushed or slid; frame_id is the body's name or world",
+        help="with --pose-topic: topic of geometry_msgs/WrenchStamped with the force and torque "
+        "that pushed the object; frame_id is the body's name or world",
     )
     group.add_argument(
-        "--body", metavar="NAME", help="the body that was tossed, where the model has several free"
+        "--body", metavar="NAME", help="the tossed body, if the model has several free bodies"
     )
     group.add_argument(
         "--length-unit",
         metavar="M",
         type=positive,
-        help="m for one unit of length of an .npz file (default: found from the fall at the start "
-        "of the tosses, and reported)",
+        help="length of one unit of the .npz file in m (default: detected from the free fall at "
+        "the start of the tosses, and reported)",
     )
     group.add_argument(
         "--rate",
         metavar="HZ",
         type=positive,
-        help="sample rate of an .npz file (default: found from displacements and velocities, and "
-        "reported)",
+        help="sampling rate of the .npz file in Hz (default: detected from displacements and "
+        "velocities, and reported)",
     )
 
 

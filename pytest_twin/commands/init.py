@@ -49,24 +49,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RECORDING",
         type=Path,
         nargs="*",
-        help=f"of the robot, for a replay golden each: {RECORDING_HELP}",
+        help=f"recording of the robot; a replay golden is written for each: {RECORDING_HELP}",
     )
     parser.add_argument(
         "--tolerance",
         metavar="5mrad,0.2mm,JOINT=2mrad",
         type=_tolerance,
         default=TaskTolerance(),
-        help="the largest difference between replay and recording that the task allows: of all "
-        "hinge joints in rad, mrad or deg, of all slides in m, mm or um, or of one joint (default: "
-        "a blank in each replay golden, which fails until it is written)",
+        help="largest difference between replay and recording that the task allows: for all "
+        "revolute joints in rad, mrad or deg, for all prismatic joints in m, mm or um, or for one "
+        "joint (default: a blank in each replay golden, which fails until you fill it in)",
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         default=Path(),
-        help="the twin's folder (default: the working directory); a robot from elsewhere is "
-        "copied to DIR/asset",
+        help="folder of the twin (default: the working directory); a robot outside it is copied to "
+        "DIR/asset",
     )
     model_files.add_arguments(parser)
     add_recording_arguments(parser)

@@ -34,16 +34,18 @@ _SECONDS = 1800.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        "origin", metavar="ARCHIVE|FOLDER", type=Path, help="a zip, a tar, or a folder"
+        "origin", metavar="ARCHIVE|FOLDER", type=Path, help="zip file, tar file or folder"
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
-        help="the asset's new folder (default: the archive's name, in the working directory)",
+        help="new folder of the asset (default: named as the archive, in the working directory)",
     )
-    parser.add_argument("--supplier", metavar="NAME", help="who it came from")
-    parser.add_argument("--date", metavar="YYYY-MM-DD", help="when it came (default: today, UTC)")
+    parser.add_argument("--supplier", metavar="NAME", help="company that delivered it")
+    parser.add_argument(
+        "--date", metavar="YYYY-MM-DD", help="date of delivery (default: today, UTC)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

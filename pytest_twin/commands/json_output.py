@@ -29,8 +29,8 @@ def add_argument(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=STANDARD_OUTPUT,
         type=_target,
-        help="write the result as JSON too; '-' or no name: to standard output, and the text for "
-        "people to standard error",
+        help="also write the result as JSON; with '-' or without a name it goes to standard "
+        "output, and the text goes to standard error",
     )
 
 

@@ -17,16 +17,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         type=Path,
-        help="a folder that meshes, textures and includes may lie in beside the model's own root, "
-        "which is found (its package, its checkout, or the nearest folder that holds every file "
-        "that it names); once for each",
+        help="another folder from which meshes, textures and includes may be read, in addition to "
+        "the model's own root (its package, its checkout, or the nearest folder that contains all "
+        "files that it names); may be repeated",
     )
     parser.add_argument(
         "--package",
         metavar="NAME=DIR",
         action="append",
         default=[],
-        help="the folder of a package:// that is not found around the model; once for each",
+        help="folder of a package:// that is not found near the model; may be repeated",
     )
 
 

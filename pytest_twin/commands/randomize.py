@@ -40,17 +40,15 @@ SECONDS = 3600.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument(
-        "twin", metavar="TWIN", type=Path, help=f"a {FILE_NAME}, or the folder that holds it"
-    )
+    parser.add_argument("twin", metavar="TWIN", type=Path, help=f"{FILE_NAME} or its folder")
     parser.add_argument(
         "--final",
         metavar="RECORDING",
         type=Path,
         nargs="+",
         default=[],
-        help=f"recordings that guided nothing, which check the ranges: {RECORDING_HELP} (default: "
-        "ranges: final: of twin.yaml, else those in recordings/ with the role final)",
+        help=f"recordings that were used for nothing else and check the ranges: {RECORDING_HELP} "
+        "(default: ranges: final: of twin.yaml, else those in recordings/ with the role final)",
     )
     parser.add_argument(
         "--held-out",
@@ -58,32 +56,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         default=[],
-        help="recordings that nothing was fitted on: where they deviate more than the ranges "
-        "predict, the ranges are widened",
+        help="recordings that were not fitted; if they deviate more than the ranges predict, the "
+        "ranges are widened",
     )
     parser.add_argument(
-        "--draws", metavar="N", type=int, help="robots to simulate (default: twin.yaml's, else 256)"
+        "--draws",
+        metavar="N",
+        type=int,
+        help="number of simulated robots (default: as in twin.yaml, else 256)",
     )
     parser.add_argument(
         "--share",
         metavar="P",
         type=float,
-        help="share of the samples that should lie in the envelope (default: twin.yaml's, else "
-        "0.95)",
+        help="fraction of the samples that should lie in the envelope (default: as in twin.yaml, "
+        "else 0.95)",
     )
     parser.add_argument(
         "--against",
         metavar="FILE",
         type=Path,
-        help="ranges to compare: a ranges.json, a table NAME: [low, high], or events of Isaac Lab "
-        "or mjlab as .yaml or .py, which is read and never run",
+        help="ranges for comparison: a ranges.json, a table NAME: [low, high], or events of Isaac "
+        "Lab or mjlab as .yaml or .py, whose code is not run",
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         required=True,
-        help=f"{JSON_NAME}, {PAGE_NAME}, a sampler and simulators' configurations are written here",
+        help=f"folder for {JSON_NAME}, {PAGE_NAME}, a sampler and configurations of simulators",
     )
     add_recording_arguments(parser)
 

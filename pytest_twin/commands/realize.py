@@ -34,14 +34,16 @@ _PATCH = re.compile(r"[a-z-]+:.+")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("urdf", metavar="URDF", type=Path)
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True)
+    parser.add_argument("urdf", metavar="URDF", type=Path, help="URDF file of the robot")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help="folder of the converted asset"
+    )
     parser.add_argument(
         "--accept",
         metavar="PATCH",
         action="append",
         default=[],
-        help="accept one named repair of the asset, such as inertia-repair:LINK; once for each",
+        help="accept one named repair of the asset, such as inertia-repair:LINK; may be repeated",
     )
     model_files.add_arguments(parser)
 

@@ -47,7 +47,7 @@ def add_recordings(
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options for reading recordings."""
     group = parser.add_argument_group(
-        "how recordings are read", "each overrides the key of the same name in twin.yaml"
+        "how recordings are read", "each option overrides the key of the same name in twin.yaml"
     )
     add_topics_argument(group, "twin.yaml's, else ")
     group.add_argument(
@@ -55,28 +55,28 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="prefix=left_|RECORDED=MODEL,...",
         type=parse_joints,
         default={},
-        help="joint names of the recording: a prefix or suffix around the model's names, or single "
+        help="joint names of the recording: a prefix or suffix of the model's names, or single "
         "names",
     )
     group.add_argument(
         "--command-mode",
         metavar="MODE|JOINT=MODE,...",
         type=parse_command_mode,
-        help="which field of the commands counts: position, velocity or effort, for all joints or "
+        help="field of the commands that is used: position, velocity or effort, for all joints or "
         "for each (default: the one that the model's actuator takes)",
     )
     group.add_argument(
         "--clock",
         choices=CLOCKS,
-        help="header stamps or the recorder's log times (default: stamps where both topics have "
-        "them and they overlap)",
+        help="times from header stamps or from the recorder's log (default: stamps if both topics "
+        "have them and they overlap)",
     )
     group.add_argument(
         "--command-between",
         choices=COMMAND_BETWEEN,
-        help="what a command does between two stamps: it is held, interpolated to the next, or the "
-        "controller ramps to it in one period (default: what the recording's metadata or twin.yaml "
-        "says, else held)",
+        help="how a command changes between two stamps: held until the next, interpolated to the "
+        "next, or ramped to the next within one period (default: as the recording's metadata or "
+        "twin.yaml states, else held)",
     )
     add_reading_arguments(group)
 
@@ -101,14 +101,14 @@ def add_reading_arguments(group: argparse._ActionsContainer) -> None:
         metavar="HEADER=MEANING,...",
         type=parse_columns,
         default={},
-        help="of a CSV file: what columns with other headers are: time or NAME.position, "
-        "NAME.velocity, NAME.effort, NAME.command",
+        help="for a CSV file with other headers: time, NAME.position, NAME.velocity, NAME.effort "
+        "or NAME.command as the meaning of each",
     )
     group.add_argument(
         "--units",
         choices=UNITS,
-        help="of a LeRobot data set: the unit of its joints (default: what it declares, else found "
-        "from its values and reported)",
+        help="for a LeRobot data set: unit of its joints (default: the declared unit, else "
+        "detected from the values and reported)",
     )
 
 

@@ -60,16 +60,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.mcap",
         type=Path,
         required=True,
-        help=f"the predicted {STATE_TOPIC}, at the stamps of the recording; FILE.json and "
-        "FILE.html beside it say how far it is from the recording, joint by joint and over "
-        "frequency",
+        help=f"predicted {STATE_TOPIC} at the stamps of the recording; FILE.json and FILE.html "
+        "next to it compare it with the recording, for each joint and over frequency",
     )
     add_recording_arguments(parser)
     parser.add_argument(
         "--episode",
         metavar="N",
         type=int,
-        help="which episode of a data set, from 0",
+        help="number of the episode of a data set, from 0",
     )
     model_files.add_arguments(parser)
 

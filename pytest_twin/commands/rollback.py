@@ -27,14 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         type=Path,
         default=Path(),
-        help="folder of the twin, or one below it (default: the working folder)",
+        help="folder of the twin, or a folder in it (default: the working directory)",
     )
     parser.add_argument(
         "--release",
         metavar="RELEASE",
         type=Path,
-        help="folder of the release (default: the newest that is signed, undamaged, and differs "
-        "from the twin's files)",
+        help="folder of the release (default: the newest one that is signed and undamaged, and "
+        "differs from the twin's files)",
     )
 
 

@@ -22,7 +22,7 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, Twin, load_twin
 
-HELP = "run a candidate in the shadow of a release: declared metrics, safety, injected faults"
+HELP = "compare a candidate with a release on recordings: metrics, safety, injected faults"
 EXAMPLES = (
     "pytest-twin shadow releases/0007 candidate/ day2.mcap day3.mcap",
     "pytest-twin shadow releases/0007 . recordings/*.mcap --promote --json shadow.json",
@@ -39,25 +39,28 @@ _SECONDS = 3600.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        "release", metavar="RELEASE", type=Path, help="a release's folder, or a twin's: its newest"
+        "release",
+        metavar="RELEASE",
+        type=Path,
+        help="folder of a release, or of a twin for its newest release",
     )
     parser.add_argument(
         "candidate",
         metavar="CANDIDATE",
         type=Path,
-        help="twin.yaml, or its folder, with the residual, the update, or another model",
+        help="twin.yaml or its folder, with a residual, an online update or another model",
     )
     parser.add_argument(
         "recordings",
         metavar="RECORDING",
         type=Path,
         nargs="+",
-        help=f"{RECORDING_HELP}; in the order of time",
+        help=f"{RECORDING_HELP}; in chronological order",
     )
     parser.add_argument(
         "--promote",
         action="store_true",
-        help="where the candidate is better, write the record that the gate asks for into its "
+        help="if the candidate is better, write the record that a release requires into its "
         "folder: shadow/ID.json",
     )
 

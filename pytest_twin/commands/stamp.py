@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RELEASE",
         type=Path,
         required=True,
-        help="folder of the release that it was made with, or of a twin: its newest",
+        help="folder of the release that it was made with, or of a twin for its newest release",
     )
 
 

@@ -21,7 +21,7 @@ from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME
 from pytest_twin.words import counted
 
-HELP = "check a release, or the stamp of a data set: signature, every digest, age"
+HELP = "check signature, all digests and age of a release, or the stamp of a data set"
 EXAMPLES = (
     "pytest-twin verify releases/0001",
     "pytest-twin verify datasets/pick",
@@ -40,10 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "release",
         metavar="RELEASE|DATASET",
         type=Path,
-        help="a release's folder, or a twin's: its newest; or a stamped data set or policy",
+        help="folder of a release, or of a twin for its newest release; or a stamped data set or "
+        "policy",
     )
     parser.add_argument(
-        "--keys", metavar="DIR", type=Path, help="trusted public keys (default: the twin's keys/)"
+        "--keys",
+        metavar="DIR",
+        type=Path,
+        help="folder of trusted public keys (default: keys/ of the twin)",
     )
 
 

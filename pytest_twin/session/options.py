@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 SWITCHES = {
-    "twin-release": "run the stale goldens and sign a release, unless a critical one fails",
+    "twin-release": "run the stale goldens, and sign a release unless a critical one fails",
     "twin-update": "record goldens again, with provenance; show old and new values",
-    "twin-all": "run every golden, including those that the last release still proves",
-    "twin-diagnose": "diagnose why goldens of kind replay fail, and write the patched model",
-    "twin-confine": "run goldens without rights to other files and the network (Linux, Landlock)",
-    "twin-why": "list for every golden why it is fresh or stale; run nothing",
+    "twin-all": "run all goldens, including those that are unchanged since the last release",
+    "twin-diagnose": "diagnose failing goldens of kind replay, and write the patched model",
+    "twin-confine": "run goldens without access to other files and the network (Linux, Landlock)",
+    "twin-why": "list why each golden is fresh or stale, without running it",
 }
 VALUES = {
     "twin-report": ("PATH", "file of the HTML report (default: <twin>/.twin/report.html)"),
