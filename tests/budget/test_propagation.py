@@ -212,6 +212,50 @@ def test_the_error_of_a_time_offset_is_the_tool_speed_times_the_deviation(tmp_pa
     assert any("no speed is known" in note for note in notes)
 
 
+def test_correlated_errors_of_a_cameras_clock_and_its_hand_eye_pose_are_one_line(
+    tmp_path: Path,
+) -> None:
+    """A straight arm turns at 0.8 rad/s: both errors move the seen object along the path.
+
+    They cancel or double by the sign of their correlation. Independent ones add in squares.
+    """
+    deviation = 0.004
+    along = deviation * 0.8 * (UPPER + FORE)
+    time = 0.01 * np.arange(200)
+    position = np.column_stack([0.8 * time - 0.8, np.zeros(200)])
+    budget = "budget:\n  frame: tool\n  recordings: [motion.mcap]\n"
+    totals = {}
+    for correlation in (-1.0, 0.0, 1.0):
+        record = with_pose(
+            zeros_record(np.zeros((0, 0)), []), "hand_eye", ("flange", "camera"), (0.0, 0.0, 0.0),
+            np.diag([0.0, along**2, 0.0, 0.0, 0.0, 0.0]),
+        )  # fmt: skip
+        record["records"]["time_offset"] = {
+            "value": 0.02,
+            "ci95": [0.02 - 1.959964 * deviation, 0.02 + 1.959964 * deviation],
+        }
+        together = record["covariance"]
+        matrix = np.zeros((7, 7))
+        matrix[:6, :6] = together["matrix"]
+        matrix[6, 6] = deviation**2
+        matrix[1, 6] = matrix[6, 1] = correlation * along * deviation
+        together["of"].append("time_offset")
+        together["matrix"] = matrix.tolist()
+        twin = make_twin(tmp_path / f"r{correlation}", [record], budget=budget)
+        record_motion(twin.parent / "motion.mcap", position, np.zeros((200, 2)))
+        found = budget_of_file(str(twin))
+        (line,) = found["lines"]
+        assert {part["category"] for part in line["parts"]} == {"frame_calibration", "timing"}
+        states = {one["category"]: one["state"] for one in found["categories"]}
+        assert sorted((states["timing"], states["frame_calibration"])) == [
+            "counted_elsewhere", "measured",
+        ]  # fmt: skip
+        totals[correlation] = line["linear"]["position"]
+    assert totals[0.0] == pytest.approx(np.sqrt(2.0) * along, rel=1e-3)
+    assert min(totals.values()) < 0.01 * along
+    assert max(totals.values()) == pytest.approx(2.0 * along, rel=1e-3)
+
+
 def test_an_error_of_viscous_friction_agrees_with_the_solution_of_the_equation_of_motion(
     tmp_path: Path,
 ) -> None:

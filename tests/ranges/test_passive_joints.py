@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from pytest_twin import ranges
 from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import write_recording
@@ -82,6 +85,22 @@ def record_release(path: Path) -> Path:
     ]
     write_recording(path, series, {"command_between": "held", "role": "final"})
     return path
+
+
+def sampler() -> ModuleType:
+    """The sampler that is written beside ``ranges.json``."""
+    path = Path(ranges.__file__).parent / "written/sampler.py"
+    spec = importlib.util.spec_from_file_location("written_sampler", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def finite(**bounds: float) -> dict[str, float | None]:
+    """Bounds as ``ranges.json`` has them: null for none."""
+    return {name: value if np.isfinite(value) else None for name, value in bounds.items()}
 
 
 def turns(folder: Path) -> np.ndarray:
@@ -183,4 +202,9 @@ def test_a_coordinate_with_bounds_has_a_truncated_normal_distribution(
     assert stats.kstest(drawn, law.cdf).pvalue > 0.01
     assert lower <= drawn.min()
     assert drawn.max() <= upper
+    as_written = sampler()._values(
+        {"law": one.law, "mean": mean, "std": 0.2, **finite(lower=lower, upper=upper)},
+        np.linspace(-4.0, 4.0, 33),
+    )
+    assert as_written == pytest.approx(one.values(np.linspace(-4.0, 4.0, 33)), abs=1e-9)
     assert one.values(np.array([-1.0, 0.0, 1.0])).tolist() == sorted(one.values(np.arange(-1.0, 2)))
