@@ -11,6 +11,8 @@ from pathlib import Path
 
 import jsonschema
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from release_twins import MakeRelease
 
@@ -135,6 +137,24 @@ def test_a_stamp_is_valid_until_the_data_change(
     assert cli.main(["verify", str(data), "--json", str(out)]) == 1
     (problem,) = json.loads(out.read_text())["problems"]
     assert problem["text"].startswith("the data have changed since they were stamped")
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_changed_frame_of_a_lerobot_data_set_is_detected(
+    version: str, twin_with_two_releases: Path, tmp_path: Path
+) -> None:
+    data = write_dataset(tmp_path / "set", [episode(0, 30), episode(1, 20)], version)
+    assert cli.main(["stamp", str(data), "--release", str(twin_with_two_releases)]) == 0
+    assert json.loads((data / "meta/twin.json").read_text())["release"] == 2
+    assert cli.main(["verify", str(data)]) == 0
+    file = sorted((data / "data").rglob("*.parquet"))[0]
+    frames = pq.read_table(file)
+    rows = frames["observation.state"].to_pylist()
+    rows[3][1] += 0.3
+    column = pa.array(rows, frames["observation.state"].type)
+    at = frames.column_names.index("observation.state")
+    pq.write_table(frames.set_column(at, "observation.state", column), file)
+    assert cli.main(["verify", str(data)]) == 1
 
 
 def test_stamping_leaves_the_other_content_unchanged(
