@@ -41,3 +41,19 @@ def test_intervals_allow_for_errors_of_encoders(
     for one in result.encoders.readings:
         assert abs(one.value - errors.true_of(one.joint, one.kind)) <= 1.3 * one.half_width
     sys.modules.pop("coverage_of_intervals", None)
+
+
+def test_drive_gains_from_a_payload_lie_in_their_intervals(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(BENCHMARK))
+    import coverage_of_gains as coverage
+
+    result, true, gains = coverage.identified(2, tmp_path)
+    for joint, gain in zip(coverage.JOINTS, gains, strict=True):
+        found = result.gains[joint]
+        assert abs(found.value - gain) <= 1.5 * found.half_width
+        assert found.half_width < 0.05 * gain
+    assert np.mean(coverage.covered(result, true)) >= 0.8
+    for name in ("coverage_of_gains", "coverage_of_intervals"):
+        sys.modules.pop(name, None)
