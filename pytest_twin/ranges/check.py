@@ -38,6 +38,8 @@ LEVEL = 0.05
 """Significance level of the tests; divided by the number of joints if each is tested."""
 _WIDE_LEVEL = 0.02
 """Significance level of the tests for too wide ranges, which cost less than too narrow ones."""
+FEWEST_ROBOTS = round(1.0 / _WIDE_LEVEL)
+"""Number of robots with which a p-value can be below this level."""
 _REFERENCE = 512
 """Number of simulated robots that replace the real one in the tests. A p-value of 5 % then has a
 standard error of 1 %."""

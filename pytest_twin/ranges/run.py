@@ -14,14 +14,14 @@ from pytest_twin.diagnosis.noise import sensor_noise
 from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.ranges.against import compare
 from pytest_twin.ranges.bodies import Body
-from pytest_twin.ranges.check import assess, plotted, predict_envelopes
+from pytest_twin.ranges.check import FEWEST_ROBOTS, assess, plotted, predict_envelopes
 from pytest_twin.ranges.distribution import Distribution
 from pytest_twin.ranges.gather import UncertainParameters, collect_uncertain_parameters
 from pytest_twin.ranges.given import read_given
 from pytest_twin.ranges.quantities import quantities
 from pytest_twin.ranges.recordings import RecordingsByRole, checked_recordings
 from pytest_twin.ranges.simulate import Traces, VariedRobots
-from pytest_twin.ranges.widening import widened
+from pytest_twin.ranges.widening import fewest_robots, widened
 from pytest_twin.ranges.words import summary_lines
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.sandbox import MEMORY_BYTES
@@ -121,6 +121,11 @@ def ranges(
         own = quantities(distribution, found.bodies, share)
         document["against"] = compare(*given, own, twin.ranges.trials, share)
     if checked.final:
+        if count < FEWEST_ROBOTS:
+            document["notes"].append(
+                f"{count} robots are too few to find ranges wider than need be: draw at least "
+                f"{FEWEST_ROBOTS}"
+            )
         draws = distribution.draws(count, _SEED)
         before = robots.steps, robots.seconds
         traces = robots.simulate(checked.final, draws, lambda done: progress(0.3 + 0.6 * done))
@@ -164,9 +169,11 @@ def _widened(
 
     def simulate(distribution: Distribution) -> list[Traces]:
         progress(0.1)
-        draws = distribution.draws(min(count, _WIDENING_DRAWS), _WIDENING_SEED)
+        draws = distribution.draws(drawn, _WIDENING_SEED)
         return robots.simulate(checked.held_out, draws)
 
+    recorded = {joint for trial in checked.held_out for joint in robots.joints_of(trial)}
+    drawn = max(min(count, _WIDENING_DRAWS), fewest_robots(len(recorded)))
     joints = {one.joint for one in found.distribution.coordinates if one.joint is not None}
     carrying = {joint: robots.carrying(joint) for joint in joints}
     return widened(found.distribution, simulate, noise, carrying, share)

@@ -12,6 +12,7 @@ robots deviate as much.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -55,6 +56,15 @@ class Deviation:
 
     ratio: float
     chance: float
+
+
+def fewest_robots(joints: int) -> int:
+    """Return the number of robots with which the deviation of each joint can be significant.
+
+    Each of the joints is tested at the level ``LEVEL / joints``, and of ``n`` robots the smallest
+    p-value is ``1 / (n + 1)``.
+    """
+    return math.ceil(max(joints, 1) / LEVEL)
 
 
 def widened(

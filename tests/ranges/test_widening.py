@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+sys.path.append(str(Path(__file__).parent))
+
+from ranges_files import MEANS, STD, covariance, make_twin, record, record_motion, true_arm
+
 from pytest_twin.ranges import widening
-from pytest_twin.ranges.widening import Deviation, widened
+from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.widening import Deviation, fewest_robots, widened
 
 
 class Ranges:
@@ -48,3 +56,21 @@ def test_ranges_that_lock_the_joint_when_they_grow_are_not_the_widest(
     )
     assert 1.0 < factor < 6.0
     assert said["unexplained"] == ["elbow"]
+
+
+def test_a_few_draws_are_enough_robots_to_widen_every_joint(tmp_path: Path) -> None:
+    """Four draws of two joints: with four robots no p-value could be below the level of a joint."""
+    assert fewest_robots(2) == 10
+    twin = make_twin(tmp_path, [record(covariance(0.2))])
+    (tmp_path / "recordings").mkdir()
+    robot = true_arm(MEANS + np.array([2.0, 2.0, 0, 2.0, 2.0, 0, 0, 0]) * STD)
+    rng = np.random.default_rng(4)
+    for name, role in (("a", "held_out"), ("b", "final")):
+        path = tmp_path / f"recordings/{name}.mcap"
+        record_motion(path, robot, rng, seconds=2.0, role=role)
+    found = ranges_of_file(str(twin), {"draws": 4})
+    assert found["widening"]["factors"]["elbow"] > 2.0
+    assert (
+        "4 robots are too few to find ranges wider than need be: draw at least 50"
+        in (found["notes"])
+    )
