@@ -781,7 +781,9 @@ class _Reader:
                 continue
             if name in found:
                 raise self.section.error(
-                    f"parts.{name}", f"'{name}:' is a part of its own", expected="another name"
+                    f"parts.{name}",
+                    f"'{name}:' is already a part of the twin",
+                    expected="another name",
                 )
             file = spec.file if isinstance(spec, ResidualSpec) else None
             found[name] = DeclaredPart(name, spec.id, digest_of(spec, None), file, None)

@@ -140,7 +140,7 @@ def _function(spec: ResidualSpec) -> Law:
     points = entry_points_by_name(RESIDUALS).get(spec.function or "", ())
     if not points:
         raise SpecError(
-            f"no installed package brings the residual {spec.function!r}",
+            f"no installed package provides the residual {spec.function!r}",
             where="residual.function",
             expected=f"the name of an entry point of the group {RESIDUALS}",
         )

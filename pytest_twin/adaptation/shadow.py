@@ -117,9 +117,9 @@ def _compared(
     else:
         if patched_of(other.realization) is not None:
             raise SpecError(
-                "a residual beside effects that a diagnosis wrote beside its model",
+                "a residual cannot be combined with effects outside the model's MJCF",
                 path=other.realization.path,
-                expected="a base model that MJCF holds whole",
+                expected="a base model without an effects.json",
             )
         _require_joints(other, trials)
         law = law_of(spec)

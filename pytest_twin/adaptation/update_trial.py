@@ -58,16 +58,16 @@ def try_update(
     """
     if patched_of(realization) is not None:
         raise SpecError(
-            "an update beside effects that a diagnosis wrote beside its model",
+            "an update cannot be combined with effects outside the model's MJCF",
             path=realization.path,
-            expected="a base model that MJCF holds whole",
+            expected="a base model without an effects.json",
         )
     rows = [row_of(realization, trial) for trial in trials]
     recursion = Recursion(spec, base_parameters(spec, rows[0].model))
     windows = track(recursion, rows)
     if not windows:
         raise RecordingError(
-            "no window of motion to learn from",
+            "no window of motion to update from",
             path=trials[0].path,
             expected=f"recordings of more than {spec.window:g} s with dense positions",
         )

@@ -56,7 +56,7 @@ def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -
     targets = {out / path.relative_to(staging): path for path in files}
     if source in targets:
         raise PathError(
-            "the source would be written over", path=source, expected="another folder for --out"
+            "the source would be overwritten", path=source, expected="another folder for --out"
         )
     for target in targets:
         if target.is_symlink() or target.is_dir():

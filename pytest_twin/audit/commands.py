@@ -46,7 +46,7 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
             if actuator.means is not None and declared is None
             else f"its command is declared: {declared}"
             if declared is not None
-            else "gain and bias do not tell what its command means",
+            else "gain and bias do not determine the meaning of its command",
             None,
             None,
             None,

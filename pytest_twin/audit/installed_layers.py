@@ -53,7 +53,7 @@ def _findings(name: str, asset: Asset, known: Evidence, geometry: Geometry) -> l
     point = single_entry_point(entry_points_by_name(_GROUP)[name], "audit layer")
     if name in (*LAYERS, PLANNING):
         raise SpecError(
-            f"{package_of(point)} brings an audit layer with the name of a built-in layer",
+            f"{package_of(point)} provides an audit layer with the name of a built-in layer",
             where="audit layer",
             value=name,
             expected="another name of the entry point",

@@ -66,7 +66,7 @@ CATEGORIES: tuple[Category, ...] = (
         "actuation",
         "constant efforts and scales of the drives",
         f"{_IDENTIFY} (stage drive)",
-        "repeat the recording with a known payload: it tells the scale of each drive",
+        "repeat the recording with a known payload: it determines the scale of each drive",
         ("step", "frequency_response"),
     ),
     Category(

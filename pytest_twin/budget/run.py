@@ -52,7 +52,7 @@ def budget(
     notes = list(task.notes)
     if twin.first_realization.effects is not None:
         notes.append(
-            "the effects beside the model are not simulated here: replays step the plain model"
+            "effects outside the model's MJCF are not simulated here: replays use the plain model"
         )
     lines = _lines(twin, realization, task, notes, progress)
     unmodelled = unmodelled_lines(task, lines, twin)
@@ -106,7 +106,7 @@ def _lines(
         taken |= claims(entry.record)
         line = calibration_line(cause, task, twin)
         if line is None:
-            why = "; ".join(cause.left_out) or "it holds no covariance"
+            why = "; ".join(cause.left_out) or "it has no covariance"
             notes.append(f"calibration {entry.record.id!r} moves nothing here: {why}")
         else:
             found.append(line)

@@ -51,9 +51,8 @@ def without_coincident(observations: Observations) -> tuple[Observations, tuple[
             left_out.append(
                 LeftOut(
                     f"point.{second}",
-                    f"markers {first} and {second} stand in the same place in all "
-                    f"{int(same.sum())} rows: one was lost and filled in; counted once, as "
-                    f"{first}",
+                    f"markers {first} and {second} are at the same place in all {int(same.sum())} "
+                    f"rows: one was lost and filled in; counted once, as {first}",
                 )
             )
             continue
@@ -65,8 +64,8 @@ def without_coincident(observations: Observations) -> tuple[Observations, tuple[
             left_out.append(
                 LeftOut(
                     observations.ids[row],
-                    f"markers {first} and {second} stand in the same place "
-                    f"({1e3 * gap[row]:.3f} mm apart): {who} left out of this row",
+                    f"markers {first} and {second} are at the same place ({1e3 * gap[row]:.3f} mm "
+                    f"apart): {who} left out of this row",
                 )
             )
     return replace(observations, points=points), tuple(left_out)

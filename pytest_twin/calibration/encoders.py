@@ -142,7 +142,7 @@ def _check(plan: Plan, observations: Observations) -> None:
     if len(plan.estimate) > 1:
         raise plan.error(
             "estimate",
-            f"{ENCODERS} beside other estimates",
+            f"{ENCODERS} cannot be combined with other estimates",
             value=", ".join(plan.estimate),
             expected=f"a plan of its own for {ENCODERS}: it compares readings of the same pose",
         )
@@ -151,7 +151,7 @@ def _check(plan: Plan, observations: Observations) -> None:
         if pose not in poses:
             raise plan.error(
                 f"references.{pose}",
-                "a reference of a pose that no observation has",
+                "a reference for a pose that no observation has",
                 value=pose,
                 expected="a name in the column pose of the observations",
             )
@@ -159,7 +159,7 @@ def _check(plan: Plan, observations: Observations) -> None:
             if joint not in observations.joints:
                 raise plan.error(
                     f"references.{pose}.{joint}",
-                    "a reference of a joint that no column has",
+                    "a reference for a joint without a column",
                     value=joint,
                     expected=", ".join(observations.joints) or "a column joint.NAME",
                 )
@@ -169,7 +169,7 @@ def _check(plan: Plan, observations: Observations) -> None:
             ):
                 raise plan.error(
                     f"references.{pose}.{joint}",
-                    "a reference of a joint without a reading in that pose",
+                    "a reference for a joint without a reading in this pose",
                     value=joint,
                     expected=f"a number in joint.{joint} of a row of pose {pose}",
                 )

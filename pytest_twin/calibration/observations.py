@@ -170,7 +170,7 @@ def _approaches(table: ObservationTable) -> tuple[str, ...] | None:
             raise table.error(
                 row,
                 "approach",
-                "no side of approach",
+                "no approach direction",
                 value=side,
                 expected="+ (rising position) or - (falling position)",
             )
@@ -201,7 +201,7 @@ def _poses(table: ObservationTable, prefix: str) -> FloatArray:
     for row in np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)):
         missing = _POSE[int(np.flatnonzero(~there[row])[0])]
         raise table.error(
-            int(row), f"{prefix}.{missing}", "half a pose", expected="seven numbers, or none"
+            int(row), f"{prefix}.{missing}", "an incomplete pose", expected="seven numbers, or none"
         )
     poses = np.full((len(table), 4, 4), np.nan)
     full = there.all(axis=1)

@@ -196,7 +196,7 @@ def _check_terms(plan: Plan, terms: tuple[Term, ...]) -> None:
     if "tcp" in plan.estimate and len(tips) > 1 and len(tips) == len(terms):
         raise plan.error(
             "estimate",
-            f"tcp, and several points without a place in the tool: {', '.join(tips)}",
+            f"tcp, and several points without a position in the tool: {', '.join(tips)}",
             expected="target: {kind: points, points: {NAME: [x, y, z]}} with the places of markers "
             "in the tool; or one column point.TIP with the nominal place that the tip touches in "
             "each row",
@@ -204,7 +204,7 @@ def _check_terms(plan: Plan, terms: tuple[Term, ...]) -> None:
     if plan.has_free_scale and not any(isinstance(term, PoseTerm) for term in terms):
         raise plan.error(
             "camera.scale",
-            "a scale to be estimated, and no pose of a camera",
+            "a scale to estimate, but no poses of a camera",
             expected="camera_from_target.x y z qw qx qy qz in observations",
         )
 

@@ -51,7 +51,7 @@ def held_out_observations(observations: Observations, record: CalibrationRecord)
     """
     if not record.held_out_ids:
         raise SpecError(
-            "the calibration held no observation out",
+            "the calibration has no held-out observations",
             path=record.path,
             where="held_out.ids",
             expected="hold_out: in its plan, with a fraction above 0 or ids",
@@ -60,7 +60,7 @@ def held_out_observations(observations: Observations, record: CalibrationRecord)
     for name in record.held_out_ids:
         if name not in place:
             raise SpecError(
-                "a held-out observation that the file does not have",
+                "a held-out observation is missing in the file",
                 path=record.path,
                 where="held_out.ids",
                 value=name,

@@ -92,7 +92,7 @@ def calibrate_file(
         if found.has_free_scale:
             raise found.error(
                 "camera.scale",
-                "a scale to be estimated from streams on two clocks",
+                "the scale cannot be estimated from streams on two clocks",
                 value="estimate",
                 expected="observations: poses at rest, or at stamps of one clock",
             )
@@ -184,7 +184,7 @@ def calibrate(
     if images is not None and plan.has_free_scale:
         raise plan.error(
             "camera.scale",
-            "a scale to be estimated, and images of a target whose size is stated",
+            "the scale cannot be estimated with images of a target of known size",
             value="estimate",
             expected="no scale, or camera_from_target in place of images",
         )

@@ -282,7 +282,7 @@ def _free_object(golden: Golden) -> FreeObject | None:
         raise spec_error(
             golden,
             "target.object.size",
-            f"no size of a {given['shape']}",
+            f"not the size of a {given['shape']}",
             value=given["size"],
             expected=f"{SIZES[given['shape']]} half sizes of more than 0 m",
         )

@@ -239,7 +239,7 @@ def _tendon_input(golden: Golden, realization: Realization) -> CommandInput:
         raise spec_error(
             golden,
             "target.command",
-            "a step of an actuator's control has no mode of its own",
+            "a step of an actuator's control has no command mode",
             value=golden.target["command"],
             expected="target.actuator or target.command, not both",
         )
@@ -276,7 +276,7 @@ def _check_range(
                 raise spec_error(
                     golden,
                     "stimulus.amplitude",
-                    f"the stimulus leaves {name}",
+                    f"the stimulus exceeds {name}",
                     value=f"{value:.6g}",
                     unit=unit,
                     expected=f"{lower:.6g} to {upper:.6g} {unit}",

@@ -336,8 +336,8 @@ def _plan(golden: Golden, timestep: float) -> _Plan:
     if stimulus.get("signal", "multisine") == "chirp":
         if realizations > 8:
             raise spec_error(
-                golden, "stimulus.realizations", "a chirp has no more", value=realizations,
-                expected="2 to 8",
+                golden, "stimulus.realizations", "too many realizations for a chirp",
+                value=realizations, expected="2 to 8",
             )  # fmt: skip
         harmonics = np.arange(lowest, highest + 1)
         signals = [frequency.chirp(samples, lowest, highest, i) for i in range(realizations)]

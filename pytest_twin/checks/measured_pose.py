@@ -99,7 +99,7 @@ def _check_parent(golden: Golden, realization: Realization, parent: str) -> None
     if parent not in known or not chain([parent]) <= chain([golden.target["tcp"]]):
         raise spec_error(
             golden, "target.tcp_topic",
-            "its poses are in a frame that is not on the way to the tool", value=parent,
+            "its poses are in a frame that is not between the world and the tool", value=parent,
             expected="poses in the world, or in a body between it and the tool",
         )  # fmt: skip
 

@@ -210,7 +210,7 @@ class Settling(Check):
                 {"settling_time": "s"},
                 values,
                 "robot",
-                undefined={"settling_time": "it never comes to rest"},
+                undefined={"settling_time": "it does not come to rest"},
             )
         measures += declared_measure(
             golden, "energy_growth", "J", float(values["energy_growth"]), "robot"

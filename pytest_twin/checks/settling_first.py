@@ -76,8 +76,8 @@ def _under_gravity(
         found = _tried(check, spec, realization)
         if found["deepest"] is None:
             raise NothingToProposeError(
-                "settling under gravity, because the base floats and nothing is under it "
-                "(a contact golden lets it fall on a floor)"
+                "settling under gravity, because the base floats and nothing is under it (a "
+                "contact golden can drop it on a floor)"
             )
         if found["settling_time"] is None:
             raise NothingToProposeError(

@@ -34,8 +34,8 @@ SAMPLES = 401
 _METRICS = {"rise_time": "s", "overshoot": "1", "settling_time": "s", "steady_state_error": "1"}
 _TRACE = {"rad": "angle", "m": "position", "rad/s": "angular_velocity", "m/s": "linear_velocity"}
 _UNDEFINED = {
-    "rise_time": "the response comes to no steady state",
-    "overshoot": "the response comes to no steady state",
+    "rise_time": "the response does not reach a steady state",
+    "overshoot": "the response does not reach a steady state",
     "settling_time": "the response does not stay within 2 %",
     "steady_state_error": "no steady state, or a command of another quantity than the response",
 }

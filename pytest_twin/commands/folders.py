@@ -37,10 +37,10 @@ def check_replaceable(folder: Path, file_name: str, what: str) -> None:
     if not folder.parent.is_dir():
         raise TwinError("no such folder", path=folder.parent, expected="a folder that exists")
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise PathError("is in the way of a folder", path=folder, expected="a folder or nothing")
+        raise PathError("is not a folder", path=folder, expected="a folder or nothing")
     if folder.is_dir() and any(folder.iterdir()) and not (folder / file_name).is_file():
         raise PathError(
-            "a folder with other things in it is not replaced",
+            "a folder with other files is not replaced",
             path=folder,
             expected=f"a new folder, or that of an earlier {what}",
         )

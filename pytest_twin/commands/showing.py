@@ -228,7 +228,7 @@ def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
     modes = sorted(set(usable["command_modes"].values()))
     between = usable["command_between"]
     parts = len(usable["trials"])
-    in_parts = "" if parts == 1 else f", in {parts} parts between holes"
+    in_parts = "" if parts == 1 else f", in {parts} parts between gaps"
     seconds = sum(trial["duration"] for trial in usable["trials"])
     lines.append(
         f"A diagnosis can use {seconds:.4g} s of it{in_parts}: "

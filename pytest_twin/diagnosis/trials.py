@@ -366,7 +366,7 @@ def _refuse_too_few(trial: Trial) -> None:
     """
     if trial.parts > 1 and trial.duration < _SHORTEST_PART:
         raise RecordingError(
-            "a part between holes is too short for a diagnosis",
+            "a part between gaps is too short for a diagnosis",
             path=trial.path,
             where=f"from {trial.offset:.4g} s",
             value=f"{trial.duration:.3g}",

@@ -29,7 +29,7 @@ def catalogue() -> Mapping[str, Effect]:
     for point in points:
         if point.name in effects:
             raise SpecError(
-                f"{package_of(point)} defines an effect that another package defines too",
+                f"{package_of(point)} defines an effect that another package also defines",
                 where="effect",
                 value=point.name,
                 expected="one package for each effect; uninstall the other",

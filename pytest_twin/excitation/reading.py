@@ -219,12 +219,12 @@ def _joint(realization: Realization, name: str, own: Mapping[str, Any], twin: Tw
         value = float(own[key])
         if not value > 0.0:
             raise twin.error(
-                f"{where}.{key}", "no motion without it", value=value, unit=of_unit,
+                f"{where}.{key}", "not a positive limit", value=value, unit=of_unit,
                 expected="a limit above 0",
             )  # fmt: skip
         if bound is not None and value > bound:
             raise twin.error(
-                f"{where}.{key}", "beyond what the model's joint may do", value=value,
+                f"{where}.{key}", "above the limit of the model's joint", value=value,
                 unit=of_unit, expected=f"at most {bound:.6g} {of_unit}",
             )  # fmt: skip
     return JointLimits(

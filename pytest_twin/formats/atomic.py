@@ -80,7 +80,9 @@ def write_text(path: Path, text: str) -> None:
         data = text.encode("utf-8")
     except UnicodeEncodeError:
         raise FormatError(
-            "text that UTF-8 cannot hold", path=path, expected="text without lone surrogates"
+            "text that cannot be encoded in UTF-8",
+            path=path,
+            expected="text without lone surrogates",
         ) from None
     write_bytes(path, data)
 
@@ -99,7 +101,7 @@ def replace_directory(staging: Path, final: Path) -> None:
     if staging.is_symlink() or not staging.is_dir():
         raise PathError("not a folder", path=staging, expected="the folder to move into place")
     if final.is_symlink() or (final.exists() and not final.is_dir()):
-        raise PathError("is in the way of a folder", path=final, expected="a folder or nothing")
+        raise PathError("is not a folder", path=final, expected="a folder or nothing")
     try:
         _sync_tree(staging)
         if not final.exists():
@@ -160,7 +162,7 @@ def _mode_for(path: Path) -> int:
         raise PathError(f"cannot be written: {error.strerror}", path=path) from error
     if not stat.S_ISREG(found.st_mode):
         raise PathError(
-            "is not a regular file and is not written over",
+            "is not a regular file and is not overwritten",
             path=path,
             expected="a path to a regular file, or to nothing yet",
         )

@@ -308,7 +308,7 @@ def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<te
         below = at is not None and line > at + 1
         if key in RECORDED_KEYS and not below:
             raise SpecError(
-                "is written by pytest --twin-update and is among the fields that people write",
+                "is written by pytest --twin-update, but is above the recorded mark",
                 path=path,
                 line=line,
                 where=key,

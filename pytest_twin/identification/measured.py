@@ -363,8 +363,8 @@ def _efforts(
         top = _clipped_at(values) if own.limit is None else own.limit
         if top is not None and own.limit is None:
             notes.append(
-                f"{name}: effort stands at {top:.4g} again and again: the drive is at its limit or "
-                "the signal is clipped; these samples are left out"
+                f"{name}: effort is repeatedly {top:.4g}: the drive is at its limit or the signal "
+                "is clipped; these samples are left out"
             )
         factor = 1.0
         if own.quantity == "current":

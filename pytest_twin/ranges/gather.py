@@ -58,7 +58,7 @@ def collect_uncertain_parameters(
     parts, records = _of_records(twin, realization, patched)
     if not records and not twin.ranges.trials and not twin.ranges.tolerances:
         raise SpecError(
-            "no record says how uncertain this twin is",
+            "no record states an uncertainty of this twin",
             path=twin.path,
             where="fit",
             expected="identification.json under fit:, or calibration.json under calibrations:; "

@@ -89,7 +89,7 @@ def read_given(path: Path) -> tuple[list[Term], list[str]]:
             raise FormatError("no table of ranges", path=path, expected=_EXPECTED)
         terms = _of_table(data, skipped)
     else:
-        raise FormatError("not a kind of file that is compared", path=path, value=suffix,
+        raise FormatError("not a type of file that can be compared", path=path, value=suffix,
                           expected=_EXPECTED)  # fmt: skip
     if not terms:
         why = f" ({skipped[0]})" if skipped else ""

@@ -113,7 +113,7 @@ def coordinates_of_record(
 def _refuse_unusable(record: IdentificationRecord, matrix: FloatArray) -> None:
     if not len(matrix):
         raise FormatError(
-            "it holds no covariance",
+            "it has no covariance",
             path=record.path,
             where="covariance",
             expected="a record of pytest-twin identify, which states one",

@@ -163,7 +163,7 @@ def _refuse_used(final: Sequence[Trial], held_out: Sequence[Trial], twin: Twin) 
         why = used.get(file_sha256(path)) if path.is_file() else None
         if why is not None:
             raise RecordingError(
-                f"a final recording that guided something: {why}",
+                f"a final recording that was used before: {why}",
                 path=path,
                 expected="recordings that no fit, calibration, or range was made from",
             )

@@ -89,7 +89,7 @@ def _of_parameter(
         if mean == 0.0:
             raise twin.error(
                 f"{where}.relative",
-                "a share of a value that is zero",
+                "a relative tolerance of a value that is zero",
                 value=tolerance.parameter,
                 expected=f"absolute: half width in {found.coordinates[place].unit}",
             )

@@ -48,7 +48,7 @@ def spread_over_trials(
                and one.body is None]  # fmt: skip
     if lacking:
         notes.append(
-            "no spread over trials is known of what not every group of trials estimated: "
+            "the spread over trials is unknown for parameters that some groups did not estimate: "
             + ", ".join(lacking)
         )
     conditions = [

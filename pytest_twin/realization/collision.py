@@ -131,7 +131,7 @@ class Shapes:
             kind = Geom(self._model.geom_type[geom])
             if kind not in _SUPPORTED:
                 raise ModelError(
-                    "no distance to this shape can be checked",
+                    "distances to this shape cannot be checked",
                     path=self._realization.path,
                     where=simulate.geom_name(self._model, geom),
                     value=kind.name.removeprefix("mjGEOM_").lower(),

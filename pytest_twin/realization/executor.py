@@ -97,7 +97,7 @@ class Dask:
                 return list(client.gather(futures))
             except dask.KilledWorker as error:
                 raise SimulationError(
-                    "every Dask worker that had this item died",
+                    "every Dask worker that ran this task ended",
                     where="--scheduler",
                     value=str(error),
                     expected="workers with enough memory; see their logs",

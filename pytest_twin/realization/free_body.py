@@ -80,7 +80,7 @@ def free_body(realization: NamedModel, name: str | None = None) -> FreeBody:
         others = tuple(g for g in sorted(declared) if g not in own)
     if not own or not others:
         raise ModelError(
-            "nothing for the free body to touch",
+            "the free body can touch nothing",
             path=realization.path,
             where=f"body {model.body(body).name!r}",
             expected="a geom of the body and a geom of the surroundings, both with contact, or a "

@@ -128,7 +128,7 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
         )
     if triangles.faces.min() < 0 or triangles.faces.max() >= len(triangles.vertices):
         raise FormatError(
-            "a face with a vertex that is not there",
+            "a face with a vertex that does not exist",
             path=path,
             expected=f"vertices 0 to {len(triangles.vertices) - 1}; export the mesh again",
         )
@@ -167,7 +167,8 @@ def _parser_input(data: bytes, path: Path) -> bytes:
             return data
         if b"facet" not in data.lower():
             raise FormatError(
-                "broken STL mesh: neither text nor as long as its count of triangles says",
+                "broken STL mesh: neither text nor of the length that its number of triangles "
+                "requires",
                 path=path,
                 value=f"{stated} triangles in {len(data)} bytes",
                 expected=f"{_STL_HEAD} bytes and {_STL_TRIANGLE} for each triangle",

@@ -478,7 +478,7 @@ class _Reader:
                 if name and before is not node:
                     raise node.error(
                         f"a second {node.tag} named '{name}'",
-                        expected=f"a name unlike that of {before.place}",
+                        expected=f"a name that differs from that of {before.place}",
                     )
 
     def check(self, node: Node, repeated: float) -> None:

@@ -251,7 +251,7 @@ def lift_above(
         if not abs(data.qpos[at]) < 2.0 * _MAX_DISTANCE:
             break
     raise SimulationError(
-        "nothing is below the body that is dropped",
+        "no body is below the released body",
         where="target.pair",
         expected="a second body of the pair straight below the first",
     )

@@ -421,7 +421,7 @@ def _check_tree(robot: Robot) -> None:
     if len(roots) != 1:
         found = ", ".join(f"'{name}'" for name in roots[:6])
         raise robot.node.error(
-            "the links make no single tree",
+            "the links do not form a single tree",
             value=f"{len(roots)} roots" + (f": {found}" if roots else ", a loop"),
             expected="one link without a parent",
         )
@@ -429,7 +429,7 @@ def _check_tree(robot: Robot) -> None:
     reached = len(robot.in_order()) + 1
     if reached != len(robot.links):
         raise robot.node.error(
-            "a loop of links apart from the tree",
+            "a loop of links that is not connected to the root",
             value=f"{len(robot.links) - reached} links",
             expected="every link on a chain of joints from the root",
         )

@@ -84,7 +84,7 @@ def open_envelope(
             key.verify_signature(signature, envelope.pae())
         except UnverifiedSignatureError:
             raise ReleaseError(
-                "the signature does not fit: the statement was changed or another key signed it",
+                "the signature is not valid: the statement was changed or another key signed it",
                 where="signatures",
                 value=key_id,
                 expected="the release as it was signed; fetch it again from where it was written",

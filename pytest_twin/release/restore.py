@@ -99,7 +99,7 @@ def last_validated(root: Path, now: datetime) -> Path:
             return folder
         refused.append(f"release {number}: the twin's files are already those of this release")
     raise ReleaseError(
-        "no release to go back to",
+        "no release to restore",
         path=root / folders.RELEASES,
         value="; ".join(refused) or None,
         expected="a signed release whose files differ from today's",

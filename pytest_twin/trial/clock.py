@@ -252,7 +252,7 @@ def _stepping(timed: list[Timed], notes: list[str], by_log: bool, path: Path) ->
         )
     if len(back[0]) != len(back[1]):
         raise RecordingError(
-            "the clock of the stamps steps back in one topic alone",
+            "the clock of the stamps steps back in only one topic",
             path=path,
             where=topic.series.topic,
             value=f"{jump:.4g}",

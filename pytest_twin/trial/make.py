@@ -34,7 +34,7 @@ from pytest_twin.trial.table import (
 from pytest_twin.trial.trial import Mark, Trial, busiest
 
 # Texts of readers about stamps.
-_STAMP_TEXTS = ("stamps go back", "stamps stand twice", "header.stamp")
+_STAMP_TEXTS = ("stamps go back", "stamps occur twice", "header.stamp")
 # A joint that is in fewer of a topic's messages than this share comes in messages of its own.
 _SEPARATE_SHARE = 0.8
 
@@ -321,7 +321,7 @@ class _Maker:
         commanded = [bool(column.any()) for column in own.T]
         if not all(commanded):
             raise self.doubts.error(
-                "a joint has no command on this side of a step of the clock", topic,
+                "a joint has no command before or after a step of the clock", topic,
                 value=listed([j for j, some in zip(joints, commanded, strict=True) if not some]),
                 expected="one clock, or --clock log",
             )  # fmt: skip
@@ -367,7 +367,7 @@ class _Maker:
     def note_twice(self, topic: str, time: FloatArray) -> None:
         """Mark stamps of more than one message."""
         twice = np.flatnonzero(np.diff(time) == 0) + 1
-        self.doubts.mark_runs("duplicate_stamp", topic, None, time, twice, "stamps stand twice")
+        self.doubts.mark_runs("duplicate_stamp", topic, None, time, twice, "stamps occur twice")
 
     def optional(
         self, field: str, rows: StateRows, joints: tuple[str, ...], time: FloatArray, topic: str

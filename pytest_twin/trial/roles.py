@@ -25,7 +25,7 @@ def refuse_final(metadata: Mapping[str, str], path: Path, use: str) -> None:
     """
     if metadata.get("role") == FINAL:
         raise RecordingError(
-            f"a final recording guides nothing: it is not used for {use}",
+            f"a final recording only checks ranges: it is not used for {use}",
             path=path,
             where="metadata 'trial': role",
             value=FINAL,

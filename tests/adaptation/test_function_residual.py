@@ -108,7 +108,7 @@ def test_another_version_of_the_package_is_another_residual(
 @pytest.mark.parametrize(
     ("classes", "words"),
     [
-        ((), "no installed package brings the residual 'spring'"),
+        ((), "no installed package provides the residual 'spring'"),
         (("Spring", "Raises"), "both provide this residual"),
         (("Missing",), "package 'springs' 1.0 cannot be loaded: AttributeError"),
         (("Raises",), "package 'springs' 1.0 does not run: KeyError: 'weights'"),

@@ -176,7 +176,7 @@ def test_the_source_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFix
     urdf = write_arm(tmp_path)
     before = urdf.read_bytes()
     assert main(["realize", str(urdf), "--out", str(urdf.parent)]) == 2
-    assert "the source would be written over" in capsys.readouterr().err
+    assert "the source would be overwritten" in capsys.readouterr().err
     assert urdf.read_bytes() == before
 
 

@@ -177,7 +177,7 @@ def test_a_record_without_held_out_observations_is_refused(cell: Path) -> None:
     document = json.loads((cell / "record.json").read_text())
     del document["held_out"]["ids"]
     (cell / "record.json").write_text(json.dumps(document))
-    with pytest.raises(SpecError, match="the calibration held no observation out"):
+    with pytest.raises(SpecError, match="the calibration has no held-out observations"):
         measures_of(cell)
 
 

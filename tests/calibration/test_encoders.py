@@ -99,8 +99,11 @@ def test_approaches_from_one_side_give_no_hysteresis_and_a_note(tmp_path):
     ("change", "words"),
     [
         ({"references": {"other": {"elbow": 0.0}}}, "a pose that no observation has"),
-        ({"references": {"stop": {"wrist": 0.0}}}, "a joint that no column has"),
-        ({"estimate": ["encoder_repeatability", "hand_eye"]}, "beside other estimates"),
+        ({"references": {"stop": {"wrist": 0.0}}}, "a joint without a column"),
+        (
+            {"estimate": ["encoder_repeatability", "hand_eye"]},
+            "cannot be combined with other estimates",
+        ),
     ],
 )
 def test_unknown_names_in_the_plan_are_refused(tmp_path, change, words):
@@ -115,7 +118,7 @@ def test_an_invalid_side_of_approach_is_refused_with_its_line(tmp_path):
     plan = write_plan(tmp_path)
     table = plan.with_name("observations.csv")
     table.write_text(table.read_text().replace("stop,+", "stop,up", 1))
-    with pytest.raises(FormatError, match="no side of approach") as error:
+    with pytest.raises(FormatError, match="no approach direction") as error:
         load_observations(table)
     assert error.value.line == 2
 

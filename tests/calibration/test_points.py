@@ -150,7 +150,7 @@ def test_points_of_a_mirrored_frame_are_named() -> None:
 def test_a_tip_among_markers_of_unknown_places_is_refused() -> None:
     rng = np.random.default_rng(5)
     observations, _, _ = marker_observations(rng, PLACES)
-    with pytest.raises(SpecError, match="several points without a place in the tool"):
+    with pytest.raises(SpecError, match="several points without a position in the tool"):
         calibrate(cells.plan("tcp", "base_world"), observations, None)
 
 
@@ -162,8 +162,8 @@ def test_a_marker_that_always_coincides_with_another_is_counted_once() -> None:
     assert found["excluded"] == [
         {
             "id": "point.d",
-            "why": "markers c and d stand in the same place in all 25 rows: one was lost and "
-            "filled in; counted once, as c",
+            "why": "markers c and d are at the same place in all 25 rows: one was lost and filled "
+            "in; counted once, as c",
         }
     ]
 

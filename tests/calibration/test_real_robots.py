@@ -84,7 +84,7 @@ def test_joint_zeros_from_markers_reduce_the_errors_of_the_tiago(tmp_path: Path)
     without = calibrated(tmp_path, plan.format("base_world"))
     found = calibrated(tmp_path, plan.format("base_world, joint_zeros"))
     assert found["excluded"][0]["id"] == "point.m4"
-    assert "markers m3 and m4 stand in the same place in all 34 rows" in found["excluded"][0]["why"]
+    assert "markers m3 and m4 are at the same place in all 34 rows" in found["excluded"][0]["why"]
     before, after = (one["fitted"]["leave_one_out"]["translation_rms"] for one in (without, found))
     assert after < before
     held = {"torso_lift_joint", "arm_1_joint", "arm_7_joint"}

@@ -309,7 +309,7 @@ def test_a_floating_base_robot_is_released_onto_an_added_floor(tmp_path: Path) -
         ),
         (
             spec("approach", ["object", "table"], {"duration": "1 s"}, object={**BOX, "size": [1]}),
-            "no size of a box",
+            "not the size of a box",
         ),
         (
             spec("approach", ["object", "table"], {"duration": "1 s"}, object={**BOX, "mass": 0}),

@@ -193,7 +193,7 @@ def test_a_frequency_that_lost_its_coherence_fails_with_the_reason(tmp_path: Pat
         ("band", ["20 Hz", "0.5 Hz"], "the band does not fit the period and the timestep"),
         ("band", ["0.1 Hz", "0.4 Hz"], "the band does not fit the period and the timestep"),
         ("amplitude", "0 m", "the amplitude is not above zero"),
-        ("amplitude", "2 m", "the stimulus leaves the control's range"),
+        ("amplitude", "2 m", "the stimulus exceeds the control's range"),
         ("period", "1000 s", "out of bounds"),
         ("period", "0 s", "out of bounds"),
     ],

@@ -135,7 +135,7 @@ def test_an_undamped_joint_has_no_settling_time(tmp_path: Path) -> None:
     )
     measure = measures_on(CHECK, golden, trace, robot)["settling_time"]
     assert not measure.passed
-    assert measure.subject == "robot: undefined now (it never comes to rest)"
+    assert measure.subject == "robot: undefined now (it does not come to rest)"
 
 
 def test_zero_input_moves_a_servo_to_zero_and_hold_keeps_it(tmp_path: Path) -> None:

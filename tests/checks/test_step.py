@@ -190,7 +190,7 @@ def test_a_metric_that_is_undefined_in_one_of_both_runs_fails(tmp_path: Path) ->
     golden, trace = recorded(CHECK, STEP, still)
     now = measures_on(CHECK, golden, trace, rings)["rise_time"]
     assert not now.passed
-    assert now.subject == "x: undefined now (the response comes to no steady state)"
+    assert now.subject == "x: undefined now (the response does not reach a steady state)"
     golden, trace = recorded(CHECK, STEP, rings)
     then = measures_on(CHECK, golden, trace, still)["rise_time"]
     assert not then.passed
@@ -203,7 +203,7 @@ def test_a_metric_that_is_undefined_in_one_of_both_runs_fails(tmp_path: Path) ->
     [
         ("target", "joint", "y", "target.joint: no hinge or slide joint of this name"),
         ("target", "command", "velocity", "target.command: no actuator takes velocity commands"),
-        ("stimulus", "amplitude", "2 m", "the stimulus leaves the control's range"),
+        ("stimulus", "amplitude", "2 m", "the stimulus exceeds the control's range"),
         ("stimulus", "amplitude", "0 m", "the amplitude is zero"),
         ("stimulus", "amplitude", "1 rad", "unit 'rad' does not fit"),
         ("stimulus", "duration", "0 s", "out of bounds"),

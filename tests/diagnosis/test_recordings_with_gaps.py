@@ -102,7 +102,7 @@ def test_a_part_that_is_too_short_is_left_out_with_a_note(bench: Bench) -> None:
     )
     assert [round(t.offset, 2) for t in found.fit] == [0.0, 2.6]
     (note,) = [n for n in found.notes if n.startswith("left out")]
-    assert "a part between holes is too short for a diagnosis (got '0.49' s; expected at least" in (
+    assert "a part between gaps is too short for a diagnosis (got '0.49' s; expected at least" in (
         note
     )
     assert "from 1.8 s" in note

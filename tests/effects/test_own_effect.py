@@ -104,4 +104,4 @@ def test_two_packages_may_not_define_the_same_effect(site: Path) -> None:
     module.write_text(module.read_text().replace('id = "magnet"', 'id = "cogging"'))
     done = pytest_twin("effects")
     assert done.returncode == 2
-    assert "defines an effect that another package defines too" in done.stderr
+    assert "defines an effect that another package also defines" in done.stderr

@@ -71,7 +71,7 @@ def test_times_in_seconds_or_whole_nanoseconds_are_converted_exactly(
 def test_whole_number_times_that_cannot_be_nanoseconds_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         read(tmp_path, "time,a.position\n0,1\n10,2\n20,3\n")
-    assert "times are whole numbers, which are ns (got 'a step of 10 ns'" in str(caught.value)
+    assert "times are integers, which are read as ns (got 'a step of 10 ns'" in str(caught.value)
 
 
 def test_a_row_without_states_or_commands_is_no_message_of_that_kind(tmp_path: Path) -> None:

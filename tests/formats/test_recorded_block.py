@@ -60,8 +60,8 @@ def test_long_lists_are_wrapped_to_100_columns_and_read_back() -> None:
 @pytest.mark.parametrize(
     ("text", "line", "where", "words"),
     [
-        ("kind: fk\nexpected: {}\n", 2, "expected", "among the fields that people write"),
-        (f"expected: 1\n{RECORDED_MARK}\n", 1, "expected", "among the fields that people write"),
+        ("kind: fk\nexpected: {}\n", 2, "expected", "above the recorded mark"),
+        (f"expected: 1\n{RECORDED_MARK}\n", 1, "expected", "above the recorded mark"),
         (
             f"kind: fk\n{RECORDED_MARK}\ntrace: {{}}\nnote: 1\n",
             4,

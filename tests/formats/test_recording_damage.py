@@ -280,7 +280,7 @@ def states(*stamps: int) -> list[Message]:
     ("stamps", "words"),
     [
         ((5, 7, 6, 8), "/joint_states: 1 stamps go back, first message 2"),
-        ((5, 6, 6, 6), "/joint_states: 2 stamps stand twice, first message 2"),
+        ((5, 6, 6, 6), "/joint_states: 2 stamps occur twice, first message 2"),
         ((5, 0, 7, 0), "/joint_states: 2 messages without header.stamp, first message 1"),
     ],
 )

@@ -288,7 +288,7 @@ def test_a_target_that_does_not_rotate_with_the_hand_is_refused() -> None:
     trial = CameraTrial(
         Path("a.mcap"), 0.4 + FRAME * np.arange(270), seen[:270], Slerp(time, wrist_rotations(q))
     )
-    with pytest.raises(RecordingError, match="the target does not turn as the frame does"):
+    with pytest.raises(RecordingError, match="the target does not rotate as the frame does"):
         delay_of([trial])
 
 

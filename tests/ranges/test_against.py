@@ -106,7 +106,7 @@ def test_the_written_ranges_compare_as_equally_wide(tmp_path: Path) -> None:
         ("a.json", "[1, 2]", "no table of ranges"),
         ("a.json", "{", "not JSON"),
         ("a.yaml", "elbow.armature: [0.1, .inf]\n", "is not a finite number"),
-        ("a.toml", "", "not a kind of file that is compared"),
+        ("a.toml", "", "not a type of file that can be compared"),
         ("a.yaml", "e: {func: joint_damping, params: {ranges: [0, 1], asset_cfg: {joint_names: "
          "'(a|aa)*b'}}}\n", "a pattern of names that is too complex to evaluate safely"),
     ],

@@ -176,7 +176,10 @@ def test_tolerances_add_to_the_record_and_a_mass_tolerance_scales_the_inertia(
         ("{parameter: elbo.armature, relative: 0.1}", "no such parameter"),
         ("{parameter: elbow.colour, relative: 0.1}", "no such parameter"),
         ("{parameter: hand.mass, relative: 0.1}", "no body of this name"),
-        ("{parameter: elbow.command_delay, relative: 0.1}", "a share of a value that is zero"),
+        (
+            "{parameter: elbow.command_delay, relative: 0.1}",
+            "a relative tolerance of a value that is zero",
+        ),
     ],
 )
 def test_a_tolerance_of_an_unknown_parameter_is_refused(

@@ -27,7 +27,7 @@ from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import DEFAULT_TOPICS, load_twin
 
-WORDS = "a final recording guides nothing: it is not used for {}"
+WORDS = "a final recording only checks ranges: it is not used for {}"
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def test_a_diagnosis_leaves_final_recordings_out_with_a_note(recordings: list[Pa
     (note_text,) = [note for note in found.notes if "c.mcap" in note]
     assert note_text.startswith("left out: ")
     assert WORDS.format("a diagnosis") in note_text
-    with pytest.raises(RecordingError, match="a final recording guides nothing"):
+    with pytest.raises(RecordingError, match="a final recording only checks ranges"):
         read_trials(recordings[2:], [], DEFAULT_TOPICS, structure)
 
 

@@ -92,7 +92,9 @@ def test_a_twin_without_records_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = error_line(make_twin(tmp_path, []), capsys)
-    assert "fit: no record says how uncertain this twin is (expected identification.json" in output
+    assert (
+        "fit: no record states an uncertainty of this twin (expected identification.json" in output
+    )
 
 
 @pytest.mark.parametrize(
@@ -119,7 +121,7 @@ def test_a_record_without_covariance_is_refused(
     one = record(covariance())
     one["covariance"] = {"names": [], "matrix": []}
     output = error_line(make_twin(tmp_path, [one]), capsys)
-    assert "covariance: it holds no covariance (expected a record of pytest-twin identify" in output
+    assert "covariance: it has no covariance (expected a record of pytest-twin identify" in output
 
 
 def test_a_singular_covariance_is_accepted(tmp_path: Path) -> None:
@@ -139,7 +141,7 @@ def test_a_final_recording_used_by_a_record_is_refused(
     used = {"fit_7.mcap": {"sha256": file_sha256(path)}}
     make_twin(tmp_path, [record(covariance(), inputs=used)])
     output = error_line(twin, capsys)
-    assert f"{path}: a final recording that guided something: 'fitted' was made from it" in output
+    assert f"{path}: a final recording that was used before: 'fitted' was made from it" in output
 
 
 def test_a_recording_of_another_role_is_not_final(

@@ -126,12 +126,17 @@ def test_a_floating_joint_on_the_world_becomes_a_free_joint(tmp_path: Path) -> N
         ('<link name="tool"/>', "", 32, "no such link"),
         ('<link name="tool"/>', '<link name="base"/>', 18, "two links of one name"),
         ('<joint name="elbow"', '<joint name="shoulder"', 26, "two joints of one name"),
-        ('<link name="tool"/>', '<link name="tool"/><link name="x"/>', 1, "no single tree"),
+        (
+            '<link name="tool"/>',
+            '<link name="tool"/><link name="x"/>',
+            1,
+            "do not form a single tree",
+        ),
         (
             '<parent link="base"/>',
             '<parent link="tool"/>',
             1,
-            "a loop of links apart from the tree",
+            "a loop of links that is not connected to the root",
         ),
         (
             '<child link="tool"/>',

@@ -417,7 +417,7 @@ def test_an_untrusted_signature_with_the_key_id_of_a_trusted_key_is_refused() ->
     value = envelope(b"{}", PAYLOAD_TYPE, B).to_dict()
     value["signatures"][0]["keyid"] = A.public_key.keyid
     assert_envelope_refused(
-        canonical_json.dump(value), [A.public_key], "the signature does not fit"
+        canonical_json.dump(value), [A.public_key], "the signature is not valid"
     )
 
 
@@ -425,7 +425,7 @@ def test_a_signature_of_another_payload_is_refused() -> None:
     value = envelope(b"{}", PAYLOAD_TYPE, A).to_dict()
     value["payload"] = base64.standard_b64encode(b"[]").decode()
     assert_envelope_refused(
-        canonical_json.dump(value), [A.public_key], "the signature does not fit"
+        canonical_json.dump(value), [A.public_key], "the signature is not valid"
     )
 
 

@@ -86,4 +86,4 @@ def test_rollback_without_a_signed_release_is_refused(
     root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["rollback", "--twin", str(root)]) == 2
-    assert "no release to go back to" in capsys.readouterr().err
+    assert "no release to restore" in capsys.readouterr().err

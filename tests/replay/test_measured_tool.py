@@ -136,5 +136,5 @@ def test_poses_that_do_not_overlap_the_states_in_time_are_refused(tmp_path: Path
 
 def test_poses_in_a_frame_that_is_not_on_the_robot_are_refused(tmp_path: Path) -> None:
     error = refusal(cell(tmp_path, frame="mocap"))
-    assert error.problem == "its poses are in a frame that is not on the way to the tool"
+    assert error.problem == "its poses are in a frame that is not between the world and the tool"
     assert error.value == "mocap"

@@ -235,7 +235,7 @@ def test_repeated_identical_messages_are_marked_as_duplicate_stamps() -> None:
         structure(),
     )
     assert [(m.kind, m.text) for m in made.marks] == [
-        ("duplicate_stamp", "stamps stand twice in 400 messages, at 400 places")
+        ("duplicate_stamp", "stamps occur twice in 400 messages, at 400 places")
     ]
 
 

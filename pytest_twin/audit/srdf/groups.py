@@ -205,7 +205,9 @@ def _virtual_joint(srdf: Srdf, node: Node) -> Iterator[Finding]:
             "state the root link as child_link",
         )
     if not node.attributes.get("parent_frame", "").strip():
-        yield missing(node, "parent_frame", "the frame in which the robot stands, such as 'world'")
+        yield missing(
+            node, "parent_frame", "the frame in which the robot is placed, such as 'world'"
+        )
     elif node.attributes["parent_frame"] in srdf.links and srdf.links:
         yield Finding(
             "planning.virtual_joint_parent",

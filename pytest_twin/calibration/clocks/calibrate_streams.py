@@ -169,9 +169,10 @@ def _solve(
     drifting = fit_clocks(hand, mine, seen[fitted], fit.offset, fit.solved, middle, with_drift=True)
     if start.is_inverted:
         document["notes"].append(
-            "the camera's stream was inverted: it holds poses of the camera in the target's frame, "
-            "the hand's stream those of the base in the hand's frame, or the camera is mounted "
-            f"otherwise than camera: {{mount: {plan.mount}}} says; the streams do not tell which"
+            "the camera's stream was inverted: it holds poses of the camera in the target's "
+            "frame, the hand's stream those of the base in the hand's frame, or the camera is "
+            f"mounted otherwise than camera: {{mount: {plan.mount}}} says; the streams do not "
+            "determine which"
         )
     drift = _drift(drifting, fit, camera)
     sure = bool(abs(drifting.drift) > SURE_DRIFT * drifting.interval(1))

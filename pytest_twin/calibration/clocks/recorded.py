@@ -34,7 +34,7 @@ def held_out_errors(plan: Plan, record: CalibrationRecord) -> tuple[FloatArray, 
     _, held = stretches(camera, plan)
     if not len(held):
         raise SpecError(
-            "the calibration held no observation out",
+            "the calibration has no held-out observations",
             path=record.path,
             where="held_out",
             expected="hold_out: in its plan, with a fraction above 0",

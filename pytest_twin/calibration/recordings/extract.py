@@ -115,11 +115,11 @@ def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
     ]
     if not still:
         raise RecordingError(
-            "the robot stands still in no image or pose",
+            "the robot is at rest in no image or pose",
             path=path,
             where=topic,
             value=f"{len(stamps)} frames; first: {moving[0].why}" if moving else "no frames",
-            expected="stops of half a second; two streams on the move go under streams:",
+            expected="stops of half a second; two streams recorded in motion belong under streams:",
         )
     chosen = [int(order[one.middle]) for one in still]
     repeated = sum(len(one.rows) - 1 for one in still)

@@ -60,7 +60,7 @@ def poses_asked(
         topic = topics[0]
     if topic is None or not bag.poses.get(topic):
         raise RecordingError(
-            f"no topic of {what}" if topic or not topics else f"open which topic is {what}",
+            f"no topic of {what}" if topic or not topics else f"several topics may be {what}",
             path=bag.path,
             value=topic or ", ".join(topics) or None,
             expected=f"recordings: {{topics: {{{what}: TOPIC}}}} with a PoseStamped or "

@@ -147,7 +147,7 @@ def decide(
         words += f"; the model itself needs no correction if commands are {plain}"
         return Between(Fact(plain, BY_MODEL, "data", words), (plain,), period)
     return Between(
-        unknown(f"{words}: {' and '.join(sorted(possible))} explain the positions alike"),
+        unknown(f"{words}: {' and '.join(sorted(possible))} explain the positions equally well"),
         tuple(possible), period, _closer_to_the_model(usable, possible, noise),
     )  # fmt: skip
 

@@ -68,9 +68,9 @@ class RecordedSignals:
             ))  # fmt: skip
             if said.value is None:
                 lines.append(
-                    f"{names}: what commands do between stamps cannot be told; they are taken as "
-                    f"{answer.assumed}, and delays have an interval that allows for it (metadata "
-                    "or twin.yaml: command_between)"
+                    f"{names}: the interpolation of commands between stamps cannot be determined; "
+                    f"they are taken as {answer.assumed}, and delays have an interval that allows "
+                    "for it (metadata or twin.yaml: command_between)"
                 )
             else:
                 lines.append(

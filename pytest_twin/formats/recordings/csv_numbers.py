@@ -92,7 +92,7 @@ class Body:
             step = int(np.median(np.abs(np.diff(whole)))) if len(whole) > 1 else 0
             if 0 < step < _SHORTEST_STEP_NS:
                 raise FormatError(
-                    "times are whole numbers, which are ns",
+                    "times are integers, which are read as ns",
                     path=self.path,
                     line=2,
                     where=self.header[at],

@@ -202,7 +202,7 @@ def _drawn(
     pairs = [(at, one) for at, rows in enumerate(each) for one in rows]
     if len({at for at, _ in pairs}) < 2:
         raise RecordingError(
-            "fewer than two tosses to fit touch anything",
+            "fewer than two of the fitted tosses touch a surface",
             path=fit[0].path,
             expected="tosses that reach the surface while the object moves",
         )

@@ -142,7 +142,7 @@ def _period(tracks: Sequence[PoseTrack]) -> float:
     period = float(np.median(values)) if len(values) else 0.0
     if not period > 0.0:
         raise RecordingError(
-            "the time between samples is not in the file, and no velocities tell it",
+            "the file has neither times nor velocities, so its sampling rate is unknown",
             path=tracks[0].path, expected="--rate with the sample rate in Hz",
         )  # fmt: skip
     return period
@@ -168,7 +168,7 @@ def _fall(tracks: Sequence[PoseTrack], gravity: FloatArray) -> float:
     agreeing = np.abs(falls - middle) < _AGREE * abs(middle)
     if middle <= 0.0 or np.mean(agreeing) < 0.5:
         raise RecordingError(
-            "the tosses do not begin in free fall, so their unit of length is not found",
+            "the tosses do not begin in free fall, so their unit of length cannot be detected",
             path=tracks[0].path,
             value=f"median acceleration {middle:.3g} units/s^2 along gravity",
             expected="--length-unit with m for one unit of length (1 for m)",

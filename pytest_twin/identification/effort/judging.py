@@ -69,7 +69,7 @@ def compare_stages(
         if not len(mine):
             exists = bool((own == name).any())
             why = (
-                "the motion tells none of its parameters from zero"
+                "the motion does not distinguish any of its parameters from zero"
                 if exists
                 else "the robot has no such parameter that its efforts show"
             )

@@ -57,7 +57,8 @@ class Regressor:
             for joint in (motor.joint, motor.other):
                 if joint not in self.joints:
                     raise SpecError(
-                        f"a shared motor turns joint {joint!r}, of which nothing is given",
+                        f"a shared motor turns joint {joint!r}, which is not among the identified "
+                        "joints",
                         path=realization.path,
                         expected="one of " + ", ".join(self.joints),
                     )

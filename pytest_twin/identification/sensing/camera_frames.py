@@ -129,7 +129,7 @@ def delay_of(trials: Sequence[CameraTrial]) -> Delay:
     turned = float(sum(np.sum(_turns(one, 0.0, mount)[0] ** 2) for one in trials))
     if not cost < 0.5 * turned or abs(delay) > 0.99 * MOST_DELAY_S:
         raise RecordingError(
-            "the target does not turn as the frame does", path=trials[0].path,
+            "the target does not rotate as the frame does", path=trials[0].path,
             value=f"{100.0 * np.sqrt(cost / max(turned, 1e-300)):.0f} % of the turns are left at "
             f"the best delay, {1e3 * delay:.0f} ms",
             expected=f"a camera whose delay is below {1e3 * MOST_DELAY_S:.0f} ms, and joints that "

@@ -100,7 +100,8 @@ def read_sensor(
     if joints is None or joints.position is None:
         raise RecordingError(
             "no joint positions", path=path, value=state,
-            expected="joint states beside the sensor; --topics state=/x names their topic",
+            expected="joint states in the recording of the sensor; --topics state=/x names their "
+            "topic",
         )  # fmt: skip
     if "payload" in bag.metadata and realization.twin is not None and realization.twin.payloads:
         realization = realization.variant(payload=bag.metadata["payload"])
@@ -126,7 +127,7 @@ def read_sensor(
     count = int((end - start) / period) + 1 if period > 0.0 and end > start else 0
     if count < _FEWEST:
         raise RecordingError(
-            "too little of sensor and joints at once", path=path, where=sensor.topic,
+            "sensor and joints overlap for too short a time", path=path, where=sensor.topic,
             value=f"{max(count, 0)} samples", expected=f"at least {_FEWEST}",
         )  # fmt: skip
     count = min(count, _MOST)

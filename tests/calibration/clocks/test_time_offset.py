@@ -192,7 +192,7 @@ def test_exchanged_streams_or_a_wrong_mount_fit_as_well_and_cause_no_suspicion(t
         assert found["held_out"]["rotation_rms"] == pytest.approx(
             right["held_out"]["rotation_rms"], rel=0.3
         )
-        assert any("the streams do not tell which" in note for note in found["notes"]) == noted
+        assert any("the streams do not determine which" in note for note in found["notes"]) == noted
 
 
 def test_intervals_of_the_time_offset_contain_the_true_value(tmp_path):

@@ -207,8 +207,8 @@ def test_a_recording_without_stops_is_refused_with_a_remedy(tmp_path, capsys):
     bags.write(tmp_path / "bag.mcap", moving)
     assert calibrated(tmp_path)[0] == 2
     words = capsys.readouterr().err
-    assert "the robot stands still in no image or pose" in words
-    assert "two streams on the move go under streams:" in words
+    assert "the robot is at rest in no image or pose" in words
+    assert "two streams recorded in motion belong under streams:" in words
 
 
 @pytest.mark.parametrize("encoding", ["mono8", "rgb8"])
@@ -231,5 +231,5 @@ def test_a_final_recording_is_refused_for_calibration(tmp_path, capsys):
     status = cli.main(["calibrate", str(tmp_path / "plan.yaml"), "--out", str(tmp_path / "out")])
     assert status == 2
     stderr = capsys.readouterr().err
-    assert "a final recording guides nothing: it is not used for a calibration" in stderr
+    assert "a final recording only checks ranges: it is not used for a calibration" in stderr
     assert "bag.mcap" in stderr
