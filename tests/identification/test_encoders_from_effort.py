@@ -5,20 +5,30 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from arms import JOINTS, simulated_effort, true_arm, write_model
 
+from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.effort.encoders import EncoderError, EncoderErrors, widened
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.effort.least_squares import LinearProblem, Solution
 from pytest_twin.identification.measured import Measured, MeasuredSet
 from pytest_twin.identification.records import effort_document
 from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS
 
 
-def identified(folder: Path, bias: list[float], scale: list[float]) -> EffortResult:
-    """Result for two recordings and a held-out one; the encoders measure (1 + scale) q + bias."""
+def identified(
+    folder: Path, bias: list[float], scale: list[float], late: float = 0.0
+) -> EffortResult:
+    """Result for two recordings and a held-out one; the encoders measure (1 + scale) q + bias.
+
+    Efforts are stamped ``late`` seconds late.
+    """
     runs = []
     for seed in (1, 2, 3):
         time, q, effort = simulated_effort(true_arm(folder), seed)
+        effort = np.column_stack([np.interp(time - late, time, one) for one in effort.T])
         runs.append(
             Measured(
                 folder / f"{seed}.csv", 0.0, JOINTS, time, q * (1 + np.array(scale)) + bias, None,
@@ -59,3 +69,42 @@ def test_the_intervals_of_an_encoder_without_error_contain_zero(tmp_path: Path) 
     assert {one.kind for one in result.encoders.readings} == {"encoder_bias", "encoder_scale"}
     assert all(abs(one.value) <= 1.3 * one.half_width for one in result.encoders.readings)
     assert not result.encoders.wrong
+
+
+def test_corrected_encoders_reopen_the_delay_that_they_change(tmp_path: Path) -> None:
+    result = identified(tmp_path, [0.08, 0.0], [0.0, 0.05], late=0.012)
+    delay, encoder = result.stages[:2]
+    assert (delay.name, delay.state) == ("delay", "reopened")
+    assert delay.why.startswith("encoders that were corrected change it: efforts are stamped +1")
+    assert encoder.state == "accepted"
+    assert result.delay is not None
+    assert abs(result.delay.value - 0.012) <= result.delay.half_width
+
+
+def test_one_uncorrected_error_among_right_encoders_widens_the_intervals() -> None:
+    rows = np.random.default_rng(0).standard_normal((200, 1, 2))
+    problem = LinearProblem(
+        rows, np.zeros((200, 1)), np.ones((200, 1), dtype=bool), np.zeros((200, 1), dtype=bool),
+        np.zeros((1, 2), dtype=bool), (200,),
+    )  # fmt: skip
+    exact = Solution(
+        np.ones(2), 1e-6 * np.eye(2), np.ones(1), np.zeros((200, 1)), np.ones((200, 1)), 1.0,
+        Z95 * 1e-3 * np.ones(2),
+    )  # fmt: skip
+    # The error acts like the first parameter: 2 per rad.
+    slopes = np.repeat(2.0 * rows[:, :, :1], 4, axis=2)
+    noise = 0.01
+    for bias in (0.03, 0.0):
+        values = (bias, 0.002, -0.003, 0.001)
+        readings = tuple(
+            EncoderError(f"joint{k}", "encoder_bias", value, Z95 * noise)
+            for k, value in enumerate(values)
+        )
+        found = widened(problem, exact, slopes, EncoderErrors(readings))
+        if bias:
+            # Nearly the whole estimate of three deviations counts.
+            assert 0.9 * 2.0 * bias < found.half_width[0] / Z95 < 1.2 * 2.0 * bias
+            assert found.covariance[0, 0] == pytest.approx((found.half_width[0] / Z95) ** 2)
+        else:
+            assert found.half_width[0] / Z95 < 2.0 * noise
+        assert found.half_width[1] == pytest.approx(exact.half_width[1])
