@@ -1,4 +1,4 @@
-"""What the recorded signals of each joint are, as a record states them."""
+"""Description of each joint's recorded signals in a record."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pytest_twin.signals import Signals
 
 
 def signal_table(recordings: Sequence[Measured], signals: Signals) -> dict[str, Any]:
-    """Joint -> ``position``, ``effort``, ``gear``, ``zero`` as stated, and ``rate`` as found.
+    """Return joint -> stated position, effort, gear and zero, and detected rate.
 
-    ``effort_used`` says whether some recording has an effort of the joint that is a measurement.
+    ``effort_used`` is true if a recording has a measured effort of the joint.
 
     Args:
-        recordings: of the same joints.
-        signals: what the twin states.
+        recordings: recordings of the same joints.
+        signals: signals that the twin states.
     """
     found: dict[str, Any] = {}
     for column, joint in enumerate(recordings[0].joints):

@@ -1,4 +1,4 @@
-"""The stages of an identification: what each may change, and what supports it."""
+"""Stages of an identification: their parameters, tests and results."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ STAGES: tuple[StageName, ...] = (
     "delay", "encoder", "gravity", "inertia", "friction", "drive", "closed_loop", "contact",
     "sensor",
 )  # fmt: skip
-"""In order: a stage takes what those before it have found as given."""
+"""Stages in order; the results of earlier stages are fixed in later ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """The error of held-out recordings before a stage and after it.
+    """Error of held-out recordings before and after a stage.
 
     Attributes:
         before, after: root mean square over joints and samples.
-        unit: of both.
+        unit: unit of both.
     """
 
     before: float
@@ -49,12 +49,12 @@ class Stage:
     """One stage.
 
     Attributes:
-        name: which.
-        state: what became of it.
-        why: in one sentence.
-        parameters: names of what it fitted.
-        held_out: where it was tested.
-        excludes: what could compensate for it, and how that was kept out.
+        name: name of the stage.
+        state: result of the stage.
+        why: reason of the state, one sentence.
+        parameters: names of the fitted parameters.
+        held_out: held-out errors, if it was tested.
+        excludes: effects that could compensate for it, and how the fit prevents that.
         data: recording -> its share of the information on the stage's parameters.
     """
 
@@ -87,7 +87,7 @@ class Stage:
 
 
 def in_order(stages: Sequence[Stage]) -> tuple[Stage, ...]:
-    """The stages in the order in which they are fitted."""
+    """Sort stages in the order in which they are fitted."""
     return tuple(sorted(stages, key=lambda stage: STAGES.index(stage.name)))
 
 
@@ -109,12 +109,12 @@ def shares(recordings: Sequence[str], information: FloatArray) -> dict[str, floa
 
 
 def judge_stage(stage: Stage, held_out: HeldOut, tolerance: float = 0.0) -> Stage:
-    """A stage accepted where its held-out error fell, else rejected.
+    """Accept a stage if it does not increase the held-out error, else reject it.
 
     Args:
-        stage: with what it fitted.
-        held_out: of whole recordings that nothing was fitted on.
-        tolerance: share by which chance alone changes such an error.
+        stage: stage with its fitted parameters.
+        held_out: errors of whole recordings that were not fitted.
+        tolerance: relative change of such an error by chance.
     """
     better = held_out.after <= (1.0 + tolerance) * held_out.before
     change = 100.0 * (held_out.after / max(held_out.before, 1e-300) - 1.0)

@@ -1,4 +1,4 @@
-"""The folder of an identification: the fitted model, which every command takes."""
+"""Write the folder of an identification: the fitted model, which every command can load."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def write_fitted(
     patches: Mapping[str, Mapping[str, Any]],
     encoders: Mapping[str, EncoderChange],
 ) -> None:
-    """Write ``model.xml`` with the fit in it and ``twin.yaml`` with what no model holds.
+    """Write ``model.xml`` with the fit, and ``twin.yaml`` with the fields that no MJCF has.
 
-    The latter has controllers and payloads of the nominal twin, and the encoders.
+    These are the controllers and payloads of the nominal twin, and the encoders.
 
     Args:
-        folder: new, empty.
+        folder: a new, empty folder.
         realization: the nominal model.
         patches: family -> element -> attribute -> value.
         encoders: what changes of them.

@@ -1,10 +1,9 @@
 """First values of drives and friction, without a simulation: the equation error.
 
-Along the measured motion the model's own drive law says what effort the drive gave, up to its
-gain; the model's inverse dynamics says what effort the motion took. Their ratio, and what the
-speed explains of the rest, are a linear least-squares problem at each joint (as identification
-from an effort in an unknown unit). Simulated errors have many minima; these values are in the
-right one.
+Along the measured motion, the model's drive law gives the effort of the drive up to its gain. The
+model's inverse dynamics gives the effort that the motion needs. Gain, friction and armature at a
+joint follow by linear least squares, as in an identification from efforts in an unknown unit. The
+simulation error has many minima; these values are near the right one.
 """
 
 from __future__ import annotations
@@ -21,22 +20,25 @@ from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.effects.segment import Segment
 
 _SMOOTH = 0.05
-"""s over which positions are smoothed before they are differentiated."""
+"""Time over which positions are smoothed before they are differentiated, s."""
 _LEAST_SPEED = 0.02
-"""Of a joint's RMS speed: below, dry friction has no direction and the row is left out."""
+"""Fraction of a joint's RMS speed below which a sample is left out, because the direction of dry
+friction is unknown."""
 _UNSATURATED = 0.98
-"""Of the drive's limit: above, the effort is what the limit says and no gain shows."""
+"""Fraction of the drive's limit above which the effort is saturated and does not depend on the
+gain."""
 _FEWEST_ROWS = 50
 """Smallest number of unsaturated samples; there are five unknowns."""
 _LARGEST_GAIN = 5.0
-"""Over the model's, as the catalogue's bounds have it: beyond, the motion tells no gain."""
+"""Largest ratio to the model's gain, as in the catalogue; above it the motion does not determine
+the gain."""
 
 
 def first_values(problem: Problem) -> FloatArray:
-    """(joints, 5) of each joint: gain over the model's, viscous and dry friction, armature, offset.
+    """(joints, 5) ratio to the model's gain, viscous and dry friction, armature, offset.
 
-    The last four are added to the model's own, N*m*s/rad, N*m, kg*m^2, N*m or their like for
-    slides. NaN where a joint has no position or velocity servo, or too little motion.
+    The last four are added to the model's values, in N*m*s/rad, N*m, kg*m^2 and N*m, or N*s/m, N,
+    kg and N for slides. NaN if a joint has no position or velocity servo, or too little motion.
     """
     rows: list[list[_Rows]] = [[] for _ in problem.joints]
     for at in problem.fit:

@@ -1,4 +1,4 @@
-"""Fits of one stage: from several starts, and joint by joint what the held-out error bears out."""
+"""Fits of one stage: from several starts, and with a test on held-out motion at each joint."""
 
 from __future__ import annotations
 
@@ -17,57 +17,56 @@ from pytest_twin.identification.simulation.stage_effects import start, starts_of
 ITERATIONS = 8
 """Largest number of iterations of a fit."""
 _LOOK = 3
-"""Iterations from each start, after which the best alone goes on."""
+"""Number of iterations from each start; then only the best fit is continued."""
 _FITTED = 2
-"""Effects of a round that are fitted: one step does not always tell which of two is the better."""
+"""Number of effects that are fitted in a round, because one step does not always find the best."""
 LEAST_GAIN = 0.002
-"""An effect lowers an error by at least this share, or it is not kept."""
+"""Smallest relative reduction of the error by an effect that is kept."""
 
 
-def fitted(problem: Problem, terms: Sequence[Term], first: FloatArray) -> Hypothesis:
-    """The terms at their optimum, from the first values and from the model's own values.
+def fit_terms(problem: Problem, terms: Sequence[Term], first: FloatArray) -> Hypothesis:
+    """Fit terms from the first values and from the model's own values; the better fit is returned.
 
-    Simulated errors have many minima; that with the lower error is taken.
+    Two starts are needed, because the simulation error has many minima.
     """
     if not terms:
         return EMPTY
     unknown = np.full_like(first, np.nan)
-    return best_of(problem, [start(terms, problem.scales, each) for each in (first, unknown)])
+    return fit_best_start(
+        problem, [start(terms, problem.scales, each) for each in (first, unknown)]
+    )
 
 
-def best_of(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis:
-    """The best of several starts after some iterations, at its optimum."""
+def fit_best_start(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis:
+    """Continue the fit whose start has the lowest error after some iterations."""
     apart = [h for k, h in enumerate(starts) if all(not _same(h, g) for g in starts[:k])]
     weights = _weights(problem, apart)
     if len(apart) > 1:
         tried = fit(problem, apart, weights, problem.fit, iterations=_LOOK, slopes=False)
         apart = [min(tried, key=lambda one: one.cost).hypothesis]
     (found,) = fit(problem, apart, weights, problem.fit, iterations=ITERATIONS, slopes=False)
-    return possible(problem, found.hypothesis)
+    return with_possible_totals(problem, found.hypothesis)
 
 
-def possible(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
-    """The hypothesis with totals of model and corrections of at least zero: no joint pushes
-    itself.
-    """
+def with_possible_totals(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """Set negative totals of model and correction to zero, because no joint drives itself."""
     return hypothesis.with_theta(at_zero(problem, hypothesis))
 
 
-def extended(
+def add_effects(
     problem: Problem, base: Hypothesis, effects: Sequence[str], modes: Sequence[str]
 ) -> Hypothesis:
-    """The fit with those further effects that earn their place, added one after another.
+    """Add further effects to a fit, one in each round (forward selection).
 
-    Each round takes one Gauss-Newton step with every effect that is left, at all joints, beside the
-    others. The two with the lowest error on the recordings to fit are fitted, and the better one is
-    tested on the held-out recordings, joint by joint. So these judge one effect a round, and choose
-    none.
+    Each round takes one Gauss-Newton step with every remaining effect at all joints. The two with
+    the lowest error on the fit recordings are fitted. The better one is tested on the held-out
+    recordings at each joint. Held-out recordings thus test one effect a round and select none.
 
     Args:
-        problem: of the stage.
-        base: fitted terms of the stage, with what is free beside them.
+        problem: problem of the stage.
+        base: fitted terms of the stage, with the nuisance terms that are free too.
         effects: ids that may be added.
-        modes: (joints,) what each joint's drive is sent.
+        modes: (joints,) command mode of each joint's drive.
     """
     present = {term.effect for term in base.terms}
     left = [name for name in effects if name not in present and terms_at([name], modes)]
@@ -82,17 +81,19 @@ def extended(
         tried = fit(problem, starts, weights, problem.fit, iterations=ITERATIONS, slopes=False)
         best = min(range(len(tried)), key=lambda k: tried[k].cost)
         left.remove(foremost[best])
-        merged = where_better(problem, base, possible(problem, tried[best].hypothesis))
+        merged = take_better_terms(
+            problem, base, with_possible_totals(problem, tried[best].hypothesis)
+        )
         if set(merged.terms) != set(base.terms):
             base = merged
     return base
 
 
-def where_better(problem: Problem, before: Hypothesis, after: Hypothesis) -> Hypothesis:
-    """At each joint the terms of the fit that predicts its held-out motion better beyond chance.
+def take_better_terms(problem: Problem, before: Hypothesis, after: Hypothesis) -> Hypothesis:
+    """Take the new terms at each joint whose held-out error they reduce significantly.
 
-    A joint keeps the terms that it had where the fall of its squared error is not significant.
-    Terms of the whole robot are judged by all joints together.
+    Other joints keep their earlier terms. Terms of the whole robot are tested on all joints
+    together.
     """
     errors = [_in_floors(problem, h) for h in (before, after)]
     lengths = problem.lengths(problem.tested)
@@ -108,21 +109,21 @@ def where_better(problem: Problem, before: Hypothesis, after: Hypothesis) -> Hyp
     return EMPTY.with_terms(chosen)
 
 
-def with_slopes(problem: Problem, hypothesis: Hypothesis) -> Fitted:
-    """The hypothesis as it is, with the derivatives of its prediction."""
+def with_derivatives(problem: Problem, hypothesis: Hypothesis) -> Fitted:
+    """Compute the derivatives of a prediction, without changing the hypothesis."""
     residual = problem.residuals([hypothesis], problem.fit)[0]
     weights = problem.weights(np.mean(residual**2, axis=0))
     return fit(problem, [hypothesis], weights, problem.fit, iterations=0)[0]
 
 
 def held_out_error(problem: Problem, hypothesis: Hypothesis) -> float:
-    """Root mean square of all position errors in noise floors, on what is held out."""
+    """Root mean square of all held-out position errors, in multiples of the noise floor."""
     value = float(np.sqrt(np.mean(_in_floors(problem, hypothesis) ** 2)))
     return value if np.isfinite(value) else 1e9
 
 
 def _in_floors(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
-    """(n, joints) position errors on what is held out, in noise floors."""
+    """(n, joints) held-out position errors, in multiples of the noise floor."""
     residual = problem.residuals([hypothesis], problem.tested)[0]
     return np.asarray(residual[:, : len(problem.joints)] / problem.floor)
 
@@ -130,9 +131,10 @@ def _in_floors(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
 def _looked(
     problem: Problem, base: Hypothesis, starts: Mapping[str, Sequence[Hypothesis]]
 ) -> dict[str, Fitted]:
-    """Effect -> the best fit after one step from its starts, where that lowers the error.
+    """Effect -> the best fit after one step from its starts; only effects that reduce the error.
 
-    The slopes of the base's parameters are those of the base; the effect's own are measured.
+    Derivatives by the parameters of the base are those at the base. Derivatives by the parameters
+    of the effect are computed at its starts.
     """
     weights = _weights(problem, [base])
     (here,) = fit(problem, [base], weights, problem.fit, iterations=0)
@@ -169,8 +171,9 @@ def _looked(
 
 
 def _added(base: Hypothesis, name: str, modes: Sequence[str]) -> list[Hypothesis]:
-    """The base with an effect at all its joints, at each of its starts, in place of those of its
-    special cases that the base has.
+    """Return the base with an effect at all its joints, one hypothesis for each starting value.
+
+    The effect replaces its special cases in the base.
     """
     terms = [term for term in terms_at([name], modes) if term not in base.terms]
     special = {
@@ -198,7 +201,7 @@ def _added(base: Hypothesis, name: str, modes: Sequence[str]) -> list[Hypothesis
 
 
 def _weights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> FloatArray:
-    """(signals,) of the hypothesis that leaves least."""
+    """(signals,) weights of the hypothesis with the smallest residual."""
     left = [np.mean(r**2, axis=0) for r in problem.residuals(hypotheses, problem.fit)]
     finite = [each for each in left if np.isfinite(each).all()]
     least = min(finite, key=lambda each: float(each.sum())) if finite else np.ones_like(left[0])

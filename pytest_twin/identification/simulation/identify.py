@@ -25,12 +25,12 @@ from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.identification.simulation.equation_error import first_values
 from pytest_twin.identification.simulation.fitting import (
     LEAST_GAIN,
-    extended,
-    fitted,
+    add_effects,
+    fit_terms,
     held_out_error,
-    possible,
-    where_better,
-    with_slopes,
+    take_better_terms,
+    with_derivatives,
+    with_possible_totals,
 )
 from pytest_twin.identification.simulation.stage_effects import (
     EXCLUDES,
@@ -50,18 +50,18 @@ _LAST = 10
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """What commands and positions say.
+    """Result of an identification from commands and positions.
 
     Attributes:
-        prepared: the problem of the final parameters.
+        prepared: estimation problem at the final parameters.
         hypothesis: all accepted terms, fitted together.
         stage_of: term -> stage that accepted it.
-        spread: of the final parameters.
-        stages: in order.
+        spread: uncertainty of the final parameters.
+        stages: stages in order.
         undetermined: term that may act unnoticed -> stage that fits it.
-        errors: joint -> error on what is held out, or fitted where nothing is.
+        errors: joint -> error on held-out recordings, or on fitted ones if none is held out.
         signals: meaning of the recorded commands, velocities and efforts.
-        trials: as they were used.
+        trials: recordings as they were used.
         notes: one line each.
     """
 
@@ -90,9 +90,9 @@ def identify_simulation(
     Args:
         realization: the nominal model.
         trials: recordings with commands.
-        inherited: effects that an earlier diagnosis stepped beside the model.
-        threads: of the simulation, 0 for all.
-        progress: told the fraction done.
+        inherited: effects of an earlier diagnosis that the MJCF does not contain.
+        threads: number of threads of the simulation, 0 for all cores.
+        progress: called with the fraction done.
 
     Raises:
         RecordingError: the model and the recordings share no joint.
@@ -122,7 +122,7 @@ def identify_simulation(
         found, last, whole = _together(problem, found, stage_of, stages, modes)
         undetermined = undetermined_terms(problem, found, modes)
         stages = [*(_as_the_model_says(one, undetermined) for one in last), whole]
-        slopes = with_slopes(problem, found)
+        slopes = with_derivatives(problem, found)
         spread = parameter_spread(problem, slopes)
         stages = [_with_data(one, problem, slopes, stage_of, used) for one in stages]
         # The errors that are reported count every recording alike.
@@ -144,7 +144,7 @@ def _stage(
     first: FloatArray,
     modes: Sequence[str],
 ) -> tuple[Stage, Hypothesis]:
-    """Fit one stage on top of what is frozen; its terms, where they are accepted."""
+    """Fit one stage with the accepted terms of earlier stages fixed."""
     outside_mjcf = (*given.outside_mjcf, *applied(whole.problem, found))
     prepared = replace(given, outside_mjcf=outside_mjcf).prepared(
         trials.fit, trials.held_out, whole.window, scales=whole.problem.scales
@@ -153,9 +153,9 @@ def _stage(
     problem.floor, problem.position_weights = whole.problem.floor, whole.problem.position_weights
     own = terms_of(name, modes)
     others = nuisance_of(name, found.terms, modes)
-    without = fitted(problem, others, first)
-    whole_fit = where_better(problem, without, fitted(problem, [*own, *others], first))
-    whole_fit = extended(problem, whole_fit, FURTHER.get(name, ()), modes)
+    without = fit_terms(problem, others, first)
+    whole_fit = take_better_terms(problem, without, fit_terms(problem, [*own, *others], first))
+    whole_fit = add_effects(problem, whole_fit, FURTHER.get(name, ()), modes)
     free = set(others)
     kept = whole_fit.without(*(t for t in whole_fit.terms if t in free))
     held = HeldOut(
@@ -175,7 +175,7 @@ def _stage(
 
 
 def _as_the_model_says(stage: Stage, undetermined: Mapping[Term, StageName]) -> Stage:
-    """The stage; where the motion excludes what it fits, the reason says so."""
+    """Return the stage with the reason if the motion shows that the model's values hold."""
     if stage.state != "not_observable" or stage.name in undetermined.values():
         return stage
     why = (
@@ -192,7 +192,7 @@ def _with_data(
     stage_of: Mapping[Term, StageName],
     trials: TrialSet,
 ) -> Stage:
-    """The stage with the share of each recording in the information on its parameters."""
+    """Return the stage with each recording's share of the information on its parameters."""
     whole = stage.name == "closed_loop"
     others = [t for t in slopes.hypothesis.terms if not whole and stage_of[t] != stage.name]
     columns = slopes.hypothesis.parameters_without(*others)
@@ -220,12 +220,12 @@ def _together(
     residual = problem.residuals([found], problem.fit)[0]
     weights = problem.weights(np.mean(residual**2, axis=0))
     (tried,) = fit(problem, [found], weights, problem.fit, iterations=_LAST, slopes=False)
-    moved = possible(problem, tried.hypothesis)
+    moved = with_possible_totals(problem, tried.hypothesis)
     before = held_out_error(problem, found)
     if held_out_error(problem, moved) > before:
         moved = found
     # What a frozen stage has taken up may hide an effect: with all parameters free it shows.
-    whole = extended(problem, moved, [e for each in FURTHER.values() for e in each], modes)
+    whole = add_effects(problem, moved, [e for each in FURTHER.values() for e in each], modes)
     added = [t for t in whole.terms if t not in stage_of]
     for term in added:
         stage_of[term] = next(k for k, each in FURTHER.items() if term.effect in each)
@@ -234,7 +234,7 @@ def _together(
     stage = judge_stage(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
     if stage.state != "accepted":
         return found, list(stages), stage
-    half = parameter_spread(problem, with_slopes(problem, whole)).half_width
+    half = parameter_spread(problem, with_derivatives(problem, whole)).half_width
     reopened = {stage_of[t] for t in added}
     for term in found.terms:
         if term in whole.terms:

@@ -1,4 +1,4 @@
-"""Which effects of the catalogue each stage fits, and which it keeps from compensating."""
+"""The effects that each stage fits, and nuisance effects that are free in the same fit."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ FURTHER: Mapping[StageName, tuple[str, ...]] = {
         "watchdog_timeout", "actuator_lag",
     ),
 }  # fmt: skip
-"""Stage -> effects that it adds where they lower the held-out error."""
+"""Stage -> effects that it adds if they reduce the held-out error."""
 _OF_EFFORT_DRIVES = {"controller_gain": "torque_constant"}
-"""An effort drive has no gains: its torque constant stands in their place."""
+"""Effect -> effect that replaces it for effort drives, which have no gains."""
 _NUISANCE = ("viscous_friction", "coulomb_friction", "controller_gain", "armature")
-"""What most often passes for something else. It is free while another stage is fitted, and its
-values are thrown away then."""
+"""Nuisance effects, which often compensate for others. They are free while another stage is
+fitted, and their values are discarded."""
 
 _GAIN, _VISCOUS, _DRY, _ARMATURE = range(4)
 """Columns of the first values: gain of the drive, viscous friction, dry friction and armature."""
@@ -53,23 +53,23 @@ EXCLUDES: Mapping[StageName, str] = {
     "gravity": "gains and friction were free: a soft drive sags as under a weight",
     "inertia": "gains and damping were free: they move the resonance, too",
     "friction": "gains and armature were free",
-    "drive": "what the stages before have found is given; nothing else is free",
+    "drive": "the results of earlier stages are fixed; nothing else is free",
     "closed_loop": "all accepted parameters together",
 }
 
 
 def terms_of(stage: StageName, modes: Sequence[str]) -> list[Term]:
-    """The terms that a stage fits.
+    """Return the terms that a stage fits.
 
     Args:
-        stage: which.
-        modes: (joints,) what each joint's drive is sent.
+        stage: name of the stage.
+        modes: (joints,) command mode of each joint's drive.
     """
     return terms_at(SIMULATED[stage], modes)
 
 
 def nuisance_of(stage: StageName, frozen: Sequence[Term], modes: Sequence[str]) -> list[Term]:
-    """The terms that are free beside a stage's own: neither frozen nor another form of these."""
+    """Return nuisance terms of a stage: neither frozen nor another form of its own terms."""
     if stage == "drive":
         return []
     own = set(SIMULATED[stage]) | {term.effect for term in frozen}
@@ -79,7 +79,7 @@ def nuisance_of(stage: StageName, frozen: Sequence[Term], modes: Sequence[str]) 
 
 
 def terms_at(names: Sequence[str], modes: Sequence[str]) -> list[Term]:
-    """Effects at every joint whose drive can have them, or once for the robot."""
+    """Return effects as terms: at each joint whose drive can have them, or once for the robot."""
     found = []
     for name in names:
         if catalogue()[name].scope == "robot":
@@ -93,20 +93,20 @@ def terms_at(names: Sequence[str], modes: Sequence[str]) -> list[Term]:
 
 
 def starts_of(effect: str) -> list[tuple[float, ...]]:
-    """Parameters at which a fit of an effect starts, in multiples of their scales."""
+    """Return starting values of an effect's parameters, in multiples of their scales."""
     parameters = catalogue()[effect].parameters
     count = max(len(p.starts) for p in parameters)
     return [tuple(p.starts[min(k, len(p.starts) - 1)] for p in parameters) for k in range(count)]
 
 
 def start(terms: Sequence[Term], scales: Scales, first: FloatArray) -> Hypothesis:
-    """A hypothesis where a fit starts: at the first values that the equation error gives.
+    """Return the start of a fit: the first values from the equation error.
 
     Args:
-        terms: of the hypothesis.
-        scales: of their parameters.
-        first: (joints, 5) as :func:`~.equation_error.first_values` has them; what it does not know
-            starts at the model's own value.
+        terms: terms of the hypothesis.
+        scales: scales of their parameters.
+        first: (joints, 5) values of :func:`~.equation_error.first_values`. Parameters without a
+            first value start at the model's own value.
     """
     theta: list[float] = []
     for term in terms:

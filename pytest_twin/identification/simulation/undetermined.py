@@ -10,7 +10,7 @@ import numpy as np
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.intervals import parameter_spread
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.identification.simulation.fitting import with_slopes
+from pytest_twin.identification.simulation.fitting import with_derivatives
 from pytest_twin.identification.simulation.stage_effects import SIMULATED, terms_of
 from pytest_twin.identification.stages import StageName
 
@@ -38,7 +38,7 @@ def undetermined_terms(
     if not absent:
         return {}
     neutral = {t: np.array([p.absent for p in t.parameters]) for t in absent}
-    whole = with_slopes(problem, found.with_terms(neutral))
+    whole = with_derivatives(problem, found.with_terms(neutral))
     undetermined: dict[Term, StageName] = {}
     for stage in dict.fromkeys(absent.values()):
         others = [t for t in absent if absent[t] != stage]
