@@ -1,8 +1,9 @@
 """Fit of sensors that are linear in the true signal: ``reading = matrix true + bias``.
 
 The fit uses least squares. Sensor noise is correlated in time, so the covariance is computed from
-the sums over time blocks (Newey, West, 1987, with blocks instead of a kernel). Intervals use
-Student's distribution with one degree of freedom less than the number of blocks.
+the sums over time blocks (Newey, West, 1987, with blocks instead of a kernel). A few blocks with
+much excitation determine most of a parameter, so its variance has fewer degrees of freedom than
+there are blocks (Bell, McCaffrey, Survey Methodology 28, 2002).
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from pytest_twin.arrays import FloatArray
 
 BLOCKS = 30
 """Number of blocks of a covariance. Its standard deviations are then accurate to 13 %."""
+_LEAST_LEFT = 0.01
+"""Smallest share of a direction that other blocks determine, to which its residuals are scaled. A
+direction that only one block shows has no residual in it."""
 UNDETERMINED = 1e-3
 """Fraction of the largest singular value below which a direction of the true signal was not
 excited. The columns are normalized first."""
@@ -34,7 +38,7 @@ class Linear:
         undetermined: (m + 1,) unit vectors of directions of the normalized true signal and bias
             that were not excited.
         residual: (k,) RMS residual.
-        blocks: number of blocks of the covariance.
+        freedom: (m + 1,) degrees of freedom of the variances, for Student's distribution.
     """
 
     matrix: FloatArray
@@ -42,7 +46,7 @@ class Linear:
     covariance: FloatArray
     undetermined: tuple[FloatArray, ...]
     residual: FloatArray
-    blocks: int
+    freedom: FloatArray
 
     def measured(self, true: FloatArray) -> FloatArray:
         """(n, k) readings of (n, m) true signals."""
@@ -74,20 +78,72 @@ def fit_linear(
     errors = reading - design @ found
     number = np.array(blocks)
     count = int(number.max()) + 1
-    bread = inverse / scale[:, None]
-    covariance = np.empty((reading.shape[1], design.shape[1], design.shape[1]))
-    for channel in range(reading.shape[1]):
-        scores = bread * errors[:, channel]
-        sums = np.stack([scores[:, number == block].sum(axis=1) for block in range(count)])
-        covariance[channel] = count / (count - 1) * sums.T @ sums
+    excited = left[:, kept]
+    to_parameters = (right[kept].T / sizes[kept]) / scale[:, None]
+    leverages = [_Leverage.of(excited[number == block]) for block in range(count)]
+    sums = np.empty((count, reading.shape[1], design.shape[1]))
+    for block, one in enumerate(leverages):
+        rows = number == block
+        sums[block] = (to_parameters @ one.unshrunk(excited[rows].T @ errors[rows])).T
+    covariance = np.einsum("bci,bcj->cij", sums, sums)
     return Linear(
         found[:-1].T,
         found[-1],
         covariance,
         tuple(right[~kept]),
         np.sqrt(np.mean(errors**2, axis=0)),
-        count,
+        _freedom(leverages, to_parameters),
     )
+
+
+@dataclass(frozen=True)
+class _Leverage:
+    """Leverage ``H = U U^T`` of a block's rows ``U`` of an orthonormal basis of the design.
+
+    Attributes:
+        shares: (r,) eigenvalues of ``U^T U``: how much of a direction the block determines.
+        axes: (r, r) eigenvectors.
+    """
+
+    shares: FloatArray
+    axes: FloatArray
+
+    @classmethod
+    def of(cls, rows: FloatArray) -> _Leverage:
+        """The leverage of (n, r) rows."""
+        shares, axes = np.linalg.eigh(rows.T @ rows)
+        return cls(shares.clip(0.0, 1.0 - _LEAST_LEFT), axes)
+
+    def unshrunk(self, sums: FloatArray) -> FloatArray:
+        """(r, k) sums ``U^T e`` of residuals, as large as those of the noise.
+
+        A fit follows the noise of each block in part. The factor ``(1 - H)^(-1/2)`` removes the
+        bias: ``U^T (1 - H)^(-1/2) e = (1 - U^T U)^(-1/2) U^T e``.
+        """
+        return np.asarray((self.axes / np.sqrt(1.0 - self.shares)) @ self.axes.T @ sums)
+
+
+def _freedom(leverages: Sequence[_Leverage], to_parameters: FloatArray) -> FloatArray:
+    """(p,) degrees of freedom of the variances, by Satterthwaite's approximation.
+
+    With white noise the variance of a parameter is a quadratic form of it, with the matrix ``D - V
+    V^T`` over the blocks. The squared trace over the trace of the square is the approximation.
+
+    Args:
+        leverages: leverage of each block.
+        to_parameters: (p, r) matrix from the basis of the design to the parameters.
+    """
+    found = np.empty(len(to_parameters))
+    for at, row in enumerate(to_parameters):
+        parts = [(one, one.axes.T @ row) for one in leverages]
+        own = [float(np.sum(x**2 * one.shares / (1.0 - one.shares))) for one, x in parts]
+        across = np.stack(
+            [one.axes @ (one.shares / np.sqrt(1.0 - one.shares) * x) for one, x in parts]
+        )
+        form = np.diag(own) - across @ across.T
+        square = float(np.sum(form**2))
+        found[at] = float(np.trace(form)) ** 2 / square if square > 0.0 else 1.0
+    return np.maximum(found, 1.0)
 
 
 def in_blocks(samples: Sequence[int]) -> list[int]:

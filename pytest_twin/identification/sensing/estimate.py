@@ -35,7 +35,7 @@ class SensorEstimate:
         values: (p,) values in SI units.
         units: (p,) units.
         covariance: (p, p) covariance.
-        quantile: half width of a 95 % interval in standard deviations.
+        quantile: (p,) half widths of the 95 % intervals in standard deviations.
         undetermined: descriptions of signal directions that the motion did not excite.
         fields: sensor model for a simulation, in the form of ``sensors:`` of a record.
         nominal, error: (k,) RMS errors of an ideal sensor and of this sensor on the held-out
@@ -49,7 +49,7 @@ class SensorEstimate:
     values: FloatArray
     units: tuple[str, ...]
     covariance: FloatArray
-    quantile: float
+    quantile: FloatArray
     undetermined: tuple[str, ...]
     fields: Mapping[str, Any]
     nominal: FloatArray
@@ -90,12 +90,12 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
 
     slow = 0.0 if kind == IMU else _filter(solved)
     found = solved(slow)
-    names, values, units, covariance = _flat(found, groups, axes)
+    names, values, units, covariance, freedom = _flat(found, groups, axes)
     if slow > 0.0:
         deviation = _filter_deviation(true_at, slow, found[0], reading, blocks)
         names.append("sensor_filter_time")
         units.append("s")
-        values = np.append(values, slow)
+        values, freedom = np.append(values, slow), np.append(freedom, max(blocks))
         covariance = np.block(
             [[covariance, np.zeros((len(covariance), 1))],
              [np.zeros((1, len(covariance))), np.array([[deviation**2]])]]
@@ -116,7 +116,7 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
     return SensorEstimate(
         kind, axes, tuple(unit_of(axis) for axis in axes),
         tuple(names), values, tuple(units), covariance,
-        float(student.ppf(0.975, max(1, found[0].blocks - 1))),
+        np.asarray(student.ppf(0.975, freedom)),
         tuple(_undetermined(found, groups, axes)), fields, nominal, error,
     )  # fmt: skip
 
@@ -139,7 +139,8 @@ def estimate_camera(fit: Sequence[CameraTrial], held_out: Sequence[CameraTrial])
     }  # fmt: skip
     return SensorEstimate(
         CAMERA, ("turn",), ("rad",), ("sensor_delay",), np.array([timing.delay]), ("s",),
-        np.array([[found.deviation**2]]), float(student.ppf(0.975, max(1, found.blocks - 1))), (),
+        np.array([[found.deviation**2]]),
+        np.asarray(student.ppf(0.975, [max(1, found.blocks - 1)])), (),
         fields,
         np.array([turn_errors(tested, 0.0, found.mount)]),
         np.array([turn_errors(tested, timing.delay, found.mount)]),
@@ -201,17 +202,22 @@ def _filter_deviation(
 
 def _flat(
     found: Sequence[Linear], groups: Sequence[tuple[int, ...]], axes: Sequence[str]
-) -> tuple[list[str], FloatArray, list[str], FloatArray]:
-    """Return the parameters of all channels and their covariance, for independent channels."""
+) -> tuple[list[str], FloatArray, list[str], FloatArray, FloatArray]:
+    """Return names, values and units of the parameters of all channels, and their uncertainty.
+
+    The latter is their covariance, for independent channels, and its degrees of freedom.
+    """
     names: list[str] = []
     values: list[float] = []
     units: list[str] = []
     parts: list[FloatArray] = []
+    freedom: list[float] = []
     for one, group in zip(found, groups, strict=True):
         reached = _reached(one)
         for row, channel in enumerate(group):
             keep = [*np.flatnonzero(reached[:-1]).tolist(), *([len(group)] if reached[-1] else [])]
             parts.append(one.covariance[row][np.ix_(keep, keep)])
+            freedom += one.freedom[keep].tolist()
             for column in keep:
                 if column == len(group):
                     names.append(f"sensor_bias_{axes[channel]}")
@@ -224,7 +230,7 @@ def _flat(
                 values.append(float(one.matrix[row, column]))
                 units.append(_ratio(unit_of(axes[channel]), unit_of(axes[group[column]])))
     covariance: FloatArray = block_diag(*parts)
-    return names, np.array(values), units, covariance
+    return names, np.array(values), units, covariance, np.array(freedom)
 
 
 def _reached(one: Linear) -> FloatArray:
