@@ -54,6 +54,8 @@ def apply_fit(
                 patch_actuator(spec, name, patch, where=here, refuse=refuse)
             elif family == "geom":
                 geom = _find(spec.geoms, name, "geom", here, refuse)
+                if "size" in patch:
+                    body_inertia.keep(geom.parent)
                 for attribute, value in patch.items():
                     _set(geom, attribute, value, f"{here}.{attribute}", refuse)
             elif family == "pair":
@@ -69,6 +71,13 @@ def apply_fit(
                 )
     for attribute, value in option.items():
         _set(spec.option, attribute, value, f"{where}.option.{attribute}", refuse)
+
+
+def keep_inertia(spec: mujoco.MjSpec, bodies: Iterable[mujoco.MjsBody]) -> None:
+    """Write the inertia of bodies, so that other sizes of their geoms do not change it."""
+    body_inertia = _BodyInertia(spec)
+    for body in bodies:
+        body_inertia.keep(body)
 
 
 def place_base(spec: mujoco.MjSpec, base: Pose, *, refuse: Refuse, where: str) -> None:
@@ -152,6 +161,11 @@ class _BodyInertia:
             self._model, _ = mjcf.compiled(self._spec)
             self._make_explicit(self._model)
         return _compiled_inertia(self._model, body.name)
+
+    def keep(self, body: mujoco.MjsBody) -> None:
+        """Write the inertia of a body, so that another surface of it does not change its mass."""
+        if not body.explicitinertial and body.name not in ("", "world"):
+            inertia.write(body, *self.of(body))
 
     def _make_explicit(self, model: mujoco.MjModel) -> None:
         """Write explicit inertias, so that the compiler does not recompute or scale them."""

@@ -140,6 +140,9 @@ def test_a_twin_applies_the_fit_of_a_pair(
     parts = load(twin.first_realization.file, twin=twin).parts
     changed = {name for name, part in parts.items() if part != realization.parts.get(name)}
     assert "mujoco/contact:pairs" in changed
+    # The surface is farther out by 1 mm; the mass stays what it was.
+    assert "mujoco/inertia:box" not in changed
+    assert laid.body_inertia[1] == pytest.approx(contact.model.body_inertia[1])
 
 
 def test_a_fit_of_an_unknown_pair_is_refused(realization: Realization, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from pytest_twin.identification.contact.roles import TossOptions, read_by_role
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization
 from pytest_twin.realization.free_body import free_body
+from pytest_twin.realization.patch import keep_inertia
 
 
 def are_tosses(recordings: Sequence[Path], options: TossOptions) -> bool:
@@ -88,6 +89,7 @@ def _with_contact(realization: Realization, fit: ContactFit) -> Realization:
     geoms, pairs = ({int(one.id): one for one in some} for some in (spec.geoms, spec.pairs))
     patches = [(geoms[g], geom_patch(model, body, g, values)) for g in body.geoms]
     patches += [(pairs[p], pair_patch(model, p, values)) for p in body.pairs]
+    keep_inertia(spec, [geoms[g].parent for g in body.geoms])
     for element, patch in patches:
         for name, value in patch.items():
             setattr(element, name, value)
