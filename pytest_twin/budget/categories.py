@@ -140,6 +140,8 @@ _OF_EFFECT = {
     "torque_saturation": "actuation",
     "dead_zone": "actuation",
     "controller_gain": "actuation",
+    "servo_stiffness": "actuation",
+    "servo_damping": "actuation",
     "cogging": "actuation",
     "backlash": "compliance_and_backlash",
     "joint_elasticity": "compliance_and_backlash",

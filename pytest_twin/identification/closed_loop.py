@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import TwinError
+from pytest_twin.formats.identification_record import EncoderChange
+from pytest_twin.identification.effort.servo_gains import ServoGains
+from pytest_twin.identification.fit_patches import Patches
 from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
+from pytest_twin.identification.write import write_fitted
 from pytest_twin.metrics.joint_frequency import effort_response
 from pytest_twin.metrics.residual import residual
 from pytest_twin.realization import Realization
@@ -33,6 +39,72 @@ class PositionError:
     nominal: float
     fitted: float
     unit: str
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """The fitted model under recorded commands.
+
+    Attributes:
+        fit: family -> element -> attribute -> value, with servo gains if they are kept.
+        positions: joint -> errors of its simulated position.
+        stage: the stage ``closed_loop``.
+        parameters: parameters of the stage for the record.
+        notes: messages.
+    """
+
+    fit: Patches
+    positions: dict[str, PositionError]
+    stage: Stage
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def close_loop(
+    nominal: Realization,
+    fit: Patches,
+    encoders: Mapping[str, EncoderChange],
+    gains: Sequence[ServoGains],
+    trials: Sequence[Trial] | TwinError,
+    folder: Path,
+) -> ClosedLoop:
+    """Write and simulate the fitted model; servo gains are kept if they lower its position error.
+
+    Args:
+        nominal: the nominal model.
+        fit: changes of bodies and joints.
+        encoders: changes of encoders.
+        gains: gains of position servos from measured effort.
+        trials: result of :func:`trials_of`.
+        folder: new and empty; gets the fitted model.
+    """
+    write_fitted(folder, nominal, fit, encoders)
+    positions, stage = simulated(nominal, load_written(folder), trials)
+    if not gains or stage.held_out is None:
+        return ClosedLoop(fit, positions, stage)
+    words = ", ".join(one.words for one in gains)
+    with_gains = {**fit, "actuator": {one.actuator: dict(one.patch()) for one in gains}}
+    other = folder.with_name("with_servo_gains")
+    other.mkdir()
+    write_fitted(other, nominal, with_gains, encoders)
+    others, tried = simulated(nominal, load_written(other), trials)
+    if tried.held_out is None or tried.held_out.after >= stage.held_out.after:
+        shutil.rmtree(other)
+        note = (
+            f"servo gains from effort and tracking error are not kept, because they do not lower "
+            f"the simulated position error: {words}"
+        )
+        return ClosedLoop(fit, positions, stage, notes=[note])
+    shutil.rmtree(folder)
+    other.rename(folder)
+    parameters = {name: one for each in gains for name, one in each.parameters().items()}
+    tried = replace(
+        tried,
+        why=f"servo stiffness from effort and tracking error: {words}; {tried.why}",
+        parameters=tuple(parameters),
+        excludes="weights, inertias and friction are given; a delay of the command was free",
+    )
+    return ClosedLoop(with_gains, others, tried, parameters)
 
 
 def trials_of(

@@ -11,10 +11,11 @@ from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import PathError, RecordingError, TwinError
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.identification.closed_loop import effort_responses, simulated, trials_of
+from pytest_twin.identification.closed_loop import close_loop, effort_responses, trials_of
 from pytest_twin.identification.contact.identify import are_tosses, identify_contact
 from pytest_twin.identification.contact.roles import TossOptions
 from pytest_twin.identification.effort.identify import has_effort, identify_effort
+from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.encoder_changes import encoder_changes
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.measured import Measured
@@ -23,7 +24,6 @@ from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify import identify_sensors
 from pytest_twin.identification.sensing.recorded import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
-from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
@@ -114,23 +114,26 @@ def identify_files(
     if has_effort(measured):
         result = identify_effort(realization, measured, signals)
         progress(0.8)
-        fit, encoders = patches_of(realization, result), encoder_changes(realization, result)
-        write_fitted(folder, realization, fit, encoders)
-        fitted_model = load_written(folder)
+        encoders = encoder_changes(realization, result)
         tried = trials_of(
             realization, _paths(measured.held_out) or _paths(measured.fit),
             {**stated, **topics}, chosen,
         )  # fmt: skip
-        positions, loop = simulated(realization, fitted_model, tried)
-        document = effort_document(result, (*result.stages, loop))
-        document["fit"] = fit
+        gains = servo_gains(realization, measured.fit, result, signals)
+        loop = close_loop(
+            realization, patches_of(realization, result), encoders, gains, tried, folder
+        )
+        document = effort_document(result, (*result.stages, loop.stage))
+        document["fit"] = loop.fit
+        document["parameters"].update(loop.parameters)
+        document["notes"] += loop.notes
         document["encoders"] = {joint: asdict(one) for joint, one in encoders.items()}
         document["frequency_response"] = (
             effort_responses(measured.held_out or measured.fit)
             if isinstance(tried, TwinError)
-            else frequency_responses(fitted_model, tried)
+            else frequency_responses(load_written(folder), tried)
         )
-        for joint, error in positions.items():
+        for joint, error in loop.positions.items():
             document["held_out"].setdefault(joint, {}).update(
                 position_rms=error.fitted, position_unit=error.unit,
                 position_rms_nominal=error.nominal,

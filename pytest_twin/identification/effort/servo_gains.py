@@ -1,0 +1,193 @@
+"""Stiffness and damping of position servos, from command, position and measured effort."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.identification.effort.delay import without_delay
+from pytest_twin.identification.effort.drive_gains import as_torques
+from pytest_twin.identification.effort.filtering import Filter, decimated, differentiate, uniform
+from pytest_twin.identification.effort.identify import EffortResult
+from pytest_twin.identification.effort.least_squares import LinearProblem, solve
+from pytest_twin.identification.effort.scale import scaled
+from pytest_twin.identification.measured import Measured
+from pytest_twin.realization import Realization
+from pytest_twin.realization.encoders import Encoders, calibration_of
+from pytest_twin.realization.inputs import LINEAR_GAINS, joint_inputs
+from pytest_twin.signals import Signals
+
+_OTHER_LAW = 0.3
+"""Residual, relative to the effort's deviation, above which the effort does not follow the law."""
+_WIDEST = 0.5
+"""Relative half width of the stiffness above which the motion does not determine it."""
+_FEWEST_ROWS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class ServoGains:
+    """Gains of one joint's position servo: effort = stiffness (command - q) - damping v.
+
+    Attributes:
+        joint, actuator: names in the model.
+        stiffness, damping: N*m/rad and N*m*s/rad, or N/m and N*s/m.
+        half_widths: half widths of their 95 % intervals.
+        nominal: the model's stiffness and damping.
+        transmission: square of the actuator's gear in the model.
+        slide: whether the joint is prismatic.
+    """
+
+    joint: str
+    actuator: str
+    stiffness: float
+    damping: float
+    half_widths: tuple[float, float]
+    nominal: tuple[float, float]
+    transmission: float
+    slide: bool
+
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Return ``JOINT.servo_stiffness`` and ``JOINT.servo_damping`` for a record."""
+        unit = "N/m" if self.slide else "N*m/rad"
+        speed = "N*s/m" if self.slide else "N*m*s/rad"
+        rows = zip(
+            ("servo_stiffness", "servo_damping"), (self.stiffness, self.damping),
+            self.half_widths, self.nominal, (unit, speed), strict=True,
+        )  # fmt: skip
+        return {
+            f"{self.joint}.{name}": {
+                "value": value,
+                "unit": of,
+                "ci95": [value - half, value + half],
+                "prior": nominal,
+                "stage": "closed_loop",
+                "used": True,
+                "estimator": "weighted least squares",
+            }
+            for name, value, half, nominal, of in rows
+        }
+
+    def patch(self) -> dict[str, float]:
+        """Return ``kp`` and ``kv`` of the actuator, as ``fit:`` of a twin states them."""
+        return {
+            "kp": self.stiffness / self.transmission,
+            "kv": max(self.damping, 0.0) / self.transmission,
+        }
+
+    @property
+    def words(self) -> str:
+        """Describe the gains and the model's."""
+        unit = "N/m" if self.slide else "N*m/rad"
+        return f"{self.joint} {self.stiffness:.4g} {unit} (model {self.nominal[0]:.4g})"
+
+
+def servo_gains(
+    realization: Realization, recordings: Sequence[Measured], found: EffortResult, signals: Signals
+) -> list[ServoGains]:
+    """Fit the gains of the model's position servos to effort and tracking error.
+
+    Joints are left out whose effort does not follow the law: another controller, a feedforward, or
+    an integral term.
+
+    Args:
+        realization: the nominal model.
+        recordings: fitted recordings.
+        found: identification, whose delay, gains and scales of efforts are removed.
+        signals: meaning of the recorded signals.
+    """
+    used = {joint: s for joint, s in found.scales.items() if s.is_significant}
+    right = scaled(as_torques(recordings, found.gains), used)
+    if found.delay is not None:
+        right = without_delay(right, found.delay.value, found.delay.name)
+    right = tuple(one for one in right if one.command is not None)
+    gains = []
+    for k, joint in enumerate(right[0].joints if right else ()):
+        own = signals.of(joint)
+        plain = own.position.side == "output" and own.position.unit == "rad" and own.shared is None
+        servo = _servo(realization, joint)
+        if servo is None or not plain or any(one.unscaled[k] for one in right):
+            continue
+        fit = _fitted(realization, right, k, found.filter)
+        if fit is not None:
+            (stiffness, damping), half = fit
+            model = realization.model
+            gear = float(model.actuator_gear[model.actuator_outadr[servo], 0])
+            bias = -(gear**2) * model.actuator_biasprm[servo]
+            gains.append(
+                ServoGains(
+                    joint, model.actuator(servo).name, stiffness, damping, half,
+                    (float(bias[1]), float(bias[2])), gear**2,
+                    realization.structure.joint_type[joint] == "slide",
+                )
+            )  # fmt: skip
+    return gains
+
+
+def _servo(realization: Realization, joint: str) -> int | None:
+    """Return the only position servo with linear gains and a name that drives a joint."""
+    model = realization.model
+    servos = [
+        one.actuator
+        for one in joint_inputs(model, joint)
+        if one.mode == "position"
+        and int(model.actuator_gaintype[one.actuator]) in LINEAR_GAINS
+        and int(model.actuator_dyntype[one.actuator]) == int(mujoco.mjtDyn.mjDYN_NONE)
+        and model.actuator(one.actuator).name
+    ]
+    return servos[0] if len(servos) == 1 else None
+
+
+def _fitted(
+    realization: Realization, recordings: Sequence[Measured], k: int, chosen: Filter
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Return stiffness and damping of one joint with their half widths, or None.
+
+    The rate of the command has its own column, which takes up a delay of the command.
+    """
+    encoders = Encoders.of(calibration_of(realization), recordings[0].joints)
+    columns, efforts, known = [], [], []
+    for one in recordings:
+        even = uniform(one)
+        assert even.command is not None
+        command = encoders.model_position(even.command)
+        if not np.isfinite(command[:, k]).all() or not np.isfinite(even.effort[:, k]).all():
+            continue
+        motion = differentiate(even, chosen)
+        asked = differentiate(replace(even, position=command), chosen)
+        rows = np.stack(
+            [
+                asked.position[:, k] - motion.position[:, k],
+                -motion.velocity[:, k],
+                asked.velocity[:, k],
+                np.ones(len(motion.time)),
+            ],
+            axis=1,
+        )
+        columns.append(_inner(decimated(rows, motion.rate, chosen), chosen))
+        efforts.append(_inner(decimated(motion.effort[:, k : k + 1], motion.rate, chosen), chosen))
+        known.append(np.abs(efforts[-1]) < 0.98 * one.limit[k])
+    if sum(map(len, columns)) < _FEWEST_ROWS:
+        return None
+    matrix, effort = np.concatenate(columns)[:, None], np.concatenate(efforts)
+    seen = np.concatenate(known)
+    problem = LinearProblem(
+        matrix, np.where(seen, effort, 0.0), seen, np.zeros_like(seen),
+        np.zeros((1, matrix.shape[2]), dtype=bool), tuple(len(one) for one in columns),
+    )  # fmt: skip
+    solution = solve(problem)
+    (stiffness, damping), half = solution.values[:2], solution.half_width[:2]
+    spread = float(effort[seen].std())
+    if solution.noise[0] > _OTHER_LAW * spread or half[0] > _WIDEST * stiffness:
+        return None
+    return (float(stiffness), float(damping)), (float(half[0]), float(half[1]))
+
+
+def _inner(values: FloatArray, chosen: Filter) -> FloatArray:
+    """Cut off one period of the parallel filter at both ends, where it has transients."""
+    edge = int(np.ceil(chosen.rate / chosen.parallel))
+    return values[edge : max(len(values) - edge, edge + 1)]
