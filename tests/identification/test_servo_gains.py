@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,14 @@ from arms import JOINTS, NOMINAL, REAL, TRUE
 from fourier_motion import fourier
 
 from pytest_twin.formats.schema import load_schema
+from pytest_twin.identification.effort.identify import identify_effort
+from pytest_twin.identification.effort.servo_gains import servo_gains
+from pytest_twin.identification.measured import MeasuredSet, read_measured
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import load
+from pytest_twin.recording_options import NO_OPTIONS
+from pytest_twin.signals import NO_SIGNALS
+from pytest_twin.twin import DEFAULT_TOPICS, load_twin
 
 GAINS = {"shoulder": (900.0, 40.0), "elbow": (300.0, 12.0)}
 """Stiffness (N*m/rad) and damping (N*m*s/rad) of the real servos."""
@@ -134,3 +141,17 @@ def test_an_effort_that_follows_another_law_gives_no_gains(tmp_path: Path) -> No
     assert "actuator" not in document["fit"]
     assert not any("servo_stiffness" in name for name in document["parameters"])
     assert not (tmp_path / "out" / "with_servo_gains").exists()
+
+
+def test_recordings_of_a_declared_controller_give_no_gains(tmp_path: Path) -> None:
+    (tmp_path / "model.xml").write_text(model_text(NOMINAL, 0.7))
+    (tmp_path / "twin.yaml").write_text(
+        "model: model.xml\ncontrollers: {soft: {s1: {kp: 100}, s2: {kp: 100}}}\n"
+    )
+    robot = load(tmp_path / "model.xml", twin=load_twin(tmp_path / "twin.yaml"))
+    run = write_run(tmp_path / "a.csv", 0, "servo")
+    (one,) = read_measured(run, robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS)
+    found = identify_effort(robot, MeasuredSet((one,), ()), NO_SIGNALS)
+    assert len(servo_gains(robot, [one], found, NO_SIGNALS)) == 2
+    soft = replace(one, metadata={"controller": "soft"})
+    assert servo_gains(robot, [soft], found, NO_SIGNALS) == []

@@ -92,7 +92,7 @@ def servo_gains(
     """Fit the gains of the model's position servos to effort and tracking error.
 
     Joints are left out whose effort does not follow the law: another controller, a feedforward, or
-    an integral term.
+    an integral term. Recordings of controllers that the twin declares have the gains declared there.
 
     Args:
         realization: the nominal model.
@@ -100,6 +100,8 @@ def servo_gains(
         found: identification, whose delay, gains and scales of efforts are removed.
         signals: meaning of the recorded signals.
     """
+    declared = {} if realization.twin is None else realization.twin.controllers
+    recordings = [one for one in recordings if one.metadata.get("controller") not in declared]
     used = {joint: s for joint, s in found.scales.items() if s.is_significant}
     right = scaled(as_torques(recordings, found.gains), used)
     if found.delay is not None:
