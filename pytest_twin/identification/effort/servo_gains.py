@@ -92,7 +92,7 @@ def servo_gains(
     """Fit the gains of the model's position servos to effort and tracking error.
 
     Joints are left out whose effort does not follow the law: another controller, a feedforward, or
-    an integral term. Recordings of controllers that the twin declares have the gains declared there.
+    an integral term. Recordings of controllers that the twin declares have their gains there.
 
     Args:
         realization: the nominal model.
