@@ -24,7 +24,8 @@ def wilson(right: int, every: int) -> tuple[float, float]:
     p, z2 = right / every, Z * Z / every
     center = (p + z2 / 2) / (1 + z2)
     half = Z * np.sqrt(p * (1 - p) / every + z2 / every / 4) / (1 + z2)
-    return max(center - half, 0.0), min(center + half, 1.0)
+    # With all or none right, rounding must not move the share out of its interval.
+    return min(max(center - half, 0.0), p), max(min(center + half, 1.0), p)
 
 
 def draw(counts: list[tuple[int, int]], out: Path) -> None:
