@@ -229,6 +229,24 @@ def test_the_record_states_the_solver_and_the_spread_over_other_solver_settings(
     assert "timestep 1 ms" in identification.render(identified[1])
 
 
+def test_an_interval_over_simulations_holds_the_estimates_of_other_numerical_settings(
+    identified: Any,
+) -> None:
+    document = identified[1]
+    spread = {one["simulation"]: one["parameters"] for one in document["contact"]["spread"]}
+    for name, one in document["parameters"].items():
+        low, high = one["ci95_over_simulations"]
+        assert low <= one["ci95"][0] <= one["ci95"][1] <= high
+        for simulation in ("timestep 1 ms", "integrator implicitfast"):
+            assert low < spread[simulation][name] < high
+    # The elliptic cone is another law: it does not widen the interval.
+    friction = document["parameters"]["cube.contact_friction"]
+    numerical = [friction["value"], *(spread[one]["cube.contact_friction"] for one in (
+        "timestep 1 ms", "integrator implicitfast"))]  # fmt: skip
+    width = friction["ci95"][1] / friction["value"]
+    assert friction["ci95_over_simulations"][1] == pytest.approx(max(numerical) * width)
+
+
 def test_a_twin_applies_the_identified_contact_parameters(identified: Any, tmp_path: Path) -> None:
     folder, document = identified
     (tmp_path / "cube.xml").write_text(CUBE)

@@ -72,7 +72,8 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
             f"{body}.{name}": {
                 "value": values[name],
                 "unit": UNITS[name],
-                "ci95": _interval(fit, name, one),
+                "ci95": _interval(fit, name, one, values[name]),
+                "ci95_over_simulations": _over_simulations(fit, name, one),
                 "prior": nominal[name],
                 "stage": "contact",
             }
@@ -120,14 +121,32 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
     }
 
 
-def _interval(fit: ContactFit, name: str, deviation: float) -> list[float]:
-    """95 % interval of a parameter; symmetric in the logarithm if that was estimated."""
-    value = fit.values[name]
+def _interval(fit: ContactFit, name: str, deviation: float, at: float) -> list[float]:
+    """95 % interval around a value; symmetric in the logarithm if that was estimated.
+
+    Args:
+        fit: the fit.
+        name: the parameter.
+        deviation: standard deviation at the fitted value.
+        at: fitted value, or that of another simulation.
+    """
     (parameter,) = (one for one in fit.contact.parameters if one.name == name)
     if not parameter.is_logarithmic:
-        return [value - Z95 * deviation, value + Z95 * deviation]
-    factor = float(np.exp(Z95 * deviation / value))
-    return [value / factor, value * factor]
+        return [at - Z95 * deviation, at + Z95 * deviation]
+    factor = float(np.exp(Z95 * deviation / fit.values[name]))
+    return [at / factor, at * factor]
+
+
+def _over_simulations(fit: ContactFit, name: str, deviation: float) -> list[float]:
+    """Interval that also holds the estimates with another time step and integrator.
+
+    An estimate belongs to the simulation that it was made with. The interval says how far it holds
+    for the object. Another friction cone is another law, so it is left out.
+    """
+    numerical = [one for one in fit.variants if not one.is_another_law]
+    centres = [fit.values[name], *(one.values[name] for one in numerical)]
+    ends = [_interval(fit, name, deviation, at) for at in centres]
+    return [min(low for low, _ in ends), max(high for _, high in ends)]
 
 
 def solver_of(model: mujoco.MjModel) -> dict[str, Any]:

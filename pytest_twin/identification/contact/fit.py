@@ -71,12 +71,14 @@ class Variant:
         values: parameter -> value that fits best with this option.
         held: error on held-out tosses with these values.
         kept: error on held-out tosses with the values of the main fit.
+        is_another_law: whether the option changes the law of friction, not only its accuracy.
     """
 
     name: str
     values: Mapping[str, float]
     held: TossErrors
     kept: TossErrors
+    is_another_law: bool = False
 
 
 @dataclass(frozen=True)
@@ -391,6 +393,10 @@ def _variants(
             if held
             else [nothing, nothing]
         )
-        found.append(Variant(name, {n: own[n] for n in contact.names}, *errors))
+        found.append(
+            Variant(
+                name, {n: own[n] for n in contact.names}, *errors, is_another_law="cone" in change
+            )
+        )
         progress(0.75 + 0.24 * done / len(changes))
     return found
