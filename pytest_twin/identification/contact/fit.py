@@ -388,15 +388,12 @@ def _variants(
         moved = minimize(Loss(other, stretches), places, 0.08, _GENERATIONS["variant"], 6)
         own = {**values, **other.values(moved)}
         nothing = TossErrors(np.zeros(0), np.zeros(0))
-        errors = (
+        own_errors, kept_errors = (
             errors_of([other.at(own), other.at(values)], contact.body, held)
             if held
             else [nothing, nothing]
         )
-        found.append(
-            Variant(
-                name, {n: own[n] for n in contact.names}, *errors, is_another_law="cone" in change
-            )
-        )
+        estimates = {n: own[n] for n in contact.names}
+        found.append(Variant(name, estimates, own_errors, kept_errors, "cone" in change))
         progress(0.75 + 0.24 * done / len(changes))
     return found
