@@ -31,8 +31,9 @@ _CLIPPED = 0.002
 _GAP = 5.0
 """Ratio of an interval to the median interval above which the recording is cut there."""
 
-_MOVED = 1e-3
-"""Standard deviation of positions, rad or m, below which velocities are not compared with them."""
+_MOVED = 0.02
+"""Standard deviation of positions, rad or m, below which velocities are not compared with them: of
+servos these are often coarse."""
 _ALIKE, _OTHER_UNIT = 0.9, 0.2
 """Smallest correlation of a velocity's integral with the position, and largest deviation of their
 ratio from 1, for a velocity that agrees with the positions."""

@@ -15,6 +15,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
 from pytest_twin.identification.motions import undetermined_by_command
 from pytest_twin.identification.records import correlated, verdict_of
+from pytest_twin.identification.simulation.command_mistakes import command_mistakes
 from pytest_twin.identification.simulation.identify import SimulationResult, place_of
 
 
@@ -60,9 +61,11 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
         [e.before for e in errors.values()]
     )
     tested = bool(len(problem.held_out))
+    suspected = command_mistakes(result.trials.fit)
+    fatal = any(one.is_fatal for one in suspected)
     return {
         "schema": 1,
-        "verdict": verdict_of(result.stages, bool(better), tested, not against),
+        "verdict": verdict_of(result.stages, bool(better) and not fatal, tested, not against),
         "way": "commands and positions",
         "stages": [stage.to_json() for stage in result.stages],
         "parameters": parameters,
@@ -85,7 +88,7 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
                 f"{place_of(problem, term)}.{term.effect}: {why}" for term, why in against.items()
             ],
         },
-        "suspected": [],
+        "suspected": [one.to_json() for one in suspected],
         "unobservable": [
             undetermined_by_command(stage, place_of(problem, term), term.effect)
             for term, stage in result.undetermined.items()
