@@ -11,7 +11,7 @@ import pytest
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import reciprocal_unit
-from pytest_twin.identification.simulation import document
+from pytest_twin.identification.simulation.document import parameters_with_covariance
 
 
 @pytest.mark.parametrize(
@@ -33,43 +33,36 @@ def test_every_reciprocal_of_the_catalogue_has_another_unit_than_its_reported_va
             assert one.fitted_unit(kind) == reciprocal_unit(one.unit(kind))
 
 
-def stated(effect: str, theta: list[float], monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """``parameters`` of ``identification.json`` for one effect at the elbow, all scales 2."""
-    monkeypatch.setattr(document, "impossible", lambda problem, hypothesis: {})
+def stated(effect: str, theta: list[float]) -> dict[str, Any]:
+    """Parameters of one effect at the elbow, for an estimate with all scales 2."""
     term = Term(effect, 0)
-    hypothesis = Hypothesis((term,), np.array(theta))
     layout = SimpleNamespace(slides=np.array([False]), servo=np.array(["position"]))
     problem = SimpleNamespace(
         joints=("elbow",), scales=SimpleNamespace(value=lambda parameter, joint: 2.0),
-        simulator=SimpleNamespace(layout=layout), held_out=[],
+        simulator=SimpleNamespace(layout=layout),
     )  # fmt: skip
     spread = SimpleNamespace(half_width=np.full(len(theta), 0.1), joint=0.01 * np.eye(len(theta)))
-    error = SimpleNamespace(before=1.0, after=0.5, unit="rad", floor=0.1)
     result = SimpleNamespace(
-        prepared=SimpleNamespace(problem=problem), hypothesis=hypothesis, spread=spread,
-        stage_of={term: "drive"}, errors={"elbow": error}, stages=(), notes=(),
+        prepared=SimpleNamespace(problem=problem), spread=spread, stage_of={term: "drive"},
+        hypothesis=Hypothesis((term,), np.array(theta)),
     )  # fmt: skip
-    found = document.simulation_document(result)
-    assert found["covariance"]["names"] == list(found["parameters"])
-    return found["parameters"]
+    parameters, covariance = parameters_with_covariance(result)
+    assert covariance == pytest.approx(0.04 * np.eye(len(parameters)))
+    return parameters
 
 
-def test_an_identified_limit_is_named_as_a_reciprocal_in_its_unit(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_identified_limit_is_named_as_a_reciprocal_in_its_unit() -> None:
     """Half of the scale 2: an inverse limit of 1 per N*m."""
-    (one,) = stated("torque_saturation", [0.5], monkeypatch).items()
+    (one,) = stated("torque_saturation", [0.5]).items()
     assert one[0] == "elbow.torque_saturation.inverse_limit"
     assert (one[1]["value"], one[1]["unit"]) == (1.0, "1/(N*m)")
 
 
-def test_an_identified_roll_off_has_a_reciprocal_and_a_damping(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    found = stated("torque_rolloff", [0.5, 0.1], monkeypatch)
+def test_an_identified_roll_off_has_a_reciprocal_and_a_damping() -> None:
+    found = stated("torque_rolloff", [0.5, 0.1])
     assert {name: one["unit"] for name, one in found.items()} == {
         "elbow.torque_rolloff.inverse_knee": "1/(N*m)",
         "elbow.torque_rolloff.back_emf": "N*m*s/rad",
     }
-    (name,) = stated("viscous_friction", [0.1], monkeypatch)
+    (name,) = stated("viscous_friction", [0.1])
     assert name == "elbow.viscous_friction"

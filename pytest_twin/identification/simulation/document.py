@@ -22,39 +22,8 @@ from pytest_twin.identification.simulation.identify import SimulationResult, pla
 def simulation_document(result: SimulationResult) -> dict[str, Any]:
     """The content of ``identification.json``, without realization, trials and inputs."""
     problem, hypothesis = result.prepared.problem, result.hypothesis
-    names: list[str] = []
-    kept: list[int] = []
-    scale: list[float] = []
-    parameters: dict[str, Any] = {}
-    at = 0
-    for term in hypothesis.terms:
-        movable = term.movable(hypothesis.theta[hypothesis.slice_of(term)])
-        several = int(movable.sum()) > 1
-        for k, p in enumerate(term.parameters):
-            if movable[k]:
-                unit = problem.scales.value(p, term.joint)
-                # The name says that a reciprocal was estimated: inverse_limit in 1/(N*m).
-                is_named = several or p.reciprocal_of is not None
-                name = f"{place_of(problem, term)}.{term.effect}" + (
-                    f".{p.name}" if is_named else ""
-                )
-                theta, half = float(hypothesis.theta[at]), float(result.spread.half_width[at])
-                low, high = (
-                    (theta - half, theta + half) if np.isfinite(half) else (p.lower, p.upper)
-                )
-                parameters[name] = {
-                    "value": theta * unit,
-                    "unit": _unit(problem, term, p),
-                    "ci95": [low * unit, high * unit],
-                    "prior": None if p.neutral is None else p.neutral * unit,
-                    "stage": result.stage_of[term],
-                    "used": True,
-                }
-                names.append(name)
-                kept.append(at)
-                scale.append(unit)
-            at += 1
-    covariance = _covariance(result, np.array(kept, dtype=np.intp), np.array(scale))
+    parameters, covariance = parameters_with_covariance(result)
+    names = list(parameters)
     against = impossible(problem, hypothesis)
     errors = result.errors
     better = np.mean([e.after for e in errors.values()]) < np.mean(
@@ -96,6 +65,42 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
         "notes": list(dict.fromkeys(result.notes)),
         "software": {"pytest-twin": __version__},
     }
+
+
+def parameters_with_covariance(result: SimulationResult) -> tuple[dict[str, Any], FloatArray]:
+    """Return the estimated parameters by name, and their (n, n) covariance, SI units."""
+    problem, hypothesis = result.prepared.problem, result.hypothesis
+    kept: list[int] = []
+    scale: list[float] = []
+    parameters: dict[str, Any] = {}
+    at = 0
+    for term in hypothesis.terms:
+        movable = term.movable(hypothesis.theta[hypothesis.slice_of(term)])
+        several = int(movable.sum()) > 1
+        for k, p in enumerate(term.parameters):
+            if movable[k]:
+                unit = problem.scales.value(p, term.joint)
+                # The name says that a reciprocal was estimated: inverse_limit in 1/(N*m).
+                is_named = several or p.reciprocal_of is not None
+                name = f"{place_of(problem, term)}.{term.effect}" + (
+                    f".{p.name}" if is_named else ""
+                )
+                theta, half = float(hypothesis.theta[at]), float(result.spread.half_width[at])
+                low, high = (
+                    (theta - half, theta + half) if np.isfinite(half) else (p.lower, p.upper)
+                )
+                parameters[name] = {
+                    "value": theta * unit,
+                    "unit": _unit(problem, term, p),
+                    "ci95": [low * unit, high * unit],
+                    "prior": None if p.neutral is None else p.neutral * unit,
+                    "stage": result.stage_of[term],
+                    "used": True,
+                }
+                kept.append(at)
+                scale.append(unit)
+            at += 1
+    return parameters, _covariance(result, np.array(kept, dtype=np.intp), np.array(scale))
 
 
 def _unit(problem: Problem, term: Term, parameter: Parameter) -> str:
