@@ -23,9 +23,9 @@ EXCLUDES: Mapping[StageName, str] = {
     "was fitted",
     "gravity": "friction and inertia were free while the weights were fitted, so that neither "
     "takes up a weight",
-    "inertia": "the weights of the stage before are given; friction was free",
-    "friction": "weights and inertias are given; the drive's constant effort was free",
-    "drive": "weights, inertias and friction are given",
+    "inertia": "weights and friction were free while the inertias were fitted",
+    "friction": "weights, inertias and the drive's constant effort were free",
+    "drive": "weights, inertias and friction were free",
 }
 
 
