@@ -134,6 +134,8 @@ class Parameter:
         choices: one phrase for each value in ``starts`` of a choice.
         part_of: quantity of the joint that contains it, so that it is never larger; ``damping``
             for back-EMF, which models hold as passive damping.
+        sums_with: parameter of the law to which it is added; the upper bound of that one, in SI
+            units, holds for the sum.
     """
 
     name: str
@@ -152,6 +154,7 @@ class Parameter:
     relation: Literal["", "added", "relative"] = ""
     choices: tuple[str, ...] = ()
     part_of: Literal["", "damping"] = ""
+    sums_with: str = ""
 
     @property
     def absent(self) -> float:

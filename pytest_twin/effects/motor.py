@@ -146,7 +146,7 @@ class MotorLoadFriction(Effect):
         ),
         Parameter(
             "stiction_excess", "effort_per_load", 0.0, 0.0, 0.8, (0.1,),
-            meaning="extra friction at rest per unit of effort",
+            meaning="extra friction at rest per unit of effort", sums_with="coefficient",
         ),
         Parameter(
             "stribeck_velocity", "velocity", None, 0.005, 3.0, (0.15, 0.5), "velocity",

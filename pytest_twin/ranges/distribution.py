@@ -42,20 +42,24 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class ContainingCoordinate:
-    """Coordinate of which another one is a part, as back-EMF is of a joint's damping.
+class UpperLimit:
+    """Largest value of a coordinate that depends on another one: ``factor other + rest``.
+
+    Back-EMF is a part of its joint's damping, so the damping of a robot is its largest back-EMF.
 
     Attributes:
-        name: name of the coordinate.
-        rest: constant that the whole has besides this coordinate, in its unit.
+        name: name of the other coordinate.
+        factor: dimensionless.
+        rest: in the coordinate's unit.
     """
 
     name: str
+    factor: float = 1.0
     rest: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able fields."""
-        return {"name": self.name, "rest": self.rest}
+        return {"name": self.name, "factor": self.factor, "rest": self.rest}
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +79,7 @@ class Coordinate:
         field: for a joint of the model: ``damping``, ``frictionloss`` or ``armature``.
         is_condition: whether it is a condition of the trials, such as their temperature, without
             direct effect on the motion.
-        part_of: coordinate that it cannot exceed, because it is a part of it; or None.
+        at_most: limit by another coordinate of the same robot, or None.
         sources: sources of its variance.
     """
 
@@ -94,7 +98,7 @@ class Coordinate:
     is_deviation: bool = False
     field: str | None = None
     is_condition: bool = False
-    part_of: ContainingCoordinate | None = None
+    at_most: UpperLimit | None = None
     sources: tuple[Source, ...] = ()
 
     @property
@@ -181,9 +185,9 @@ class Distribution:
         columns = [one.values(normals[:, k]) for k, one in enumerate(self.coordinates)]
         at = {one.name: k for k, one in enumerate(self.coordinates)}
         for k, one in enumerate(self.coordinates):
-            if one.part_of is not None:
-                whole = columns[at[one.part_of.name]] + one.part_of.rest
-                columns[k] = np.minimum(columns[k], whole)
+            if one.at_most is not None:
+                limit = one.at_most.factor * columns[at[one.at_most.name]] + one.at_most.rest
+                columns[k] = np.minimum(columns[k], limit)
         return np.stack(columns, axis=1) if columns else np.zeros((len(normals), 0))
 
     def widened(self, factors: Sequence[float], why: str) -> Distribution:

@@ -16,7 +16,7 @@ from pytest_twin.ranges.bodies import Body
 from pytest_twin.ranges.calibrated import zeros_of
 from pytest_twin.ranges.distribution import Coordinate, Distribution, Source, distribution_of
 from pytest_twin.ranges.identified import RecordCoordinates, coordinates_of_record
-from pytest_twin.ranges.passive import with_passive_joints
+from pytest_twin.ranges.passive import with_bounded_sums, with_passive_joints
 from pytest_twin.ranges.tolerances import with_tolerances
 from pytest_twin.ranges.trials import spread_over_trials
 from pytest_twin.realization import Realization
@@ -77,6 +77,7 @@ def collect_uncertain_parameters(
             expected="records whose parameters have standard deviations",
         )
     distribution = with_passive_joints(distribution, realization, patched, notes)
+    distribution = with_bounded_sums(distribution, patched)
     moving = {one.body for one in distribution.coordinates}
     return UncertainParameters(
         distribution,

@@ -1,9 +1,14 @@
-"""Keep drawn joints passive: the back-EMF of a drive is a part of its joint's damping.
+"""Limits of drawn drives by other values of the same robot.
+
+The back-EMF of a drive is a part of its joint's damping.
 
 Models hold back-EMF as passive damping, together with the viscous friction of motor and gear. Some
 effects take the back-EMF out of it, because a drive that is switched off or saturated has none. If
 it were more than the whole, the rest of the damping would be negative: the joint would generate
 energy and turn faster and faster.
+
+Friction that the motor's own effort causes at rest and in motion adds up. If it were as large as
+the effort, the drive could never start its joint.
 """
 
 from __future__ import annotations
@@ -13,7 +18,7 @@ from dataclasses import dataclass, replace
 
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.effects import catalogue
-from pytest_twin.ranges.distribution import ContainingCoordinate, Coordinate, Distribution
+from pytest_twin.ranges.distribution import UpperLimit, Coordinate, Distribution
 from pytest_twin.realization import Realization
 
 _DAMPING = "viscous_friction"
@@ -70,8 +75,41 @@ def with_passive_joints(
             coordinates[at] = replace(coordinates[at], lower=lower)
         else:
             coordinates[place] = replace(
-                coordinates[place], part_of=ContainingCoordinate(coordinates[at].name, rest)
+                coordinates[place], at_most=UpperLimit(coordinates[at].name, rest=rest)
             )
+    return replace(distribution, coordinates=tuple(coordinates))
+
+
+def with_bounded_sums(distribution: Distribution, patched: Patched | None) -> Distribution:
+    """Return the distribution in which parameters that a law adds up keep a bound together.
+
+    The bound is that of the parameter to which the other one is added.
+
+    Args:
+        distribution: coordinates of the records.
+        patched: effects of the twin, if any.
+    """
+    coordinates = list(distribution.coordinates)
+    places = {(one.effect, one.parameter, one.joint): k for k, one in enumerate(coordinates)}
+    for effect in () if patched is None else patched.effects:
+        laws = {law.name: law for law in catalogue()[effect.effect].parameters}
+        for law in laws.values():
+            if not law.sums_with:
+                continue
+            bound = laws[law.sums_with].upper
+            added, other = (
+                places.get((effect.effect, name, effect.joint))
+                for name in (law.name, law.sums_with)
+            )
+            if added is not None and other is not None:
+                limit = UpperLimit(coordinates[other].name, factor=-1.0, rest=bound)
+                coordinates[added] = replace(coordinates[added], at_most=limit)
+                continue
+            for place, name in ((added, law.sums_with), (other, law.name)):
+                if place is not None:
+                    one = coordinates[place]
+                    most = max(bound - effect.values.get(name, 0.0), one.mean)
+                    coordinates[place] = replace(one, upper=min(one.upper, most))
     return replace(distribution, coordinates=tuple(coordinates))
 
 

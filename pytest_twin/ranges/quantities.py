@@ -86,7 +86,7 @@ def quantities(distribution: Distribution, bodies: Sequence[Body], share: float)
     for column, one in enumerate(distribution.coordinates):
         if one.body is None:
             low, high = one.interval(share)
-            if one.part_of is not None:
+            if one.at_most is not None:
                 low, high = np.quantile(draws[:, column], tails).tolist()
             found.append(
                 Quantity(one.name, one.unit, one.mean, (low, high), draws[:, column], one.joint,

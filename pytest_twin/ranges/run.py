@@ -216,7 +216,7 @@ def _document(
                 "law": one.law,
                 "lower": one.lower if np.isfinite(one.lower) else None,
                 "upper": one.upper if np.isfinite(one.upper) else None,
-                "part_of": None if one.part_of is None else one.part_of.to_json(),
+                "at_most": None if one.at_most is None else one.at_most.to_json(),
                 "varies": "with the trial" if one.is_condition else "per episode",
                 "joint": one.joint,
                 "body": one.body,

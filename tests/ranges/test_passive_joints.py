@@ -19,7 +19,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.ranges import gather
-from pytest_twin.ranges.distribution import Coordinate
+from pytest_twin.ranges.distribution import Coordinate, Distribution
 from pytest_twin.ranges.files import write_files
 from pytest_twin.ranges.gather import collect_uncertain_parameters
 from pytest_twin.ranges.identified import bounds
@@ -208,3 +208,36 @@ def test_a_coordinate_with_bounds_has_a_truncated_normal_distribution(
     )
     assert as_written == pytest.approx(one.values(np.linspace(-4.0, 4.0, 33)), abs=1e-9)
     assert one.values(np.array([-1.0, 0.0, 1.0])).tolist() == sorted(one.values(np.arange(-1.0, 2)))
+
+
+LOAD = {"coefficient": 0.3, "stiction_excess": 0.3, "stribeck_velocity": 0.3}
+LOAD_NAMES = {f"a.motor_load_friction.{name}": LOAD[name] for name in ("coefficient",
+              "stiction_excess")}  # fmt: skip
+
+
+def with_load_friction(folder: Path, names: dict[str, float]) -> Distribution:
+    """Distribution of a pendulum with friction by the effort of its motor, known to 0.3."""
+    path = make_twin(folder, names)
+    effect = {"effect": "motor_load_friction", "joint": "a", "values": LOAD, "in_model": False}
+    effects = {"schema": 1, "joints": ["a"], "effects": [effect]}
+    (folder / "fit/effects.json").write_text(json.dumps(effects))
+    record = json.loads((folder / "record.json").read_text())
+    record["covariance"]["matrix"] = (0.09 * np.eye(len(names))).tolist()
+    (folder / "record.json").write_text(json.dumps(record))
+    twin = load_twin(path)
+    robot = load(twin.first_realization.file, twin=twin)
+    return collect_uncertain_parameters(twin, robot, patched_of(robot)).distribution
+
+
+def test_every_drawn_drive_can_start_its_joint(tmp_path: Path) -> None:
+    """The friction of the motor's own effort, at rest and in motion together, is at most 80 %."""
+    found = with_load_friction(tmp_path / "both", LOAD_NAMES)
+    columns = {one.name: k for k, one in enumerate(found.coordinates)}
+    draws = found.draws(10_000, 0)
+    moving, more = (draws[:, columns[name]] for name in LOAD_NAMES)
+    assert (moving + more).max() <= 0.8 + 1e-12
+    assert np.isclose(moving + more, 0.8).mean() > 0.01
+    assert moving.max() > 0.7
+    for name, value in LOAD_NAMES.items():
+        (one,) = with_load_friction(tmp_path / name, {name: value}).coordinates
+        assert one.upper == pytest.approx(0.5)

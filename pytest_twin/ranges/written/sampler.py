@@ -63,9 +63,10 @@ class Ranges:
             values = _values(one, normal[:, column])
             (found if one["body"] is None else inertial)[one["name"]] = values
         for one in self.coordinates:
-            if one["part_of"] is not None:  # back-EMF is a part of the joint's damping
-                whole = found[one["part_of"]["name"]] + one["part_of"]["rest"]
-                found[one["name"]] = np.minimum(found[one["name"]], whole)
+            if one["at_most"] is not None:  # as back-EMF, which is a part of the joint's damping
+                limit = one["at_most"]
+                most = limit["factor"] * found[limit["name"]] + limit["rest"]
+                found[one["name"]] = np.minimum(found[one["name"]], most)
         for body in self.bodies:
             found |= _body(body, inertial, count)
         return found
