@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.effects import catalogue
-from pytest_twin.ranges.distribution import UpperLimit, Coordinate, Distribution
+from pytest_twin.ranges.distribution import Coordinate, Distribution, UpperLimit
 from pytest_twin.realization import Realization
 
 _DAMPING = "viscous_friction"
