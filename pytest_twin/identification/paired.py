@@ -12,6 +12,9 @@ from pytest_twin.diagnosis.evidence import effective_samples
 
 ONE_SIDED = 1.645
 """One-sided 5 % quantile of the normal distribution."""
+_MOST = 0.75
+"""Share of the squared error that no chance removes: the root mean square error halves. A limit
+that is reached once leaves a single event, whose mean is never significant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,15 +24,17 @@ class Paired:
     Attributes:
         fall: mean of squared error before minus after, in the squared unit of the errors.
         standard_error: standard error of the mean, for samples correlated in time.
+        share: ``fall`` relative to the mean squared error before.
     """
 
     fall: float
     standard_error: float
+    share: float
 
     @property
     def is_significant(self) -> bool:
-        """Whether the reduction is significant (one-sided, 5 %)."""
-        return self.fall > ONE_SIDED * self.standard_error
+        """Whether the reduction is significant (one-sided, 5 %), or halves the error."""
+        return self.fall > ONE_SIDED * self.standard_error or self.share > _MOST
 
 
 def paired(before: FloatArray, after: FloatArray, lengths: Sequence[int]) -> Paired:
@@ -45,6 +50,9 @@ def paired(before: FloatArray, after: FloatArray, lengths: Sequence[int]) -> Pai
     """
     change = np.sum(before**2 - after**2, axis=1)
     if not np.isfinite(change).all():
-        return Paired(np.inf if np.isfinite(after).all() else -np.inf, 0.0)
+        fall = np.inf if np.isfinite(after).all() else -np.inf
+        return Paired(fall, 0.0, fall)
     effective = float(effective_samples((change - change.mean())[:, None], lengths)[0])
-    return Paired(float(change.mean()), float(change.std() / np.sqrt(max(effective, 1.0))))
+    fall = float(change.mean())
+    size = max(float(np.mean(np.sum(before**2, axis=1))), 1e-300)
+    return Paired(fall, float(change.std() / np.sqrt(max(effective, 1.0))), fall / size)

@@ -46,7 +46,7 @@ def write_trial(path: Path, seed: int, limit: float | None) -> Path:
     return path
 
 
-@pytest.mark.parametrize("limit", [0.6, None])
+@pytest.mark.parametrize("limit", [0.6, 1.0, None])
 def test_the_drive_stage_adds_a_limit_of_the_effort_where_the_drive_has_one(
     tmp_path: Path, limit: float | None
 ) -> None:
@@ -70,4 +70,4 @@ def test_the_drive_stage_adds_a_limit_of_the_effort_where_the_drive_has_one(
     theta = float(found.theta[found.slice_of(term)][0])
     value = parameter.reported(theta * problem.scales.value(parameter, 0))
     assert value == pytest.approx(limit, rel=0.1)
-    assert held_out_error(problem, found) < 0.1 * held_out_error(problem, EMPTY)
+    assert held_out_error(problem, found) < 0.25 * held_out_error(problem, EMPTY)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy import signal
 
-from pytest_twin.identification.paired import paired
+from pytest_twin.identification.paired import Paired, paired
 
 LENGTHS = (400, 600)
 
@@ -30,6 +31,15 @@ def test_an_improvement_smaller_than_the_noise_is_detected() -> None:
     bias = 0.5 * noise.std() * np.sin(np.arange(1000) / 20.0)[:, None]
     assert paired(noise + bias, noise, LENGTHS).is_significant
     assert not paired(noise, noise + bias, LENGTHS).is_significant
+
+
+def test_a_reduction_is_significant_by_its_standard_error_or_if_the_error_halves() -> None:
+    assert Paired(1.0, 0.5, 0.1).is_significant
+    assert not Paired(1.0, 0.9, 0.7).is_significant
+    # A single event has as large a standard error as its mean.
+    assert Paired(1.0, 0.9, 0.8).is_significant
+    error = correlated_errors(np.random.default_rng(2))
+    assert paired(error, 0.4 * error, LENGTHS).share == pytest.approx(0.84)
 
 
 def test_a_diverging_model_is_significantly_worse() -> None:
