@@ -85,7 +85,8 @@ def noise_of(still: FloatArray, rate: float) -> list[Noise]:
         short = taus <= max(taus[0], longest / 100.0)
         densities = deviations[short] * np.sqrt(taus[short])
         density = float(np.median(densities))
-        pairs = longest / float(taus[short][-1])
+        # The median is about as accurate as the estimate at the middle of these times.
+        pairs = longest / float(np.sqrt(taus[0] * taus[short][-1]))
         least = int(np.argmin(deviations))
         flat = least < len(taus) - 2 and deviations[-1] > 1.05 * deviations[least]
         found.append(

@@ -230,6 +230,18 @@ def test_the_density_of_white_noise_is_identified() -> None:
         assert one.density_std < 0.1 * density
 
 
+def test_the_stated_deviation_of_a_noise_density_is_that_over_recordings() -> None:
+    pytest.importorskip("allantools", reason="the extra 'sensors' is not installed")
+    rate, density = 200.0, 0.003
+    errors = []
+    for seed in range(30):
+        noise = np.random.default_rng(seed).normal(size=(4000, 1))
+        (one,) = noise_of(density * np.sqrt(rate) * noise, rate)
+        errors.append((one.density - density) / one.density_std)
+    # It is stated up to twice as large as it is, and not smaller.
+    assert 0.4 < np.std(errors) < 1.1
+
+
 def test_the_resolution_of_an_encoder_is_identified_and_a_smooth_signal_has_none() -> None:
     step = 2.0 * np.pi / 4096
     angle = np.sin(np.linspace(0.0, 9.0, 4000))
