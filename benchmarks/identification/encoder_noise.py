@@ -1,0 +1,104 @@
+"""Least squares and instrumental variables with encoder noise in the closed loop of servos.
+
+    python benchmarks/identification/encoder_noise.py [--arms N] [--noise MRAD]
+
+Each arm has random true parameters, a nominal model with errors, and position servos that act on
+noisy positions. The noise lies below 3 Hz, as the motion does, so that no filter removes it. Both
+estimators are compared with the true base parameters.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from coverage_of_intervals import JOINTS, MODEL
+from scipy import signal
+
+from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.regressor import Regressor
+from pytest_twin.realization import Realization, load
+from pytest_twin.signals import NO_SIGNALS
+
+sys.path.append(str(Path(__file__).parents[1]))
+from drawn_arms import nominal_parameters, true_parameters
+from fourier_motion import fourier
+
+TICK, INNER = 0.005, 5
+"""Period of the servos, s, and simulation steps in it."""
+STIFFNESS, DAMPING = np.array([1500.0, 600.0, 150.0]), np.array([120.0, 50.0, 12.0])
+"""Gains of the servos, N*m/rad and N*m*s/rad."""
+SECONDS = 20.0
+
+
+def driven(robot: Realization, path: Path, random: np.random.Generator, noise: float) -> Measured:
+    """One recording of servos that follow a random Fourier series; ``noise`` in rad."""
+    time = np.arange(round(SECONDS / TICK)) * TICK
+    command, speed, _ = fourier(random, time, len(JOINTS), 5, 0.1, (0.1, 0.5))
+    low = signal.butter(2, 3.0, fs=1.0 / TICK, output="sos")
+    added = signal.sosfilt(low, random.standard_normal(command.shape), axis=0)
+    added *= noise / added.std(axis=0)
+    model, data = robot.model, mujoco.MjData(robot.model)
+    model.opt.timestep = TICK / INNER
+    data.qpos[:], data.qvel[:] = command[0], speed[0]
+    seen, effort = np.empty_like(command), np.empty_like(command)
+    for at in range(len(time)):
+        seen[at] = data.qpos + added[at]
+        velocity = (seen[at] - seen[at - 1]) / TICK if at else speed[0]
+        effort[at] = STIFFNESS * (command[at] - seen[at]) + DAMPING * (speed[at] - velocity)
+        data.qfrc_applied[:] = effort[at]
+        mujoco.mj_step(model, data, INNER)
+    count = len(JOINTS)
+    return Measured(path, 0.0, JOINTS, time, seen, None, effort, np.zeros(count, dtype=bool),
+                    np.full(count, np.inf), {}, command=command)  # fmt: skip
+
+
+def identified(seed: int, folder: Path, noise: float) -> tuple[EffortResult, np.ndarray]:
+    """The identification of one arm, and its true base parameters."""
+    random = np.random.default_rng([seed, 3])
+    (folder / "nominal.xml").write_text(MODEL.format(**nominal_parameters()))
+    (folder / "real.xml").write_text(MODEL.format(**true_parameters(random)))
+    real = load(folder / "real.xml")
+    true = Regressor(real, JOINTS).prior
+    runs = [driven(real, folder / f"{n}.csv", random, noise) for n in ("one", "two", "check")]
+    nominal = load(folder / "nominal.xml")
+    result = identify_effort(nominal, MeasuredSet(tuple(runs[:2]), (runs[2],)), NO_SIGNALS)
+    return result, result.base.values(true)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--arms", type=int, default=10)
+    parser.add_argument("--noise", type=float, default=4.0, help="mrad (default: 4)")
+    args = parser.parse_args()
+    chosen: Counter[str] = Counter()
+    inside: dict[str, list[bool]] = {"least squares": [], "as chosen": []}
+    off: dict[str, list[float]] = {"least squares": [], "as chosen": []}
+    for seed in range(args.arms):
+        with tempfile.TemporaryDirectory() as scratch:
+            result, true = identified(seed, Path(scratch), 1e-3 * args.noise)
+        estimate, kept = result.estimate, result.fitted.kept
+        chosen[estimate.estimator] += 1
+        for name, solution in (
+            ("least squares", estimate.squares), ("as chosen", result.fitted.solution),
+        ):  # fmt: skip
+            error = np.abs(solution.values - true[kept])
+            inside[name] += (error <= solution.half_width).tolist()
+            off[name] += (error / np.maximum(np.abs(true[kept]), 1e-9)).tolist()
+        print(seed, estimate.estimator, flush=True)
+    print(f"{args.arms} arms, encoder noise {args.noise:g} mrad, chosen: {dict(chosen)}")
+    for name, holds in inside.items():
+        print(
+            f"{name}: {100 * np.mean(holds):.1f} % of {len(holds)} parameters in their 95 % "
+            f"intervals, median error {100 * np.median(off[name]):.2f} %"
+        )
+
+
+if __name__ == "__main__":
+    main()
