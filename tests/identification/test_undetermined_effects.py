@@ -16,7 +16,9 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.recorded import determine_signals
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.identification.motions import undetermined_by_command
+from pytest_twin.excitation.approved import MECHANISMS
+from pytest_twin.identification.motions import undetermined_by_command, undetermined_by_effort
+from pytest_twin.identification.simulation.stage_effects import SIMULATED
 from pytest_twin.identification.simulation.undetermined import undetermined_terms
 from pytest_twin.realization import load
 from pytest_twin.recording_options import RecordingOptions
@@ -76,3 +78,10 @@ def test_an_undetermined_effect_names_the_motion_that_would_determine_it(
     assert entry["expression"] == f"{place}.{effect}"
     assert motion in entry["motion"]
     assert entry["mechanism"] == mechanism
+
+
+def test_every_missing_motion_is_one_that_excite_designs() -> None:
+    for stage in SIMULATED:
+        by_command = undetermined_by_command(stage, "swing", "an_effect")
+        by_effort = undetermined_by_effort("Iyy1", stage, "swing", "Iyy")
+        assert {by_command["mechanism"], by_effort["mechanism"]} <= set(MECHANISMS), stage

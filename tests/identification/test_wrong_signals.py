@@ -11,11 +11,13 @@ from arms import JOINTS, REAL, simulated_effort, true_arm, write_model, write_re
 from scipy import signal
 
 from pytest_twin.errors import RecordingError
+from pytest_twin.excitation.approved import MECHANISMS
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.measured import Measured, MeasuredSet, _clipped_at
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import load
+from pytest_twin.report.identification import mechanisms, render
 from pytest_twin.signals import NO_SIGNALS, Signals
 
 
@@ -86,6 +88,11 @@ def test_for_joints_that_hardly_move_the_missing_motions_are_reported(tmp_path: 
     assert motion["Iyy1 + Ia1 + 0.25*m2"] == (
         "accelerate shoulder, and the joints before it, in several poses at once"
     )
+    # These are mechanisms for which pytest-twin excite designs motions.
+    asked = mechanisms(document)
+    assert {"gravity", "inertia"} <= set(asked) <= set(MECHANISMS)
+    page = render({**document, "frequency_response": []})
+    assert f"excitation: mechanisms: [{', '.join(asked)}]" in page
 
 
 def test_positions_in_degrees_are_reported_even_without_joint_ranges(tmp_path: Path) -> None:
