@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -134,6 +135,16 @@ def test_the_fitted_model_has_the_gains(cell: tuple[Path, dict[str, Any]]) -> No
         assert damping[k] == pytest.approx(parameters[f"{joint}.servo_damping"]["value"], rel=1e-4)
     assert set(document["fit"]["actuator"]) == {"s1", "s2"}
     assert not (folder / "out" / "with_servo_gains").exists()
+
+
+def test_a_twin_takes_the_gains_from_the_record(cell: tuple[Path, dict[str, Any]]) -> None:
+    folder, document = cell
+    (folder / "record.json").write_text(json.dumps(document))
+    (folder / "twin.yaml").write_text("model: model.xml\nfit: [{file: record.json}]\n")
+    robot = load(folder / "model.xml", twin=load_twin(folder / "twin.yaml"))
+    fitted = load(folder / "out" / "realization" / "model.xml").model
+    assert robot.model.actuator_biasprm == pytest.approx(fitted.actuator_biasprm, rel=1e-4)
+    assert robot.model.actuator_gainprm == pytest.approx(fitted.actuator_gainprm, rel=1e-4)
 
 
 def test_an_effort_that_follows_another_law_gives_no_gains(tmp_path: Path) -> None:
