@@ -297,7 +297,7 @@ class TopicReader:
         if self.bad_stamps:
             self.notes.add(self.topic, f"{self.bad_stamps} stamps have nanosec of a second or more")
         step = np.diff(stamp)
-        for what, bad in (("go back", step < 0), ("stand twice", step == 0)):
+        for what, bad in (("go back", step < 0), ("occur twice", step == 0)):
             if bad.any():
                 at = int(np.flatnonzero(bad)[0]) + 1
                 self.notes.add(self.topic, f"{int(bad.sum())} stamps {what}, first message {at}")

@@ -153,7 +153,7 @@ def test_decreasing_and_repeated_times_are_noted(tmp_path: Path) -> None:
     recording = read(tmp_path, "time,a.position\n0.0,1\n0.2,1\n0.1,1\n0.1,2\n")
     assert [str(note) for note in recording.damage] == [
         "/joint_states: 1 times go back, first row 2 with values",
-        "/joint_states: 1 times stand twice, first row 3 with values",
+        "/joint_states: 1 times occur twice, first row 3 with values",
     ]
 
 

@@ -259,7 +259,7 @@ class _Table:
 def _time_damage(series: JointSeries) -> list[Damage]:
     step = np.diff(series.stamp)
     found = []
-    for what, bad in (("go back", step < 0), ("stand twice", step == 0)):
+    for what, bad in (("go back", step < 0), ("occur twice", step == 0)):
         if bad.any():
             at = int(np.flatnonzero(bad)[0]) + 1
             found.append(
