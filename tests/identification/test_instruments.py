@@ -57,6 +57,25 @@ def test_least_squares_is_biased_and_instrumental_variables_are_not(
     assert abs(ours.values[at] - true[at]) < 0.15 * true[at]
 
 
+def test_noise_of_the_positions_is_not_taken_for_a_delay(found: EffortResult) -> None:
+    # Least squares finds -44 ms.
+    assert found.delay is None
+    assert found.stages[0].state == "not_observable"
+
+
+def test_a_delay_is_identified_despite_noise_of_the_positions(tmp_path: Path) -> None:
+    late = []
+    for seed in (1, 2, 3):
+        one = simulated_recording(tmp_path, seed, 1.5e-3)
+        columns = [np.interp(one.time - 0.03, one.time, column) for column in one.effort.T]
+        late.append(replace(one, effort=np.column_stack(columns)))
+    result = identified(tmp_path, late)
+    # Least squares finds 19 ms with an interval of 9 ms.
+    assert result.delay is not None
+    assert abs(result.delay.value - 0.03) <= 1.2 * result.delay.half_width
+    assert result.delay.half_width < 0.006
+
+
 def test_the_document_states_the_estimator_of_each_parameter(found: EffortResult) -> None:
     document = effort_document(found, found.stages)
     assert document["estimator"]["name"] == "instrumental variables"

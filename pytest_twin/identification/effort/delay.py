@@ -10,6 +10,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential import SIGNIFICANT
+from pytest_twin.identification.effort.instruments import solve_instrumental
 from pytest_twin.identification.effort.least_squares import LinearProblem, solve
 from pytest_twin.identification.measured import Measured
 
@@ -37,21 +38,31 @@ class Delay:
         return abs(self.value) * Z95 >= SIGNIFICANT * self.half_width
 
 
-def delay_of(problem: LinearProblem, recorded: FloatArray, rate: float) -> Delay:
+def delay_of(
+    problem: LinearProblem, recorded: FloatArray, rate: float, along: FloatArray | None = None
+) -> Delay:
     """Estimate the delay to first order: effort(t) = model(t - delay) = model - delay d(effort)/dt.
 
     All parameters of the problem are estimated together with the delay, so that friction and
-    inertia do not bias it. The derivative is that of the measured effort.
+    inertia do not bias it. The derivative is that of the measured effort. In the closed loop of a
+    servo, noise of the positions is in both and looks like a delay. Instrumental variables remove
+    this bias.
 
     Args:
         problem: rows of all recordings at equal intervals.
         recorded: (n, joints) efforts including those of known payloads, which have the same delay.
         rate: sampling rate of the rows, Hz.
+        along: (b,) parameters of the effort along the commanded motion; None for least squares.
     """
     slope = _slopes(problem, recorded, rate)
     columns = np.concatenate([problem.matrix, -slope[..., None]], axis=2)
     dry = np.concatenate([problem.dry, np.zeros((len(problem.dry), 1), dtype=bool)], axis=1)
-    found = solve(replace(problem, matrix=columns, dry=dry, instrument=None))
+    whole = replace(problem, matrix=columns, dry=dry, instrument=None)
+    found = solve(whole)
+    if along is not None and problem.instrument is not None:
+        quiet = -_slopes(problem, problem.instrument @ along, rate)
+        instrument = np.concatenate([problem.instrument, quiet[..., None]], axis=2)
+        found = solve_instrumental(replace(whole, instrument=instrument), found)
     return Delay(float(found.values[-1]), float(found.half_width[-1]))
 
 

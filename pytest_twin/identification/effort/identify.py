@@ -549,7 +549,10 @@ def _identify(
     whole = np.zeros(len(base))
     whole[columns] = full.values
     rate = 1.0 / float(np.median(np.diff(fit[0].time)))
-    late = delay_of(problem.only(fitted.kept), recorded, rate) if len(fitted.kept) else None
+    along = fitted.solution.values if found.estimator == INSTRUMENTS else None
+    late = None
+    if len(fitted.kept):
+        late = delay_of(problem.only(fitted.kept), recorded, rate, along)
     gears = [signals.of(joint).gear for joint in joints]
     named = dict(zip((base.names[i] for i in columns), full.values.tolist(), strict=True))
     viscous = {joint: named.get(f"{joint}.viscous_friction", 0.0) for joint in joints}
