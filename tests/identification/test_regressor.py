@@ -131,7 +131,8 @@ def test_a_shared_motor_couples_two_joints(tmp_path):
     np.testing.assert_allclose(matrix[:, names.index("Iam2")], a[0, ::-1])
     np.testing.assert_allclose(matrix[:, names.index("fvm2")], v[0, ::-1])
     np.testing.assert_allclose(matrix[:, names.index("fsm2")], np.sign(v.sum()) * np.ones(2))
-    with pytest.raises(SpecError, match="a shared motor turns joint 'wrist', which is not among the identified"):
+    words = "a shared motor turns joint 'wrist', which is not among the identified"
+    with pytest.raises(SpecError, match=words):
         Regressor(model_of(TWO_LINKS, tmp_path), ["elbow"], [SharedMotor("elbow", "wrist")])
 
 
