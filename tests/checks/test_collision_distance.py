@@ -208,7 +208,7 @@ def test_a_height_field_is_refused_with_its_name(tmp_path: Path) -> None:
         tolerance={"distance": "1 mm"},
     )
     with pytest.raises(
-        ModelError, match=r"ground: no distance.*got 'hfield'; expected plane, sphere"
+        ModelError, match=r"ground: distances to this shape cannot be checked.*got 'hfield'; expected plane, sphere"
     ):
         measure(CHECK, spec, realization)
 
