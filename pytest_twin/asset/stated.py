@@ -13,7 +13,7 @@ _PARTS = ("param", "command_interface", "state_interface")
 
 
 @dataclass(frozen=True, slots=True)
-class Stated:
+class StatedElement:
     """One element or attribute of a URDF.
 
     Attributes:
@@ -31,7 +31,7 @@ class Stated:
     entry: Entry | None
 
 
-def stated(robot: Node) -> Iterator[Stated]:
+def stated_elements(robot: Node) -> Iterator[StatedElement]:
     """Yield every element and attribute below ``robot``, in the order of the file.
 
     Children of an undefined element are omitted.
@@ -42,12 +42,12 @@ def stated(robot: Node) -> Iterator[Stated]:
         table = by_path()
         for name, value in node.attributes.items():
             label = f"{path}@{name}" if path else f"@{name}"
-            yield Stated(node, label, owner, value, table.get((path, name)))
+            yield StatedElement(node, label, owner, value, table.get((path, name)))
         text = table.get((path, TEXT))
         if text is not None and node.text:
             parameter = node.attributes.get("name") if node.tag == "param" else None
             value = node.text if parameter is None else f"{parameter} = {node.text}"
-            yield Stated(node, path, owner, value, text)
+            yield StatedElement(node, path, owner, value, text)
         below: list[tuple[Node, str, str]] = []
         for child in node.children:
             at = f"{path}/{child.tag}" if path else child.tag
@@ -59,16 +59,16 @@ def stated(robot: Node) -> Iterator[Stated]:
             if whole is None and at not in known_paths():
                 whole = table.get((f"{path}/*", None))
                 if whole is None:
-                    yield Stated(child, at, whose, child.text, None)
+                    yield StatedElement(child, at, whose, child.text, None)
                     continue
             if whole is not None:
-                yield Stated(child, at, whose, child.text, whole)
+                yield StatedElement(child, at, whose, child.text, whole)
                 continue
             below.append((child, at, whose))
         waiting.extend(reversed(below))
 
 
-def neutral(found: Stated) -> bool:
+def neutral(found: StatedElement) -> bool:
     """Whether its value has no effect, such as an offset of 0 or a reduction of 1."""
     if found.entry is None or found.entry.neutral is None:
         return False
@@ -87,7 +87,7 @@ def neutral(found: Stated) -> bool:
 def rows(robot: Node) -> dict[str, dict[str, str]]:
     """Return row of the loss matrix -> label and owner -> values that no realization preserves."""
     found: dict[str, dict[str, str]] = {}
-    for one in stated(robot):
+    for one in stated_elements(robot):
         if one.entry is None or one.entry.goes.row is None:
             continue
         row = found.setdefault(one.entry.goes.row, {})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pytest_twin.asset.stated import Stated, neutral, stated
+from pytest_twin.asset.stated import StatedElement, neutral, stated_elements
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.finding import Finding, Place
 
@@ -17,15 +17,15 @@ def check(asset: Asset) -> Iterator[Finding]:
     yield from _custom(asset)
     if asset.kind != "urdf" or asset.root is None:
         return
-    kinds: dict[str, list[Stated]] = {}
-    for one in stated(asset.root):
+    kinds: dict[str, list[StatedElement]] = {}
+    for one in stated_elements(asset.root):
         if one.entry is not None and one.entry.goes.code is not None and not neutral(one):
             kinds.setdefault(one.label, []).append(one)
     for label, found in kinds.items():
         yield _left_out(label, found)
 
 
-def _left_out(label: str, found: list[Stated]) -> Finding:
+def _left_out(label: str, found: list[StatedElement]) -> Finding:
     first = found[0]
     assert first.entry is not None
     goes = first.entry.goes

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pytest_twin.asset.stated import stated
+from pytest_twin.asset.stated import stated_elements
 from pytest_twin.audit.asset import (
     Asset,
     Body,
@@ -97,7 +97,7 @@ class _Reader:
             self._transmission(node)
         for node in self.root.all("ros2_control"):
             self._ros2_control(node)
-        for one in stated(self.root):
+        for one in stated_elements(self.root):
             if one.entry is None:
                 self.out.custom.setdefault(one.label, []).append(_place(one.node))
         self._sensors()

@@ -266,7 +266,7 @@ class FrequencyResponse(Check):
             # one.
             for share in (1.0, 0.1, 0.01):
                 spec["stimulus"]["amplitude"] = float(f"{share * amplitude:.3g}")
-                if self._carried(spec, realization):
+                if self._is_coherent(spec, realization):
                     specs.append(spec)
                     break
             else:
@@ -291,7 +291,7 @@ class FrequencyResponse(Check):
             )
         return [{**spec, "notes": notes} for spec in specs]
 
-    def _carried(self, spec: Mapping[str, Any], realization: Realization) -> bool:
+    def _is_coherent(self, spec: Mapping[str, Any], realization: Realization) -> bool:
         """Whether every line is coherent, despite dry friction, stops and saturation."""
         fewer = {**spec, "stimulus": {**spec["stimulus"], "realizations": 3}}
         trial = proposals.draft(self, realization, fewer)

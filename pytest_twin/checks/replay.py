@@ -224,7 +224,7 @@ class Replay(Check):
         names = list(golden.target.get("joints", first.joints))
         for i, joint in enumerate(names):
             known_name(golden, f"target.joints.{i}", joint, first.joints, "recorded joint")
-        results = [_replayed(realization, trial, progress) for trial in trials]
+        results = [_replay(realization, trial, progress) for trial in trials]
         for result in results:
             if result.error is not None:
                 raise result.error
@@ -232,7 +232,7 @@ class Replay(Check):
         results = as_read(results, realization)
         joints = {joint: _of_joint(results, joint, realization.structure) for joint in names}
         for joint, numbers in joints.items():
-            asked = _asked(golden, joint)
+            asked = _tolerances_of(golden, joint)
             if asked & {"torque_rms", "force_rms"}:
                 numbers["effort_rms"] = effort_rms(results, joint)
             sources = {source for name, (source, _) in RESPONSES.items() if name in asked}
@@ -327,14 +327,14 @@ class Replay(Check):
         return observation.values, None
 
 
-def _asked(golden: Golden, joint: str) -> set[str]:
+def _tolerances_of(golden: Golden, joint: str) -> set[str]:
     """Return the tolerances that apply to a joint."""
     stated = golden.target.get("joints", {})
     own = (stated.get(joint) or {}) if isinstance(stated, Mapping) else {}
     return {*golden.tolerance, *own}
 
 
-def _replayed(realization: Realization, trial: Trial, progress: Progress) -> Replayed:
+def _replay(realization: Realization, trial: Trial, progress: Progress) -> Replayed:
     """Replay a trial, with effects that a diagnosis steps together with the model."""
     from pytest_twin.diagnosis.patched.model import patched_of
     from pytest_twin.diagnosis.patched.replay import replay_whole

@@ -10,9 +10,9 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.metrics.recorded_frequency import (
-    compared,
-    difference,
+    compare_responses,
     recorded_response,
+    response_difference,
     uniform,
 )
 from pytest_twin.metrics.residual import residual
@@ -78,7 +78,7 @@ def frequency(results: Sequence[Replayed], joint: str) -> dict[str, Any] | None:
     if found is None:
         return None
     rate, (sent, ours, theirs) = found
-    apart = compared(sent, ours, theirs, rate)
+    apart = compare_responses(sent, ours, theirs, rate)
     return None if apart is None else asdict(apart)
 
 
@@ -100,7 +100,7 @@ def effort_frequency(results: Sequence[Replayed], joint: str) -> dict[str, Any] 
     if found is None:
         return None
     rate, (our_effort, ours, their_effort, theirs) = found
-    apart = difference(
+    apart = response_difference(
         recorded_response(our_effort, ours, rate), recorded_response(their_effort, theirs, rate)
     )
     return None if apart is None else asdict(apart)

@@ -175,11 +175,11 @@ class Task(Check):
                     expected="pytest --twin-update",
                 )
             now, then = observation.values[name], expected[name]
-            measures += _held(golden, name, now, then, bound, unit)
+            measures += _output_measures(golden, name, now, then, bound, unit)
         return measures
 
 
-def _held(
+def _output_measures(
     golden: Golden, name: str, now: Any, then: Any, bound: float, unit: str
 ) -> Iterator[Measure]:
     as_list, was_list = isinstance(now, list), isinstance(then, list)

@@ -23,7 +23,7 @@ from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.runner import Runner
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.setup import writing
-from pytest_twin.setup.asset_files import RobotFiles, bring_in
+from pytest_twin.setup.asset_files import RobotFiles, copy_into_twin
 from pytest_twin.setup.recordings import ROOT, TaskTolerance, parse_tolerance, place_recordings
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES
 from pytest_twin.words import counted
@@ -104,7 +104,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             "pytest_twin.setup.inspection:inspect_model", {"model": str(robot), **search}
         )
         folders.make(folder)
-        brought = bring_in(
+        brought = copy_into_twin(
             RobotFiles(
                 robot,
                 [Path(path) for path in seen["files"]],

@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives
 from pytest_twin.diagnosis.windows import runs
-from pytest_twin.effects.contact_geoms import far_sighted, touching
+from pytest_twin.effects.contact_geoms import is_near_surface, with_distant_contacts
 from pytest_twin.effects.segment import Segment
 from pytest_twin.trial import Trial
 
@@ -80,7 +80,7 @@ def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
     simulator, model = problem.simulator, segment.model
     contact = simulator.models.contact
     if contact.world.size:
-        model = far_sighted(model, contact.world, LOCATE.touching)
+        model = with_distant_contacts(model, contact.world, LOCATE.touching)
     data = mujoco.MjData(model)
     load = np.empty_like(q)
     # At most 600 samples: the load varies no faster than the motion.
@@ -96,7 +96,7 @@ def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_rne(model, data, 1, result)
         rows[i] = result[simulator.layout.dof_index]
-        close[i] = touching(data, contact, LOCATE.touching) if contact.world.size else 0.0
+        close[i] = is_near_surface(data, contact, LOCATE.touching) if contact.world.size else 0.0
     for j in range(q.shape[1]):
         load[:, j] = np.interp(segment.time, segment.time[at], rows[:, j])
     command = np.nan_to_num(segment.setpoint.at(segment.time))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hidden_state import HiddenState
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
-from pytest_twin.effects.contact_geoms import ContactGeoms, in_the_air
+from pytest_twin.effects.contact_geoms import ContactGeoms, is_far_from_surfaces
 from pytest_twin.effects.memory_warmup import LEAD
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
@@ -104,7 +104,7 @@ def segments_of(
         return [_whole(recorded, joints, first, cutting.estimates_velocity)]
     if cutting.contact is not None:
         ids = np.array([recorded.model.joint(j).id for j in joints])
-        clear &= in_the_air(recorded.model, ids, cutting.contact, recorded.position)
+        clear &= is_far_from_surfaces(recorded.model, ids, cutting.contact, recorded.position)
     length = cutting.window or WINDOW
     return _windows(recorded, joints, clear, length, whole=cutting.contact is None)
 

@@ -14,7 +14,7 @@ from pytest_twin.effects.base import Effect, Parameter, Values, World
 from pytest_twin.effects.fast_clip import fast_clip
 
 
-class _Follower(Protocol):
+class _Filter(Protocol):
     """A filter with memory."""
 
     is_active: bool
@@ -26,37 +26,37 @@ class _Follower(Protocol):
         """Hold the (rows, joints) input for a number of steps, fractions included."""
 
 
-class _Follows(Effect):
+class _FilterEffect(Effect):
     """A filter on the setpoint before the control law, or on the effort after it."""
 
     remembers = True
 
-    def memories(self, world: World, values: Values) -> tuple[_Follower, _Follower]:
+    def memories(self, world: World, values: Values) -> tuple[_Filter, _Filter]:
         """Filters of the setpoint and of the effort at the start of a motion."""
         raise NotImplementedError
 
     def command(self, world: World, values: Values) -> None:
-        world.setpoint = self._followers(world, values)[0].mean(world.setpoint)
+        world.setpoint = self._filters(world, values)[0].mean(world.setpoint)
 
     def follow_commands(
         self, world: World, values: Values, commands: Iterable[tuple[FloatArray, FloatArray]]
     ) -> None:
-        setpoint, _ = self._followers(world, values)
+        setpoint, _ = self._filters(world, values)
         if setpoint.is_active:
             for command, seconds in commands:
                 setpoint.hold(command, seconds / world.timestep)
 
     def drive(self, world: World, values: Values) -> None:
-        world.delivered = self._followers(world, values)[1].mean(world.delivered)
+        world.delivered = self._filters(world, values)[1].mean(world.delivered)
 
-    def _followers(self, world: World, values: Values) -> tuple[_Follower, _Follower]:
-        found: tuple[_Follower, _Follower] | None = world.state.get(self.id)
+    def _filters(self, world: World, values: Values) -> tuple[_Filter, _Filter]:
+        found: tuple[_Filter, _Filter] | None = world.state.get(self.id)
         if found is None:
             found = world.state[self.id] = self.memories(world, values)
         return found
 
 
-class ActuatorLag(_Follows):
+class ActuatorLag(_FilterEffect):
     """The drive responds with a first-order lag, in its effort or in its setpoint."""
 
     id = "actuator_lag"
@@ -135,7 +135,7 @@ class _Lag:
 _SLOWNESSES = tuple(0.15 * 1.25**k for k in range(16))
 
 
-class RateLimit(_Follows):
+class RateLimit(_FilterEffect):
     """A limit on how fast the setpoint (profile generator, firmware) or the effort may change."""
 
     id = "rate_limit"
@@ -171,15 +171,15 @@ class RateLimit(_Follows):
         "that of a rate limit does not",
     }
 
-    def memories(self, world: World, values: Values) -> tuple[_Slew, _Slew]:
+    def memories(self, world: World, values: Values) -> tuple[_RateLimiter, _RateLimiter]:
         # For an effort drive command and effort are one signal: one limit for both.
         of_effort = values["inverse_effort_rate"] * (world.servo != "effort")
-        before = _Slew.of(values["inverse_rate"], world.timestep)
-        return before, _Slew.of(of_effort, world.timestep)
+        before = _RateLimiter.of(values["inverse_rate"], world.timestep)
+        return before, _RateLimiter.of(of_effort, world.timestep)
 
 
 @dataclass(slots=True)
-class _Slew:
+class _RateLimiter:
     """A rate limit, exact for an input that is constant over the step.
 
     Attributes:
@@ -193,7 +193,7 @@ class _Slew:
     held: FloatArray | None = None
 
     @classmethod
-    def of(cls, inverse_rate: FloatArray, timestep: float) -> _Slew:
+    def of(cls, inverse_rate: FloatArray, timestep: float) -> _RateLimiter:
         """The limit with (rows, joints) reciprocal rates."""
         # Finite without a limit, so that no time at all is no change, and exact there.
         return cls(timestep / np.maximum(inverse_rate, 1e-200), bool(inverse_rate.any()))

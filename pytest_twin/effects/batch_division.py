@@ -90,16 +90,16 @@ def divide_rows(
     known = _Rows(steps, laws, joints)
     whole = []
     stepwise: NDArray[np.bool_] = np.asarray(laws.any(axis=1))
-    for alike in _of_like_length(steps, stepwise):
+    for alike in _group_by_length(steps, stepwise):
         order = known.by_laws(alike) if len(alike) > _MAX_ROWS else alike
         whole += [
             known.part(order[first : first + _MAX_ROWS])
             for first in range(0, len(order), _MAX_ROWS)
         ]
-    return sorted(_shared_out(known, whole, cores), key=lambda p: -p.seconds)
+    return sorted(_divide_among_cores(known, whole, cores), key=lambda p: -p.seconds)
 
 
-def _of_like_length(
+def _group_by_length(
     steps: NDArray[np.int64], stepwise: NDArray[np.bool_]
 ) -> list[NDArray[np.int64]]:
     """Group rows that may step together: similar length, with or without effects between steps."""
@@ -116,12 +116,12 @@ def _of_like_length(
     return found
 
 
-def _shared_out(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:
+def _divide_among_cores(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:
     """Divide parts for the shortest total time on several cores.
 
     The time between steps does not decrease with the number of rows.
     """
-    best, least = list(whole), _until_done(whole, cores)
+    best, least = list(whole), _total_time(whole, cores)
     if cores == 1 or sum(p.seconds for p in whole) < _FORK:
         return best
     longest = sorted(whole, key=lambda p: -p.seconds)
@@ -129,13 +129,13 @@ def _shared_out(known: _Rows, whole: Sequence[Part], cores: int) -> list[Part]:
     for count, part in enumerate(longest, 1):
         divided += known.divided(part, cores)
         some = divided + longest[count:]
-        seconds = _until_done(some, cores) + _FORK * (cores - 1)
+        seconds = _total_time(some, cores) + _FORK * (cores - 1)
         if seconds < least:
             best, least = some, seconds
     return best
 
 
-def _until_done(found: Sequence[Part], cores: int) -> float:
+def _total_time(found: Sequence[Part], cores: int) -> float:
     """Return the time until all parts are done if each free core takes the longest one, s."""
     busy = [0.0] * cores
     for p in sorted(found, key=lambda p: -p.seconds):

@@ -21,7 +21,7 @@ from pytest_twin.effects.engine_options import disable_unused_features
 from pytest_twin.effects.layout import Layout
 from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.point_mass import with_point_mass
-from pytest_twin.effects.sampling import behind
+from pytest_twin.effects.sampling import age_of_initial_state
 from pytest_twin.effects.segment import Segment
 
 OF_ROWS = (
@@ -260,7 +260,10 @@ class BatchModels:
                 world.position, world.velocity, parameters
             )
         joints = len(self.layout.joints)
-        world.time = world.time - behind([self.segments[r] for r in rows], effects, joints)[:, 0]
+        world.time = (
+            world.time
+            - age_of_initial_state([self.segments[r] for r in rows], effects, joints)[:, 0]
+        )
         gravity = np.array([m.opt.gravity for m in models])
         fields = ModelFields.neutral(gravity.copy(), joints)
         for effect, v in effects:

@@ -39,7 +39,11 @@ from pytest_twin.effects.memory_warmup import (
     update_fading_memories,
     warm_up,
 )
-from pytest_twin.effects.sampling import behind, sampled, taken
+from pytest_twin.effects.sampling import (
+    age_of_initial_state,
+    predicted_readings,
+    true_reading_times,
+)
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.effects.simulation_cache import SimulationCache, row_keys
 from pytest_twin.realization.executor import Forks
@@ -138,7 +142,7 @@ class BatchSimulator:
     def _read(
         self, segments: Sequence[Segment], effects: ActiveEffects, motion: Motion
     ) -> list[Predicted]:
-        return sampled(segments, effects, motion, self.timestep)
+        return predicted_readings(segments, effects, motion, self.timestep)
 
     def _each(
         self,
@@ -197,7 +201,7 @@ class BatchSimulator:
         motion = self._moved(rows, effects)
         self._count(rows)
         segments = [self.segments[r] for r in rows]
-        return motion[0], motion[1], sampled(segments, effects, motion, self.timestep)
+        return motion[0], motion[1], predicted_readings(segments, effects, motion, self.timestep)
 
     def efforts_at_neighbouring_steps(
         self, rows: NDArray[np.int64], values: EffectValues
@@ -272,14 +276,14 @@ class BatchSimulator:
         delay = self._late(rows, effects, joints.shape[1])
         return self._held.means(rows, delay, steps, joints, self.timestep)
 
-    def taken(
+    def true_reading_times(
         self,
         rows: NDArray[np.int64],
         stamps: FloatArray,
         effects: Sequence[tuple[Effect, Values]],
     ) -> FloatArray:
         """(rows, n, joints) true times of readings with the given stamps, s."""
-        return taken([self.segments[r] for r in rows], stamps, effects)
+        return true_reading_times([self.segments[r] for r in rows], stamps, effects)
 
     def warm_up(
         self,
@@ -334,7 +338,7 @@ class BatchSimulator:
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], columns: int
     ) -> FloatArray:
         """(rows, columns) delay between sending a command and its action on the drive, s."""
-        late = behind([self.segments[r] for r in rows], effects, columns)
+        late = age_of_initial_state([self.segments[r] for r in rows], effects, columns)
         for effect, v in effects:
             added = effect.command_latency(v)
             late = late if added is None else late + added

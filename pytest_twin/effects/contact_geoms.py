@@ -162,7 +162,7 @@ def contact_geoms(
     return _collected(model, data, found)
 
 
-def far_sighted(
+def with_distant_contacts(
     model: mujoco.MjModel, world: NDArray[np.bool_] | Ids, reach: float
 ) -> mujoco.MjModel:
     """A copy that reports contacts of the world's geoms within ``reach`` m, without force."""
@@ -174,8 +174,11 @@ def far_sighted(
     return near
 
 
-def touching(data: mujoco.MjData, contact: ContactGeoms, reach: float) -> bool:
-    """Whether the robot is within ``reach`` m of the surfaces, in a :func:`far_sighted` model."""
+def is_near_surface(data: mujoco.MjData, contact: ContactGeoms, reach: float) -> bool:
+    """Whether the robot is within ``reach`` m of the surfaces.
+
+    The data must be of a model from :func:`with_distant_contacts`.
+    """
     close = data.contact.geom[data.contact.dist < reach]
     one, two = close[:, 0], close[:, 1]
     here = np.isin(one, contact.world) & np.isin(two, contact.robot)
@@ -183,14 +186,14 @@ def touching(data: mujoco.MjData, contact: ContactGeoms, reach: float) -> bool:
     return bool((here | there).any())
 
 
-def in_the_air(
+def is_far_from_surfaces(
     model: mujoco.MjModel, joint_ids: Ids, contact: ContactGeoms, poses: FloatArray
 ) -> NDArray[np.bool_]:
     """(n,) whether the robot is farther than :data:`NEAR` from all surfaces, for (n, joints)."""
     robot, _ = _sides(model, joint_ids)
     stands = np.isin(np.arange(model.ngeom), contact.world)
     seen = _near_at(model, joint_ids, robot, stands, poses)
-    return np.array([not touching(data, contact, NEAR) for data in seen], dtype=bool)
+    return np.array([not is_near_surface(data, contact, NEAR) for data in seen], dtype=bool)
 
 
 def _near_at(
@@ -201,7 +204,7 @@ def _near_at(
     poses: FloatArray,
 ) -> Iterator[mujoco.MjData]:
     """Collision data of each of (n, joints) poses, with contacts within :data:`NEAR`."""
-    near = far_sighted(model, world, NEAR)
+    near = with_distant_contacts(model, world, NEAR)
     _only_between(near, robot, world)
     data = mujoco.MjData(near)
     index = model.jnt_qposadr[joint_ids]

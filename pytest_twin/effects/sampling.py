@@ -11,7 +11,7 @@ from pytest_twin.effects.base import Effect, Values
 from pytest_twin.effects.segment import Predicted, Segment
 
 
-def behind(
+def age_of_initial_state(
     segments: Sequence[Segment], effects: Sequence[tuple[Effect, Values]], columns: int
 ) -> FloatArray:
     """(rows, columns) age of the initial state relative to its stamp, s.
@@ -34,7 +34,7 @@ def behind(
     return out
 
 
-def taken(
+def true_reading_times(
     segments: Sequence[Segment],
     stamps: FloatArray,
     effects: Sequence[tuple[Effect, Values]],
@@ -42,10 +42,10 @@ def taken(
     """(rows, n, columns) true times of readings with the given stamps, on the motion's clock, s."""
     for effect, v in effects:
         stamps = effect.sample_time(stamps, v)
-    return stamps + behind(segments, effects, stamps.shape[2])[:, None]
+    return stamps + age_of_initial_state(segments, effects, stamps.shape[2])[:, None]
 
 
-def sampled(
+def predicted_readings(
     segments: Sequence[Segment],
     effects: Sequence[tuple[Effect, Values]],
     motion: tuple[FloatArray, FloatArray, FloatArray],
@@ -67,7 +67,7 @@ def sampled(
     for i, s in enumerate(segments):
         stamps[i, : len(s.time)] = s.time[:, None]
         stamps[i, len(s.time) :] = s.time[-1]
-    stamps = taken(segments, stamps, effects)
+    stamps = true_reading_times(segments, stamps, effects)
     start = np.array([s.start for s in segments])[:, None, None]
     at = np.clip((stamps - start) / timestep, 0.0, q.shape[1] - 1 - 1e-9)
     index = at.astype(np.int64)

@@ -203,12 +203,12 @@ class ControlPeriod(Effect):
     }
 
     def servo(self, world: World, values: Values) -> None:
-        past: _Past | None = world.state.get(self.id)
+        past: _SignalIntegrals | None = world.state.get(self.id)
         if past is None:
             acts = (values["period"] > 0.0) & (world.gain != 0.0)
             period = np.where(acts, values["period"], 1.0)
             delay = values["computing_delay"] * period
-            past = world.state[self.id] = _Past.at(world, acts, period, delay)
+            past = world.state[self.id] = _SignalIntegrals.at(world, acts, period, delay)
         past.add(world)
         period = past.period
         now, one, two = past.position()
@@ -232,7 +232,7 @@ class ControlPeriod(Effect):
 
 
 @dataclass(slots=True)
-class _Past:
+class _SignalIntegrals:
     """Integrals of positions and setpoints over time, for the last steps.
 
     Attributes:
@@ -253,13 +253,13 @@ class _Past:
     setpoints: FloatArray
     areas: FloatArray
     sums: FloatArray
-    of_position: _Back
-    of_setpoint: _Back
+    of_position: _SampleAge
+    of_setpoint: _SampleAge
 
     @classmethod
     def at(
         cls, world: World, acts: NDArray[np.bool_], period: FloatArray, delay: FloatArray
-    ) -> _Past:
+    ) -> _SignalIntegrals:
         """The past before a simulation: constant velocity and constant setpoint."""
         step = world.timestep
         samples = np.array([delay, delay + period, delay + 2.0 * period])
@@ -275,7 +275,7 @@ class _Past:
             acts, period, step, 0, position - ago * velocity,
             np.tile(world.setpoint.ravel(), (steps, 1)),
             0.5 * ago**2 * velocity - ago * position, -ago * world.setpoint.ravel(),
-            _Back.of(samples, step), _Back.of(back, step),
+            _SampleAge.of(samples, step), _SampleAge.of(back, step),
         )  # fmt: skip
 
     def add(self, world: World) -> None:
@@ -308,7 +308,7 @@ class _Past:
 
 
 @dataclass(frozen=True, slots=True)
-class _Back:
+class _SampleAge:
     """Age of samples relative to the present step.
 
     Attributes:
@@ -326,7 +326,7 @@ class _Back:
     column: NDArray[np.int64]
 
     @classmethod
-    def of(cls, ago: FloatArray, step: float) -> _Back:
+    def of(cls, ago: FloatArray, step: float) -> _SampleAge:
         """From (samples, rows, joints) ages in s; negative ones are after the present step."""
         flat = ago.reshape(len(ago), -1)
         whole = np.maximum(np.ceil(flat / step), 0.0).astype(np.int64)

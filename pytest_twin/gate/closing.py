@@ -105,9 +105,7 @@ def finish(
         )
         lines += [] if item.report is None else [f"  {item.report}"]
     lines.append(
-        _write_report_and_say_where(
-            gate, facts, verdict, refusals, header, policy.report, diagnosed
-        )
+        _write_report_with_notice(gate, facts, verdict, refusals, header, policy.report, diagnosed)
     )
     if isinstance(verdict, StillValid):
         lines.append(f"release {verdict.release:04d} still holds")
@@ -120,7 +118,7 @@ def finish(
     return RunResult(bool(refusals), tuple(lines))
 
 
-def _write_report_and_say_where(
+def _write_report_with_notice(
     gate: Gate,
     facts: Facts,
     verdict: Releasable | StillValid | Refused | None,

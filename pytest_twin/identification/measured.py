@@ -17,7 +17,7 @@ from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import ANGLES, Signals
 from pytest_twin.trial import recordings_at
-from pytest_twin.trial.command_field import commanded_fields
+from pytest_twin.trial.command_field import choose_command_fields
 from pytest_twin.trial.joints import in_model_names
 from pytest_twin.trial.roles import refuse_final
 from pytest_twin.trial.table import kept_commands, sorted_rows
@@ -162,7 +162,7 @@ def _commanded(
     inputs = realization.structure.joint_inputs
     try:
         commands = _named(recording, "command", realization, topics, options)
-        commanded = commanded_fields(commands, inputs, options, recording.path)
+        commanded = choose_command_fields(commands, inputs, options, recording.path)
     except RecordingError as error:
         if not _measures(states):
             raise

@@ -26,7 +26,7 @@ _CHANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
+class ResponseDifference:
     """Difference between a predicted and a measured frequency response.
 
     Attributes:
@@ -107,9 +107,9 @@ def recorded_response(command: FloatArray, response: FloatArray, rate: float) ->
     )
 
 
-def compared(
+def compare_responses(
     command: FloatArray, predicted: FloatArray, measured: FloatArray, rate: float
-) -> Compared | None:
+) -> ResponseDifference | None:
     """Compare the frequency responses of a prediction and a measurement to the same command.
 
     None if no line has sufficient coherence in both.
@@ -118,12 +118,14 @@ def compared(
         command, predicted, measured: (n,) signals at equal intervals.
         rate: sampling rate, Hz.
     """
-    return difference(
+    return response_difference(
         recorded_response(command, predicted, rate), recorded_response(command, measured, rate)
     )
 
 
-def difference(predicted: Response | None, measured: Response | None) -> Compared | None:
+def response_difference(
+    predicted: Response | None, measured: Response | None
+) -> ResponseDifference | None:
     """Return the difference of two responses; None if no line has sufficient coherence in both."""
     if predicted is None or measured is None:
         return None
@@ -135,7 +137,7 @@ def difference(predicted: Response | None, measured: Response | None) -> Compare
     worst, late = int(np.argmax(np.abs(level))), int(np.argmax(np.abs(turn)))
     widths = bandwidth(predicted), bandwidth(measured)
     peaks = [None if peak is None else peak[0] for peak in map(resonance, (predicted, measured))]
-    return Compared(
+    return ResponseDifference(
         float(abs(level[worst])), float(abs(turn[late])), float(both[worst]), float(both[late]),
         float(both[0]), float(both[-1]), len(both),
         _apart(*widths), *widths, _apart(*peaks), *peaks,

@@ -22,7 +22,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.recording import Recording
 from pytest_twin.outcome import Reason
-from pytest_twin.provenance.displacement import Displacement, moved, tool_poses
+from pytest_twin.provenance.displacement import Displacement, displacement_between, tool_poses
 from pytest_twin.provenance.poses import (
     Poses,
     drawn_poses,
@@ -294,7 +294,7 @@ class _Differences:
         one.pop(joint, None)
         if joint in now:
             one[joint] = now[joint]
-        return moved(self.before(), tool_poses(old, self.old.frame, one, self.poses))
+        return displacement_between(self.before(), tool_poses(old, self.old.frame, one, self.poses))
 
     def geometry(self) -> Displacement:
         """Displacement by all changes of geometry except the calibration of joints."""
@@ -302,7 +302,7 @@ class _Differences:
             new = self.new
             before = calibration_of(self.old.realization)
             after = tool_poses(new.realization, new.frame, before, self.poses)
-            self._geometry = moved(self.before(), after)
+            self._geometry = displacement_between(self.before(), after)
         return self._geometry
 
     def total(self) -> Displacement | None:
@@ -312,7 +312,7 @@ class _Differences:
             return None
         new = self.new
         after = tool_poses(new.realization, new.frame, calibration_of(new.realization), self.poses)
-        return moved(self.before(), after)
+        return displacement_between(self.before(), after)
 
     def simulated(self) -> dict[str, float] | None:
         """Joint -> largest difference between replays of both versions, rad or m; or None."""

@@ -38,7 +38,7 @@ class Displacement:
         }
 
 
-def moved(before: FloatArray, after: FloatArray) -> Displacement:
+def displacement_between(before: FloatArray, after: FloatArray) -> Displacement:
     """Displacement between two (n, 7) series of poses: position (m) and quaternion (w x y z)."""
     distance = np.linalg.norm(after[:, :3] - before[:, :3], axis=1)
     # The chord between unit quaternions is precise for small angles, unlike the arc cosine.

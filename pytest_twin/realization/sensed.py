@@ -15,7 +15,7 @@ _NAMES = ("force", "torque", "gyro", "accelerometer")
 
 
 @dataclass(frozen=True)
-class Sensed:
+class SensorSignals:
     """Ideal sensor signals in the axes of a frame.
 
     Attributes:
@@ -28,14 +28,14 @@ class Sensed:
     inertial: FloatArray
 
 
-def sensed_at(
+def ideal_sensor_signals(
     realization: Realization,
     frame: str,
     joints: tuple[str, ...],
     position: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
-) -> Sensed:
+) -> SensorSignals:
     """Ideal sensor signals at a site or body along a motion, without contact.
 
     MuJoCo's ``force`` and ``torque`` sensors give the force that supports the body. The wrench of
@@ -80,7 +80,7 @@ def sensed_at(
         mujoco.mj_inverse(model, data)
         for at, place in enumerate(places):
             found[row, 3 * at : 3 * at + 3] = data.sensordata[place : place + 3]
-    return Sensed(-found[:, :6], found[:, 6:])
+    return SensorSignals(-found[:, :6], found[:, 6:])
 
 
 def load_at(

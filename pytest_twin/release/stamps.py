@@ -14,7 +14,7 @@ from pytest_twin.formats.stamps import Carrier
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
 from pytest_twin.release import seen, stamp
-from pytest_twin.release.parsed_apart import carriers_apart
+from pytest_twin.release.parsed_in_child import carriers_in_child
 from pytest_twin.release.restore import authentic
 from pytest_twin.release.stamp import Stamp, StampVerdict
 from pytest_twin.twin import find_twin
@@ -58,7 +58,7 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
     assert envelope is not None
     found = [
         Stamped(carrier, stamp.make(released, envelope, carrier.digest(), now))
-        for carrier in carriers_apart(dataset, writable=True)
+        for carrier in carriers_in_child(dataset, writable=True)
     ]
     for one in found:
         assert one.stamp is not None
@@ -74,7 +74,7 @@ def read(dataset: Path) -> list[Stamped]:
         TwinError: no file that can contain a stamp, or a damaged file.
         ReleaseError: no file is stamped.
     """
-    found = [_read(carrier) for carrier in carriers_apart(dataset, writable=False)]
+    found = [_read(carrier) for carrier in carriers_in_child(dataset, writable=False)]
     if not any(one.stamp or one.problem for one in found):
         raise ReleaseError(
             "is not stamped",

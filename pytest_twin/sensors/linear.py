@@ -84,7 +84,7 @@ def fit_linear(
     sums = np.empty((count, reading.shape[1], design.shape[1]))
     for block, one in enumerate(leverages):
         rows = number == block
-        sums[block] = (to_parameters @ one.unshrunk(excited[rows].T @ errors[rows])).T
+        sums[block] = (to_parameters @ one.without_fit_bias(excited[rows].T @ errors[rows])).T
     covariance = np.einsum("bci,bcj->cij", sums, sums)
     return Linear(
         found[:-1].T,
@@ -114,7 +114,7 @@ class _Leverage:
         shares, axes = np.linalg.eigh(rows.T @ rows)
         return cls(shares.clip(0.0, 1.0 - _LEAST_LEFT), axes)
 
-    def unshrunk(self, sums: FloatArray) -> FloatArray:
+    def without_fit_bias(self, sums: FloatArray) -> FloatArray:
         """(r, k) sums ``U^T e`` of residuals, as large as those of the noise.
 
         A fit follows the noise of each block in part. The factor ``(1 - H)^(-1/2)`` removes the

@@ -49,7 +49,7 @@ class CopiedFiles:
     roots: dict[str, Path]
 
 
-def bring_in(robot: RobotFiles, folder: Path) -> CopiedFiles:
+def copy_into_twin(robot: RobotFiles, folder: Path) -> CopiedFiles:
     """Copy the files of a robot that are outside the twin's folder to ``asset/``.
 
     The copy keeps the folders between the files of one root, and each package outside the root

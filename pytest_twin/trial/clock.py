@@ -33,7 +33,7 @@ _NS = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Timed:
+class TimedMessages:
     """Messages of one topic with the chosen times.
 
     Attributes:
@@ -46,13 +46,13 @@ class Timed:
     stamp: Stamps
     rows: NDArray[np.int64]
 
-    def part(self, first: int, end: int) -> Timed:
+    def part(self, first: int, end: int) -> TimedMessages:
         """Messages from ``first`` to before ``end``."""
-        return Timed(self.series, self.stamp[first:end], self.rows[first:end])
+        return TimedMessages(self.series, self.stamp[first:end], self.rows[first:end])
 
 
 @dataclass(frozen=True, slots=True)
-class Clocked:
+class TopicsOnOneClock:
     """States and commands on one clock.
 
     Attributes:
@@ -60,13 +60,13 @@ class Clocked:
         notes: decisions, one line each.
     """
 
-    pieces: tuple[tuple[Timed, Timed], ...]
+    pieces: tuple[tuple[TimedMessages, TimedMessages], ...]
     notes: tuple[str, ...]
 
 
 def on_one_clock(
     states: JointSeries, commands: JointSeries, asked: Clock | None, path: Path
-) -> Clocked:
+) -> TopicsOnOneClock:
     """Choose the times of two topics.
 
     Header stamps are used if both topics have them and they overlap. Log times are used if one
@@ -109,7 +109,7 @@ def on_one_clock(
                 f"{one.topic}: {int(none.sum())} of {len(none)} messages are left out, they have "
                 "no stamp (header.stamp is 0)"
             )
-        timed.append(Timed(one, one.stamp[rows], rows))
+        timed.append(TimedMessages(one, one.stamp[rows], rows))
     overlap, logs = _overlap(*(t.stamp for t in timed)), _log_times(topics)
     log_overlap = _overlap(*(one.log_time for one in topics))
     if not overlap:
@@ -145,7 +145,7 @@ def _is_log(series: JointSeries) -> bool:
 
 def _without_stamps(
     topics: tuple[JointSeries, JointSeries], unset: list[NDArray[np.bool_]], bare: JointSeries
-) -> Clocked:
+) -> TopicsOnOneClock:
     other, its_unset = (topics[1], unset[1]) if bare is topics[0] else (topics[0], unset[0])
     if not bare.stamped or (bare.stamp == 0).all():
         said = f"{bare.topic}: no message has a stamp"
@@ -157,10 +157,10 @@ def _without_stamps(
     if rate is not None:
         slope, offset = rate
         stamp = np.rint(offset + slope * (bare.log_time - other.log_time[0])).astype(np.int64)
-        bare_timed = Timed(bare, stamp + other.stamp[0], np.arange(len(stamp)))
-        other_timed = Timed(other, other.stamp, np.arange(len(other.stamp)))
+        bare_timed = TimedMessages(bare, stamp + other.stamp[0], np.arange(len(stamp)))
+        other_timed = TimedMessages(other, other.stamp, np.arange(len(other.stamp)))
         pair = (bare_timed, other_timed) if bare is topics[0] else (other_timed, bare_timed)
-        return Clocked(
+        return TopicsOnOneClock(
             (pair,),
             (
                 f"{said}: its log times are put on the clock of {other.topic}, which runs at "
@@ -187,9 +187,9 @@ def _rate(series: JointSeries) -> tuple[float, float] | None:
     return (float(slope), float(offset)) if abs(slope - 1.0) > _SAME_RATE and slope > 0 else None
 
 
-def _by_log(topics: tuple[JointSeries, JointSeries], notes: list[str]) -> Clocked:
-    states, commands = (Timed(t, t.log_time, np.arange(len(t.stamp))) for t in topics)
-    return Clocked(((states, commands),), tuple(notes))
+def _by_log(topics: tuple[JointSeries, JointSeries], notes: list[str]) -> TopicsOnOneClock:
+    states, commands = (TimedMessages(t, t.log_time, np.arange(len(t.stamp))) for t in topics)
+    return TopicsOnOneClock(((states, commands),), tuple(notes))
 
 
 def _overlap(states: Stamps, commands: Stamps) -> bool:
@@ -215,7 +215,7 @@ def _log_times(topics: tuple[JointSeries, JointSeries]) -> bool:
     return True
 
 
-def _no_overlap(timed: list[Timed], path: Path, log_overlap: bool) -> RecordingError:
+def _no_overlap(timed: list[TimedMessages], path: Path, log_overlap: bool) -> RecordingError:
     states, commands = timed
     start = int(states.stamp.min())
     first, last = ((int(t) - start) * _NS for t in (commands.stamp.min(), commands.stamp.max()))
@@ -231,13 +231,15 @@ def _no_overlap(timed: list[Timed], path: Path, log_overlap: bool) -> RecordingE
     )
 
 
-def _stepping(timed: list[Timed], notes: list[str], by_log: bool, path: Path) -> Clocked:
+def _stepping(
+    timed: list[TimedMessages], notes: list[str], by_log: bool, path: Path
+) -> TopicsOnOneClock:
     """Use log times, or split the recording, if the clock of the stamps steps."""
     states, commands = timed
     back = [_steps(t, backward=True) for t in timed]
     forward = [_steps(t, backward=False) if by_log else [] for t in timed]
     if not any(back) and not all(forward):
-        return Clocked(((states, commands),), tuple(notes))
+        return TopicsOnOneClock(((states, commands),), tuple(notes))
     topic = states if back[0] or (not back[1] and forward[0]) else commands
     at = (back[0] or forward[0]) if topic is states else (back[1] or forward[1])
     jump = (int(topic.stamp[at[0]]) - int(topic.stamp[at[0] - 1])) * _NS
@@ -267,10 +269,12 @@ def _stepping(timed: list[Timed], notes: list[str], by_log: bool, path: Path) ->
         )
         for i in range(len(back[0]) + 1)
     )
-    return Clocked(pieces, (*notes, f"{said} and log times do not help: the parts are apart"))
+    return TopicsOnOneClock(
+        pieces, (*notes, f"{said} and log times do not help: the parts are apart")
+    )
 
 
-def _steps(timed: Timed, *, backward: bool) -> list[int]:
+def _steps(timed: TimedMessages, *, backward: bool) -> list[int]:
     """Indices of the messages before which the clock of the stamps stepped."""
     stamp, log = timed.stamp, timed.series.log_time[timed.rows]
     if len(stamp) < 3:

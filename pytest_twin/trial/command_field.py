@@ -23,7 +23,7 @@ _ACTUATORS: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Commanded:
+class ChosenCommands:
     """Commands of the chosen fields.
 
     Attributes:
@@ -42,12 +42,12 @@ class Commanded:
     notes: tuple[str, ...]
 
 
-def commanded_fields(
+def choose_command_fields(
     series: JointSeries,
     inputs: Mapping[str, Sequence[str]] | None,
     options: RecordingOptions,
     path: Path,
-) -> Commanded:
+) -> ChosenCommands:
     """Choose the command field of each joint.
 
     The choice is the declared ``command_mode``, or the only filled field. Of several filled fields,
@@ -122,7 +122,7 @@ def commanded_fields(
         f"{_ACTUATORS[(inputs or {})[joint][0]]} there, which is taken to hold the joint"
         for joint, fields in unfit.items()
     ]
-    return Commanded(
+    return ChosenCommands(
         tuple(joints), tuple(modes), np.stack(columns, axis=1), tuple(never), tuple(notes)
     )
 

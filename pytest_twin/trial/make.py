@@ -19,10 +19,10 @@ from pytest_twin.recording_options import (
     CommandBetween,
     RecordingOptions,
 )
-from pytest_twin.trial.clock import Timed, on_one_clock
-from pytest_twin.trial.command_field import Commanded, commanded_fields
-from pytest_twin.trial.doubts import Doubts
+from pytest_twin.trial.clock import TimedMessages, on_one_clock
+from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
 from pytest_twin.trial.joints import in_model_names, listed, named_by_actuators
+from pytest_twin.trial.recording_checks import RecordingChecks
 from pytest_twin.trial.stretches import stretches
 from pytest_twin.trial.table import (
     StateRows,
@@ -31,7 +31,7 @@ from pytest_twin.trial.table import (
     merged_states,
     sorted_rows,
 )
-from pytest_twin.trial.trial import Mark, Trial, busiest
+from pytest_twin.trial.trial import Mark, Trial, stamps_of_densest_joint
 
 # Texts of readers about stamps.
 _STAMP_TEXTS = ("stamps go back", "stamps occur twice", "header.stamp")
@@ -102,7 +102,7 @@ def _whole(
         )
     clocked = on_one_clock(states, commands, options.clock, recording.path)
     inputs = None if structure is None else structure.joint_inputs
-    commanded = commanded_fields(commands, inputs, options, recording.path)
+    commanded = choose_command_fields(commands, inputs, options, recording.path)
     notes += [*clocked.notes, *commanded.notes]
     between, source = _between(recording, options)
     trials: list[Trial] = []
@@ -164,12 +164,12 @@ class _Maker:
     """Converts states and commands on one clock to one trial."""
 
     def __init__(
-        self, recording: Recording, structure: Structure | None, commanded: Commanded
+        self, recording: Recording, structure: Structure | None, commanded: ChosenCommands
     ) -> None:
         self.recording, self.structure, self.commanded = recording, structure, commanded
-        self.doubts = Doubts(recording.path, structure)
+        self.checks = RecordingChecks(recording.path, structure)
         topics = {series.topic for series in recording.series.values()}
-        self.doubts.marks += [
+        self.checks.marks += [
             Mark("damage", None, None, 0.0, 0.0, str(item))
             for item in recording.damage
             # Problems of stamps are reported by other marks and notes of the trial.
@@ -177,7 +177,7 @@ class _Maker:
         ]
         self.notes: list[str] = []
 
-    def trial(self, states: Timed, commands: Timed) -> Trial:
+    def trial(self, states: TimedMessages, commands: TimedMessages) -> Trial:
         """Build one trial, without splitting it."""
         topic = states.series.topic
         rows, joints = self.states(states)
@@ -190,23 +190,23 @@ class _Maker:
         command_time, command, own = self.commands(commands, start)
         self.note_twice(topic, time)
         self.note_twice(commands.series.topic, command_time)
-        self.doubts.note_gaps(busiest(time, np.isfinite(position)), topic)
-        self.doubts.note_gaps(busiest(command_time, own), commands.series.topic)
+        self.checks.note_gaps(stamps_of_densest_joint(time, np.isfinite(position)), topic)
+        self.checks.note_gaps(stamps_of_densest_joint(command_time, own), commands.series.topic)
         commanded = self.commanded
         for column, joint in enumerate(joints):
             self.mark_positions(joint, position[:, column], time, topic)
             if joint in commanded.joints:
                 at = commanded.joints.index(joint)
                 seen = np.isfinite(position[:, column])
-                self.doubts.note_stuck(
+                self.checks.note_stuck(
                     joint, position[seen, column], time[seen], command[:, at], command_time,
                     commanded.modes[at], topic,
                 )  # fmt: skip
         for at, (joint, mode) in enumerate(zip(commanded.joints, commanded.modes, strict=True)):
             if mode == "position":
-                self.doubts.within_range(joint, command[:, at], command_time, commands.series.topic)
+                self.checks.within_range(joint, command[:, at], command_time, commands.series.topic)
         for joint in commanded.never:
-            self.doubts.mark(
+            self.checks.mark(
                 "unavailable", commands.series.topic, joint, command_time[0], command_time[-1],
                 f"joint {joint!r} is never commanded",
             )  # fmt: skip
@@ -223,11 +223,11 @@ class _Maker:
             command=command,
             command_modes=commanded.modes,
             metadata=dict(self.recording.metadata),
-            marks=tuple(sorted(self.doubts.marks, key=lambda mark: mark.start)),
+            marks=tuple(sorted(self.checks.marks, key=lambda mark: mark.start)),
             own_commands=own,
         )
 
-    def states(self, timed: Timed) -> tuple[StateRows, tuple[str, ...]]:
+    def states(self, timed: TimedMessages) -> tuple[StateRows, tuple[str, ...]]:
         """States sorted by stamp, from the first at which all joints have been measured."""
         series = timed.series
         order = sorted_rows(timed.stamp)
@@ -242,7 +242,7 @@ class _Maker:
         measured = ~np.isnan(position).all(axis=0)
         joints = tuple(n for n, use in zip(series.names, measured, strict=True) if use)
         if not joints:
-            raise self.doubts.error(
+            raise self.checks.error(
                 "no position is a number", series.topic, value="NaN throughout",
                 expected="measured positions",
             )  # fmt: skip
@@ -253,7 +253,7 @@ class _Maker:
             fields = {n: None if t is None else t[:, measured] for n, t in fields.items()}
             position = position[:, measured]
         seconds = _seconds(stamp, int(stamp[0]))
-        self.doubts.refuse_infinite("position", position, joints, seconds, series.topic)
+        self.checks.refuse_infinite("position", position, joints, seconds, series.topic)
         carried = np.isfinite(position)
         some = carried.any(axis=1)
         rows = merged_states(
@@ -294,7 +294,7 @@ class _Maker:
         elif not carried.all():
             time = _seconds(rows.stamp, int(rows.stamp[first]))
             for column, joint in enumerate(joints):
-                self.doubts.mark_runs(
+                self.checks.mark_runs(
                     "unavailable", topic, joint, time,
                     np.flatnonzero(~carried[first:, column]) + first, "position is not filled",
                 )  # fmt: skip
@@ -305,14 +305,14 @@ class _Maker:
         return StateRows(rows.stamp[first:], fields, rows.merged)
 
     def commands(
-        self, timed: Timed, start: int
+        self, timed: TimedMessages, start: int
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_] | None]:
         """(m,) times, s; (m, j) commands; (m, j) whether a message contains them, None for all."""
         topic, joints = timed.series.topic, self.commanded.joints
         order = sorted_rows(timed.stamp)
         table = self.commanded.table[timed.rows[order]]
         time = _seconds(timed.stamp[order], start)
-        self.doubts.refuse_infinite("command", table, joints, time, topic)
+        self.checks.refuse_infinite("command", table, joints, time, topic)
         own = ~np.isnan(table)
         if own.all():
             return time, table, None
@@ -320,7 +320,7 @@ class _Maker:
         time, table, own = time[some], table[some], own[some]
         commanded = [bool(column.any()) for column in own.T]
         if not all(commanded):
-            raise self.doubts.error(
+            raise self.checks.error(
                 "a joint has no command before or after a step of the clock", topic,
                 value=listed([j for j, some in zip(joints, commanded, strict=True) if not some]),
                 expected="one clock, or --clock log",
@@ -339,7 +339,7 @@ class _Maker:
             )
         else:
             for column, joint in enumerate(joints):
-                self.doubts.mark_runs(
+                self.checks.mark_runs(
                     "unavailable", topic, joint, time, np.flatnonzero(~own[:, column]),
                     "no command, the last one holds",
                 )  # fmt: skip
@@ -351,15 +351,15 @@ class _Maker:
         """Mark doubtful positions of one joint."""
         seen = np.isfinite(position)
         position, time = position[seen], time[seen]
-        self.doubts.within_range(joint, position, time, topic)
-        self.doubts.refuse_contradictions(joint, position, time, topic)
-        self.doubts.refuse_two_sources(joint, position, topic)
-        self.doubts.note_outliers(joint, position, time, topic)
+        self.checks.within_range(joint, position, time, topic)
+        self.checks.refuse_contradictions(joint, position, time, topic)
+        self.checks.refuse_two_sources(joint, position, topic)
+        self.checks.note_outliers(joint, position, time, topic)
 
-    def note_order(self, timed: Timed, start: int) -> None:
+    def note_order(self, timed: TimedMessages, start: int) -> None:
         """Mark stamps that are not in the order of the file."""
         back = np.flatnonzero(np.diff(timed.stamp) < 0) + 1
-        self.doubts.mark_runs(
+        self.checks.mark_runs(
             "unordered_stamp", timed.series.topic, None, _seconds(timed.stamp, start), back,
             "stamps go back",
         )  # fmt: skip
@@ -367,7 +367,7 @@ class _Maker:
     def note_twice(self, topic: str, time: FloatArray) -> None:
         """Mark stamps of more than one message."""
         twice = np.flatnonzero(np.diff(time) == 0) + 1
-        self.doubts.mark_runs("duplicate_stamp", topic, None, time, twice, "stamps occur twice")
+        self.checks.mark_runs("duplicate_stamp", topic, None, time, twice, "stamps occur twice")
 
     def optional(
         self, field: str, rows: StateRows, joints: tuple[str, ...], time: FloatArray, topic: str
@@ -376,10 +376,10 @@ class _Maker:
         table, position = rows.fields[field], rows.fields["position"]
         if table is None or position is None:
             return None
-        self.doubts.refuse_infinite(field, table, joints, time, topic)
+        self.checks.refuse_infinite(field, table, joints, time, topic)
         for column, joint in enumerate(joints):
             missing = np.flatnonzero(np.isnan(table[:, column]) & np.isfinite(position[:, column]))
-            self.doubts.mark_runs(
+            self.checks.mark_runs(
                 "unavailable", topic, joint, time, missing, f"{field} is not filled"
             )
         return None if np.isnan(table).all() else table

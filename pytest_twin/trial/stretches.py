@@ -21,7 +21,7 @@ _TOGETHER = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Hole:
+class CommonGap:
     """A time in which the recorder lost the messages of both topics.
 
     Attributes:
@@ -44,7 +44,7 @@ def gaps(time: FloatArray) -> list[tuple[int, float]]:
     return [(int(at), usual) for at in np.flatnonzero(steps > GAP_INTERVALS * usual)]
 
 
-def holes(time: FloatArray, command_time: FloatArray) -> list[Hole]:
+def common_gaps(time: FloatArray, command_time: FloatArray) -> list[CommonGap]:
     """Times in which states and commands are missing together, because the recorder lost them.
 
     A gap in the states alone is not included, because the commands are known. Neither is a gap in
@@ -75,7 +75,7 @@ def holes(time: FloatArray, command_time: FloatArray) -> list[Hole]:
             continue
         if abs(first - commands[k]) <= near and abs(last - commands[k + 1]) <= near:
             sent_last, sent_first = float(commands[k]), float(commands[k + 1])
-            found.append(Hole(float(first), float(last), sent_last, sent_first))
+            found.append(CommonGap(float(first), float(last), sent_last, sent_first))
     return found
 
 
@@ -89,16 +89,16 @@ def stretches(trial: Trial) -> list[Trial]:
         The parts, or the trial itself without such a gap.
     """
     found = [
-        hole
-        for hole in holes(trial.state_times, trial.command_times)
-        if _empty(trial.time, hole.start, hole.end)
-        and _empty(trial.command_time, hole.command_start, hole.command_end)
+        gap
+        for gap in common_gaps(trial.state_times, trial.command_times)
+        if _empty(trial.time, gap.start, gap.end)
+        and _empty(trial.command_time, gap.command_start, gap.command_end)
     ]
     if not found:
         return [trial]
-    starts = [-np.inf, *(hole.end for hole in found)]
-    ends = [*(hole.start for hole in found), np.inf]
-    commands = [-np.inf, *(hole.command_end for hole in found)]
+    starts = [-np.inf, *(gap.end for gap in found)]
+    ends = [*(gap.start for gap in found), np.inf]
+    commands = [-np.inf, *(gap.command_end for gap in found)]
     note = (
         f"cut into {len(found) + 1} parts: states and commands are both missing "
         + _times(found)
@@ -117,7 +117,7 @@ def stretches(trial: Trial) -> list[Trial]:
     return [replace(parts[0], notes=(note, *trial.notes)), *parts[1:]] if parts else [trial]
 
 
-def _times(found: Sequence[Hole]) -> str:
+def _times(found: Sequence[CommonGap]) -> str:
     shown = [f"from {h.start:.4g} to {h.end:.4g} s" for h in found[:3]]
     more = f" and {len(found) - 3} more times" if len(found) > 3 else ""
     return ", ".join(shown) + more

@@ -43,7 +43,7 @@ class Mark:
     text: str
 
 
-def busiest(time: FloatArray, carried: NDArray[np.bool_] | None) -> FloatArray:
+def stamps_of_densest_joint(time: FloatArray, carried: NDArray[np.bool_] | None) -> FloatArray:
     """(k,) times of the joint with the most samples.
 
     Where joints come in separate messages, the time between two messages is not the sampling
@@ -160,12 +160,12 @@ class Trial:
     @property
     def state_times(self) -> FloatArray:
         """(k,) stamps of the joint with the most samples, s."""
-        return busiest(self.time, np.isfinite(self.position))
+        return stamps_of_densest_joint(self.time, np.isfinite(self.position))
 
     @property
     def command_times(self) -> FloatArray:
         """(k,) stamps of the joint with the most commands, s."""
-        return busiest(self.command_time, self.own_commands)
+        return stamps_of_densest_joint(self.command_time, self.own_commands)
 
     @property
     def setpoint(self) -> Setpoint:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.sampling import behind, sampled
+from pytest_twin.effects.sampling import age_of_initial_state, predicted_readings
 from pytest_twin.effects.segment import Segment
 
 STEP, STEPS = 0.01, 100
@@ -31,7 +31,7 @@ def test_a_cubic_motion_is_interpolated_without_position_error() -> None:
     cubic = np.polynomial.Polynomial([0.3, -1.0, 4.0, -2.5])
     at = STEP * np.arange(STEPS + 1)
     rows = tuple(np.tile(x(at)[:, None], (2, 1, 1)) for x in (cubic, cubic.deriv(), cubic))
-    found = sampled(segments, [], rows, STEP)  # type: ignore[arg-type]
+    found = predicted_readings(segments, [], rows, STEP)  # type: ignore[arg-type]
     for predicted, time in zip(found, stamps, strict=True):
         assert predicted.position[:, 0] == pytest.approx(cubic(time - 2.0), abs=1e-12)
         bend = np.abs(cubic.deriv(3)(0.0)) * STEP**2 / 8.0
@@ -44,5 +44,7 @@ def test_a_cubic_motion_is_interpolated_without_position_error() -> None:
 def test_sensor_delay_shifts_the_start_of_windows_but_not_of_whole_recordings() -> None:
     time = 1.0 + STEP * np.arange(5)
     late = [(catalogue()["sensor_delay"], {"delay": np.full((2, 1), 0.03)})]
-    found = behind([segment(1.0, time), segment(1.0, time, starts_in_motion=True)], late, 1)
+    found = age_of_initial_state(
+        [segment(1.0, time), segment(1.0, time, starts_in_motion=True)], late, 1
+    )
     assert found[:, 0] == pytest.approx([0.0, 0.03])

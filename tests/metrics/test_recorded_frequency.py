@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 
 from pytest_twin.metrics.frequency import bandwidth, decibel, resonance
-from pytest_twin.metrics.recorded_frequency import compared, recorded_response, uniform
+from pytest_twin.metrics.recorded_frequency import compare_responses, recorded_response, uniform
 
 RATE = 200.0
 
@@ -55,7 +55,7 @@ def test_a_response_unrelated_to_the_command_has_no_frequency() -> None:
     found = recorded_response(noise(seed=1), noise(seed=2), RATE)
     assert found is not None
     assert found.frequency.size == 0
-    assert compared(noise(seed=1), noise(seed=1), noise(seed=2), RATE) is None
+    assert compare_responses(noise(seed=1), noise(seed=1), noise(seed=2), RATE) is None
 
 
 def test_a_too_short_recording_has_no_response() -> None:
@@ -64,7 +64,7 @@ def test_a_too_short_recording_has_no_response() -> None:
 
 def test_a_delay_changes_only_the_phase() -> None:
     command = signal.sosfiltfilt(signal.butter(4, 10.0, fs=RATE, output="sos"), noise())
-    found = compared(command, np.roll(command, 2), command, RATE)
+    found = compare_responses(command, np.roll(command, 2), command, RATE)
     assert found is not None
     assert found.magnitude < 0.5
     assert found.phase == pytest.approx(2 * np.pi * found.phase_at * 2 / RATE, rel=0.1)
@@ -74,7 +74,7 @@ def test_a_delay_changes_only_the_phase() -> None:
 def test_bandwidths_and_resonances_of_two_responses_are_compared() -> None:
     command = noise()
     slow, quick = (signal.sosfilt(second_order(hertz, 0.2), command) for hertz in (8.0, 10.0))
-    found = compared(command, quick, slow, RATE)
+    found = compare_responses(command, quick, slow, RATE)
     assert found is not None
     assert found.resonance == pytest.approx(2.0 * np.sqrt(1 - 2 * 0.2**2), rel=0.15)
     assert found.bandwidth == pytest.approx(2.0 * 1.51, rel=0.15)
@@ -82,7 +82,7 @@ def test_bandwidths_and_resonances_of_two_responses_are_compared() -> None:
     assert found.bandwidth_measured is not None
     assert found.bandwidth_predicted > found.bandwidth_measured
     damped = signal.sosfilt(second_order(8.0, 1.0), command)
-    without = compared(command, damped, slow, RATE)
+    without = compare_responses(command, damped, slow, RATE)
     assert without is not None
     assert without.resonance is None
     assert without.resonance_measured is not None

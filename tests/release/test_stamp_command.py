@@ -21,7 +21,7 @@ from pytest_twin.errors import SimulationError, TwinError
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.formats.stamps import carriers_of
 from pytest_twin.realization import confinement
-from pytest_twin.release.parsed_apart import ParsedApart, carriers_apart
+from pytest_twin.release.parsed_in_child import ParsedInChild, carriers_in_child
 
 sys.path.append(str(Path(__file__).parents[1] / "formats"))
 
@@ -343,7 +343,7 @@ def test_hdf5_and_onnx_files_are_parsed_in_a_child_process(
 ) -> None:
     """The parent process reads the stamp although it cannot import the library."""
     path = write(kind, tmp_path)
-    (carrier,) = carriers_apart(path, writable=True)
+    (carrier,) = carriers_in_child(path, writable=True)
     carrier.write('{"a": 1}')
     for library in ("h5py", "onnx"):
         monkeypatch.setitem(sys.modules, library, None)
@@ -356,7 +356,7 @@ def test_hdf5_and_onnx_files_are_parsed_in_a_child_process(
 def test_a_parse_error_in_the_child_process_keeps_its_message(tmp_path: Path) -> None:
     path = tmp_path / "demo.hdf5"
     path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
-    (carrier,) = carriers_apart(path, writable=True)
+    (carrier,) = carriers_in_child(path, writable=True)
     with pytest.raises(TwinError, match=r"demo\.hdf5: cannot be read as HDF5"):
         carrier.read()
 
@@ -375,16 +375,16 @@ def test_the_child_that_opens_a_stamped_file_reaches_no_file_outside_the_data(
     elsewhere.mkdir()
     with h5py.File(data / "demo.hdf5", "w") as file:
         file["action"] = [1.0, 2.0]
-    (read,) = carriers_apart(data / "demo.hdf5", writable=False)
-    (written,) = carriers_apart(data / "demo.hdf5", writable=True)
-    assert isinstance(read, ParsedApart)
+    (read,) = carriers_in_child(data / "demo.hdf5", writable=False)
+    (written,) = carriers_in_child(data / "demo.hdf5", writable=True)
+    assert isinstance(read, ParsedInChild)
     assert read.digest() == written.digest()
     assert read.sandbox.call("os:listdir", {"path": str(data)}) == ["demo.hdf5"]
     with pytest.raises(SimulationError, match="PermissionError"):
         read.sandbox.call("os:listdir", {"path": str(elsewhere)})
     with pytest.raises(SimulationError, match="PermissionError"):
         read.sandbox.call("os:mkdir", {"path": str(data / "new")})
-    assert isinstance(written, ParsedApart)
+    assert isinstance(written, ParsedInChild)
     written.write('{"a": 1}')
     assert read.read() == '{"a": 1}'
     for call, arguments in (("listdir", {"path": str(elsewhere)}),

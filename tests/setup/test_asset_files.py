@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pytest_twin.errors import SpecError
-from pytest_twin.setup.asset_files import RobotFiles, bring_in
+from pytest_twin.setup.asset_files import RobotFiles, copy_into_twin
 
 
 def file(path: Path, text: str = "x") -> Path:
@@ -25,7 +25,7 @@ def arm(tmp_path: Path) -> RobotFiles:
 
 def test_a_copy_keeps_the_folders_below_the_root(arm: RobotFiles, tmp_path: Path) -> None:
     twin = tmp_path / "twin"
-    copied = bring_in(arm, twin)
+    copied = copy_into_twin(arm, twin)
     assert copied.model == twin / "asset/arm/urdf/arm.urdf"
     assert copied.files == [copied.model, twin / "asset/arm/meshes/a.stl"]
     assert all(path.is_file() for path in copied.files)
@@ -39,7 +39,7 @@ def test_a_package_outside_the_root_is_copied_into_a_folder_with_its_name(
     packages = {"visuals": mesh.parent, "arm_description": arm.root}
     robot = RobotFiles(arm.model, [*arm.files, mesh], arm.root, packages)
     twin = tmp_path / "twin"
-    copied = bring_in(robot, twin)
+    copied = copy_into_twin(robot, twin)
     assert copied.files[2] == twin / "asset/visuals/b.stl"
     assert copied.roots == {
         "arm": twin / "asset/arm",
@@ -53,7 +53,7 @@ def test_a_folder_referenced_by_a_relative_path_keeps_its_relative_position(
 ) -> None:
     mesh = file(tmp_path / "ws/shared/b.stl")
     robot = RobotFiles(arm.model, [*arm.files, mesh], arm.root, others=[mesh.parent])
-    copied = bring_in(robot, tmp_path / "twin")
+    copied = copy_into_twin(robot, tmp_path / "twin")
     assert copied.model == tmp_path / "twin/asset/ws/arm/urdf/arm.urdf"
     assert copied.files[2] == tmp_path / "twin/asset/ws/shared/b.stl"
 
@@ -64,7 +64,7 @@ def test_a_file_with_an_absolute_path_is_not_copied_and_its_folder_is_declared(
     mesh = file(tmp_path / "elsewhere/b.stl")
     arm.model.write_text(f"<mesh filename='file://{mesh}'/>")
     robot = RobotFiles(arm.model, [*arm.files, mesh], arm.root, others=[mesh.parent])
-    copied = bring_in(robot, tmp_path / "twin")
+    copied = copy_into_twin(robot, tmp_path / "twin")
     assert copied.files[2] == mesh
     assert copied.roots["elsewhere"] == mesh.parent
 
@@ -72,20 +72,22 @@ def test_a_file_with_an_absolute_path_is_not_copied_and_its_folder_is_declared(
 def test_a_robot_inside_the_twin_is_not_copied_and_its_root_is_declared(
     arm: RobotFiles, tmp_path: Path
 ) -> None:
-    copied = bring_in(arm, tmp_path / "ws")
+    copied = copy_into_twin(arm, tmp_path / "ws")
     assert copied.model == arm.model
     assert copied.roots == {"arm": arm.root}
     plain = RobotFiles(arm.model, [arm.model], arm.model.parent)
-    assert bring_in(plain, tmp_path / "ws").roots == {}
+    assert copy_into_twin(plain, tmp_path / "ws").roots == {}
 
 
 def test_special_characters_in_the_name_of_a_root_are_replaced(tmp_path: Path) -> None:
     root = tmp_path / "my arm (v2)"
     model = file(root / "arm.urdf")
-    assert list(bring_in(RobotFiles(model, [model], root), tmp_path / "t").roots) == ["my_arm__v2_"]
+    assert list(copy_into_twin(RobotFiles(model, [model], root), tmp_path / "t").roots) == [
+        "my_arm__v2_"
+    ]
 
 
 def test_an_existing_asset_is_not_overwritten(arm: RobotFiles, tmp_path: Path) -> None:
-    bring_in(arm, tmp_path / "twin")
+    copy_into_twin(arm, tmp_path / "twin")
     with pytest.raises(SpecError, match="the folder for the asset exists"):
-        bring_in(arm, tmp_path / "twin")
+        copy_into_twin(arm, tmp_path / "twin")

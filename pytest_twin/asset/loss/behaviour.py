@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.asset.loss.description import Description, Dynamics
 from pytest_twin.asset.loss.matrix import Item, Row, Verdict
-from pytest_twin.asset.loss.table import EXACT, SINGLE, most
+from pytest_twin.asset.loss.table import EXACT, SINGLE, largest_magnitude
 from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
@@ -45,7 +45,7 @@ def rows(
         first, second = reference.poses(q), target.dynamics.poses(q)
         for frame in frames:
             metres = max(metres, float(np.abs(first[frame] - second[frame])[:3, 3].max()))
-            radians = max(radians, turned(first[frame], second[frame]))
+            radians = max(radians, angle_between(first[frame], second[frame]))
     what = f"{len(frames)} frames"
     yield _measured("forward kinematics, position", what, ran, _Difference(metres, "m"))
     yield _measured("forward kinematics, orientation", what, ran, _Difference(radians, "rad"))
@@ -70,16 +70,22 @@ def rows(
     matrix, heaviest = 0.0, 1e-3
     for q in poses if mine else []:
         one, two = reference.gravity_torque(q)[mine], target.dynamics.gravity_torque(q)[theirs]
-        torque, largest = max(torque, most(one - two)), max(largest, most(one))
+        torque, largest = (
+            max(torque, largest_magnitude(one - two)),
+            max(largest, largest_magnitude(one)),
+        )
         big = reference.mass_matrix(q)[np.ix_(mine, mine)]
         other = target.dynamics.mass_matrix(q)[np.ix_(theirs, theirs)]
-        matrix, heaviest = max(matrix, most(big - other)), max(heaviest, most(big))
+        matrix, heaviest = (
+            max(matrix, largest_magnitude(big - other)),
+            max(heaviest, largest_magnitude(big)),
+        )
     yield _measured("gravity torque", names, ran, _Difference(torque, "N*m or N", largest))
     yield _measured("mass matrix", names, ran, _Difference(matrix, "kg*m^2, kg*m or kg", heaviest))
     yield _default_state(source, target)
 
 
-def turned(first: Vector, second: Vector) -> float:
+def angle_between(first: Vector, second: Vector) -> float:
     """Return the angle between two (3, 3) rotations, accurate for small angles, rad."""
     chord = float(np.linalg.norm(first[:3, :3] - second[:3, :3])) / math.sqrt(8.0)
     return 2.0 * math.asin(min(1.0, chord))

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from pytest_twin.asset.loss.description import Description, LinkFacts
 from pytest_twin.asset.loss.matrix import Item, Row, Verdict
-from pytest_twin.asset.loss.table import CLOSE, EXACT, SINGLE, most, numbers, some, table
+from pytest_twin.asset.loss.table import (
+    CLOSE,
+    EXACT,
+    SINGLE,
+    count_and_names,
+    format_numbers,
+    largest_magnitude,
+    table,
+)
 from pytest_twin.realization.tree import RigidTree, inverse
 
 Vector = NDArray[np.float64]
@@ -29,15 +37,15 @@ def links(source: Description, target: Description) -> Row:
         apart = {
             "mass": (abs(before.mass - after.mass), scale, before.mass, after.mass, "kg"),
             "centre of mass": (
-                most(before.com - after.com) if before.mass else 0.0,
+                largest_magnitude(before.com - after.com) if before.mass else 0.0,
                 1.0,
                 before.com,
                 after.com,
                 "m",
             ),
             "inertia": (
-                most(before.inertia - after.inertia),
-                max(most(before.inertia), 1e-6),
+                largest_magnitude(before.inertia - after.inertia),
+                max(largest_magnitude(before.inertia), 1e-6),
                 np.linalg.eigvalsh(before.inertia),
                 np.linalg.eigvalsh(after.inertia),
                 "kg*m^2",
@@ -45,7 +53,7 @@ def links(source: Description, target: Description) -> Row:
         }
         for what, (difference, size, old, new, unit) in apart.items():
             if difference > EXACT * size:
-                values = (f"{what} {numbers(value)} {unit}" for value in (old, new))
+                values = (f"{what} {format_numbers(value)} {unit}" for value in (old, new))
                 items.append(Item(name, "changed", *values))
     return table(
         "links",
@@ -87,7 +95,7 @@ def _moved_away(source: Description, target: Description) -> bool:
             )
             for held in (source, target)
         )
-        if most(before - after) > SINGLE * max(most(before), 1e-3):
+        if largest_magnitude(before - after) > SINGLE * max(largest_magnitude(before), 1e-3):
             return True
     return False
 
@@ -129,7 +137,7 @@ def shapes(source: Description, target: Description) -> Row:
             items.append(Item(link, verdict, *values))
             continue
         for one, two in zip(before, after, strict=True):
-            size = max(1.0, most(one.upper - one.lower))
+            size = max(1.0, largest_magnitude(one.upper - one.lower))
             if one.kind != two.kind or one.apart(two) > CLOSE * size:
                 items.append(Item(link, "changed", str(one), str(two)))
     count = sum(map(len, source.shapes.values())), sum(map(len, target.shapes.values()))
@@ -178,8 +186,8 @@ def contact(source: Description, target: Description) -> Row:
         ]
     return table(
         "contact materials",
-        some(stated),
-        some(held),
+        count_and_names(stated),
+        count_and_names(held),
         "friction of each shape that collides",
         items,
         empty=not stated and not held,
@@ -198,7 +206,7 @@ def sensors(source: Description, target: Description) -> Row:
     kept = sum(name in target.sensors for name in source.sensors)
     return table(
         "sensors",
-        some(source.sensors),
+        count_and_names(source.sensors),
         f"{kept} sites",
         "sites and sensors of the compiled model",
         items,

@@ -10,7 +10,7 @@ import numpy as np
 from pytest_twin.asset.loss import behaviour, bodies, joints
 from pytest_twin.asset.loss.description import Description, Dynamics
 from pytest_twin.asset.loss.matrix import Conversion
-from pytest_twin.asset.loss.table import present, stated
+from pytest_twin.asset.loss.table import equality_row, presence_row
 
 POSES = 5
 """Number of random poses at which dynamics are compared, in addition to the reference."""
@@ -37,7 +37,7 @@ def compare(
         joints.actuators(source, target),
         *joints.limits(source, target),
         joints.passive_terms(source, target),
-        stated("drives", source.drives, target.drives, "feedback terms of the actuators"),
+        equality_row("drives", source.drives, target.drives, "feedback terms of the actuators"),
         joints.mimics(source, target),
         joints.constraints(source, target),
         bodies.shapes(source, target),
@@ -45,18 +45,18 @@ def compare(
         bodies.contact(source, target),
         bodies.sensors(source, target),
         bodies.frames(source, target),
-        present(
+        presence_row(
             "custom tags",
             {name: f"{count} times" for name, count in source.custom.items()},
             dict.fromkeys(target.custom, ""),
             "elements of the target's model",
         ),
         joints.transmissions(source, target),
-        present("safety controllers", source.safety, target.safety, "soft limits of joints"),
+        presence_row("safety controllers", source.safety, target.safety, "soft limits of joints"),
     ]
     known = {row.feature for row in rows}
     rows += [
-        present(
+        presence_row(
             feature,
             values,
             target.stated.get(feature, {}),

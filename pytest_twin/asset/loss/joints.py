@@ -9,7 +9,15 @@ import numpy as np
 
 from pytest_twin.asset.loss.description import Description, JointFacts
 from pytest_twin.asset.loss.matrix import Item, Row, Verdict
-from pytest_twin.asset.loss.table import EXACT, SINGLE, alike, most, numbers, some, table
+from pytest_twin.asset.loss.table import (
+    EXACT,
+    SINGLE,
+    are_equal,
+    count_and_names,
+    format_numbers,
+    largest_magnitude,
+    table,
+)
 
 
 def joints(source: Description, target: Description) -> Row:
@@ -60,8 +68,8 @@ def passive(source: Description, target: Description) -> Row:
     ]
     return table(
         "passive joints",
-        some(source.passive),
-        some(target.passive),
+        count_and_names(source.passive),
+        count_and_names(target.passive),
         "joints without actuator and mimic",
         items,
         empty=not source.passive and not target.passive,
@@ -75,7 +83,7 @@ def actuators(source: Description, target: Description) -> Row:
     for joint, gear, bound in source.actuators.values():
         if joint not in held:
             items.append(Item(joint, "lost", _actuator(gear, bound), None))
-        elif not alike(bound, held[joint][1]) or abs(held[joint][0] - gear) > EXACT:
+        elif not are_equal(bound, held[joint][1]) or abs(held[joint][0] - gear) > EXACT:
             items.append(Item(joint, "changed", _actuator(gear, bound), _actuator(*held[joint])))
     return table(
         "actuators",
@@ -116,8 +124,8 @@ def limits(source: Description, target: Description) -> Iterable[Row]:
             stated += before is not None
             kept += after is not None
             if before is not None and after is not None:
-                worst = max(worst, most(np.subtract(before, after)))
-            if alike(before, after):
+                worst = max(worst, largest_magnitude(np.subtract(before, after)))
+            if are_equal(before, after):
                 continue
             verdict: Verdict = "lost" if after is None else "changed"
             items.append(Item(name, verdict, _value(before, unit), _value(after, unit)))
@@ -143,7 +151,7 @@ def limits(source: Description, target: Description) -> Iterable[Row]:
 
 
 def _value(value: Any, unit: str) -> str | None:
-    return None if value is None else f"{numbers(value)} {unit}"
+    return None if value is None else f"{format_numbers(value)} {unit}"
 
 
 def passive_terms(source: Description, target: Description) -> Row:
@@ -158,7 +166,7 @@ def passive_terms(source: Description, target: Description) -> Row:
             if held is None:
                 continue
             after = float(getattr(held, what))
-            if not alike(before, after):
+            if not are_equal(before, after):
                 verdict: Verdict = "lost" if after == 0.0 else "changed"
                 items.append(Item(f"{name} {what}", verdict, f"{before:g}", f"{after:g}"))
     return table(
@@ -187,8 +195,8 @@ def mimics(source: Description, target: Description) -> Row:
     )
     return table(
         "mimic",
-        some(source.mimics),
-        some(target.mimics),
+        count_and_names(source.mimics),
+        count_and_names(target.mimics),
         comparison,
         items,
         empty=not source.mimics and not target.mimics,
@@ -207,8 +215,8 @@ def constraints(source: Description, target: Description) -> Row:
     items += [Item(word, "changed", None, word) for word in after if word not in before]
     return table(
         "tendons and constraints",
-        some(before),
-        some(after),
+        count_and_names(before),
+        count_and_names(after),
         "constraints of the compiled model, mimics apart",
         items,
         empty=not before and not after,
@@ -225,7 +233,7 @@ def transmissions(source: Description, target: Description) -> Row:
             items.append(Item(joint, "changed", words, target.transmissions[joint]))
     return table(
         "transmissions",
-        some(source.transmissions),
+        count_and_names(source.transmissions),
         f"{len(target.transmissions)} gears",
         "gear of the actuator on each joint",
         items,

@@ -51,7 +51,7 @@ def table(
     )
 
 
-def stated(
+def equality_row(
     feature: str, before: Mapping[str, str], after: Mapping[str, str], comparison: str
 ) -> Row:
     """Build a row of values that have to be equal before and after the conversion."""
@@ -61,19 +61,31 @@ def stated(
         if before.get(name) != after.get(name)
     ]
     return table(
-        feature, some(before), some(after), comparison, items, empty=not before and not after
+        feature,
+        count_and_names(before),
+        count_and_names(after),
+        comparison,
+        items,
+        empty=not before and not after,
     )
 
 
-def present(
+def presence_row(
     feature: str, before: Mapping[str, str], after: Mapping[str, str], comparison: str
 ) -> Row:
     """Build a row of elements that exist or are missing in the target, regardless of value."""
     items = [Item(name, "lost", before[name], None) for name in sorted(before) if name not in after]
-    return table(feature, some(before), some(after), comparison, items, empty=not before)
+    return table(
+        feature,
+        count_and_names(before),
+        count_and_names(after),
+        comparison,
+        items,
+        empty=not before,
+    )
 
 
-def some(names: Iterable[str]) -> str:
+def count_and_names(names: Iterable[str]) -> str:
     """Return the number of names and the first four."""
     listed = sorted(names)
     if not listed:
@@ -82,17 +94,17 @@ def some(names: Iterable[str]) -> str:
     return f"{len(listed)}: {shown}"
 
 
-def numbers(values: Any) -> str:
+def format_numbers(values: Any) -> str:
     """Format numbers with six significant digits."""
     return " ".join(f"{float(value):.6g}" for value in np.ravel(np.asarray(values)))
 
 
-def most(values: Vector) -> float:
+def largest_magnitude(values: Vector) -> float:
     """Return the largest magnitude, 0 for an empty array."""
     return float(np.abs(values).max()) if values.size else 0.0
 
 
-def alike(before: Any, after: Any) -> bool:
+def are_equal(before: Any, after: Any) -> bool:
     """Whether two values are equal within ``EXACT``, or both are None."""
     if before is None or after is None:
         return before is after

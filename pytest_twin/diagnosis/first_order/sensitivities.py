@@ -468,7 +468,9 @@ class Linear:
             moved, _ = effect.sense(stamps, position, velocity, of_row)
             change = moved - position
             if effect.overrides("sample_time"):
-                late = self.simulator.taken(self.segments[i : i + 1], stamps, [(effect, of_row)])
+                late = self.simulator.true_reading_times(
+                    self.segments[i : i + 1], stamps, [(effect, of_row)]
+                )
                 grid_q = self.trajectory.predicted_position[i]
                 change = (
                     change + (self._at(grid_q, i, late[0]) - self._at(grid_q, i, stamps[0]))[None]
@@ -504,7 +506,7 @@ class Linear:
         """
         effort, stamps = self.trajectory.effort[i], self.simulator.segments[self.segments[i]].time
         own = np.repeat(stamps[None, :, None], effort.shape[1], axis=2)
-        own = self.simulator.taken(
+        own = self.simulator.true_reading_times(
             self.segments[i : i + 1], own, _sensing(in_reading_order(self.own))
         )[0]
         return np.stack(
@@ -574,7 +576,7 @@ class Linear:
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
-            stamps = self.simulator.taken(self.segments[i : i + 1], stamps, of_row)
+            stamps = self.simulator.true_reading_times(self.segments[i : i + 1], stamps, of_row)
             position = self._at(self.trajectory.predicted_position[i], i, stamps[0])[None]
             velocity = self._at(self.trajectory.predicted_velocity[i], i, stamps[0])[None]
             measured = segment.effort is not None and self.problem.effort_floor is not None

@@ -19,7 +19,7 @@ from pytest_twin.formats.stamped_readings import IMU as IMU_TYPE
 from pytest_twin.identification.sensing.camera_frames import CameraTrial, frames_seen
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.realization.sensed import load_at, sensed_at
+from pytest_twin.realization.sensed import ideal_sensor_signals, load_at
 from pytest_twin.sensors.encoder import encoder_of
 
 _WINDOW_S = 0.1
@@ -143,9 +143,12 @@ def read_sensor(
     if at_joint:
         kind, true = JOINT_TORQUE, load_at(realization, sensor.frame, names, *along)
     elif bag.reading_type[sensor.topic] == IMU_TYPE:
-        kind, true = IMU, sensed_at(realization, sensor.frame, names, *along).inertial
+        kind, true = IMU, ideal_sensor_signals(realization, sensor.frame, names, *along).inertial
     else:
-        kind, true = FORCE_TORQUE, sensed_at(realization, sensor.frame, names, *along).wrench
+        kind, true = (
+            FORCE_TORQUE,
+            ideal_sensor_signals(realization, sensor.frame, names, *along).wrench,
+        )
     return SensorTrial(
         path,
         period,

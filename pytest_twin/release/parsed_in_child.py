@@ -20,7 +20,7 @@ _SECONDS = 1800.0
 
 
 @dataclass(frozen=True)
-class ParsedApart:
+class ParsedInChild:
     """A file with a stamp that only the child process opens.
 
     Attributes:
@@ -49,7 +49,7 @@ class ParsedApart:
         return self.sandbox.call(f"{__name__}:{function}", arguments)
 
 
-def carriers_apart(dataset: Path, *, writable: bool) -> list[Carrier]:
+def carriers_in_child(dataset: Path, *, writable: bool) -> list[Carrier]:
     """Files of a data set or policy that can contain a stamp, as found by ``carriers_of``.
 
     The child process ends when the last of them is deleted.
@@ -69,7 +69,7 @@ def carriers_apart(dataset: Path, *, writable: bool) -> list[Carrier]:
         write=[folder] if writable else [],
     )
     return [
-        ParsedApart(one.path, sandbox) if one.path.suffix.lower() in _BY_LIBRARIES else one
+        ParsedInChild(one.path, sandbox) if one.path.suffix.lower() in _BY_LIBRARIES else one
         for one in carriers_of(dataset)
     ]
 

@@ -40,7 +40,7 @@ _ALTERNATION, _ALTERNATION_SPAN, _ALTERNATION_SAMPLES = 10.0, 0.02, 40
 _REPEATED_SHARE = 0.25
 
 
-class Doubts:
+class RecordingChecks:
     """Collects the marks of one recording.
 
     Args:
