@@ -117,6 +117,16 @@ def test_an_open_question_is_left_at_moving_setpoints_only_if_the_model_is_close
     assert assumed(held=10.0, interpolated=40.0) == "held"
 
 
+def test_an_open_question_between_other_assumptions_leaves_commands_as_held() -> None:
+    found = decided(
+        held=residual_of(60.0, nominal=1.1), interpolated=residual_of(20.0, nominal=1.8),
+        ramped=residual_of(22.0, nominal=0.6),
+    )  # fmt: skip
+    assert set(found.possible) == {"interpolated", "ramped"}
+    assert found.fact.value is None
+    assert found.assumed == "held"
+
+
 @pytest.mark.parametrize(
     ("command", "expected"),
     [

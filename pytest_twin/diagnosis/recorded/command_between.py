@@ -236,11 +236,14 @@ def _closer_to_the_model(
     """``interpolated`` if the nominal model is clearly closer to the recordings with it, else
     ``held``.
 
-    Held commands that act later than assumed have a delay, which the catalogue has. A setpoint that
-    moves on would have to act before its stamp, and other physics would be found in its place.
+    If held commands are taken as interpolated, a delay of the commands makes up for it. If a moving
+    setpoint is taken as held, it seems to act before its stamp, and no delay makes up for that: the
+    search would find effects that the robot does not have. ``held`` is also used if it seems to be
+    ruled out and the rest is open: with missing physics, such as another surface, the fits to other
+    recordings may predict worse than the model itself.
     """
     if not {"held", "interpolated"} <= set(possible):
-        return "held" if "held" in possible else possible[0]
+        return "held"
     held, moving = (
         float(np.sum(np.log(np.maximum(left[b].nominal, noise)))) for b in ("held", "interpolated")
     )
