@@ -1,9 +1,10 @@
-"""Random Fourier series of joint positions, and the inverse dynamics of a model along them."""
+"""Random Fourier series of joint positions, and efforts of a model and of its servos along them."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
+from scipy import signal
 
 from pytest_twin.arrays import FloatArray
 
@@ -58,3 +59,41 @@ def needed_effort(
         effort[at] = data.qfrc_inverse
     model.opt.disableflags = disabled
     return effort + model.dof_frictionloss * np.sign(v) if dry else effort
+
+
+def follow_noisy_positions(
+    model: mujoco.MjModel,
+    random: np.random.Generator,
+    command: FloatArray,
+    speed: FloatArray,
+    gains: tuple[FloatArray, FloatArray],
+    noise: float,
+    tick: float = 0.005,
+) -> tuple[FloatArray, FloatArray]:
+    """(n, joints) measured positions, rad, and efforts, N*m, of servos that act on noisy positions.
+
+    The encoder noise lies below 3 Hz, as the motion does, so that no filter removes it.
+
+    Args:
+        model: model without actuators; its time step is set to a fifth of ``tick``.
+        random: generator of the noise.
+        command, speed: (n, joints) commanded positions and velocities, rad and rad/s.
+        gains: (joints,) stiffness, N*m/rad, and (joints,) damping, N*m*s/rad.
+        noise: standard deviation of the encoder noise, rad.
+        tick: period of servos and commands, s.
+    """
+    stiffness, damping = gains
+    low = signal.butter(2, 3.0, fs=1.0 / tick, output="sos")
+    added = signal.sosfilt(low, random.standard_normal(command.shape), axis=0)
+    added *= noise / added.std(axis=0)
+    data, inner = mujoco.MjData(model), 5
+    model.opt.timestep = tick / inner
+    data.qpos[:], data.qvel[:] = command[0], speed[0]
+    seen, effort = np.empty_like(command), np.empty_like(command)
+    for at in range(len(command)):
+        seen[at] = data.qpos + added[at]
+        velocity = (seen[at] - seen[at - 1]) / tick if at else speed[0]
+        effort[at] = stiffness * (command[at] - seen[at]) + damping * (speed[at] - velocity)
+        data.qfrc_applied[:] = effort[at]
+        mujoco.mj_step(model, data, inner)
+    return seen, effort

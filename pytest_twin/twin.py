@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cache
@@ -669,21 +669,7 @@ class _Reader:
                     value=record.verdict,
                     expected="a calibration.json whose verdict is accepted",
                 )
-            if record.id in earlier:
-                raise self.section.error(
-                    f"{where}.file",
-                    "two calibrations of one id",
-                    value=record.id,
-                    expected="an id of its own for each calibration",
-                )
-            for name in data.get("supersedes", ()):
-                if name not in earlier:
-                    raise self.section.error(
-                        f"{where}.supersedes",
-                        "no earlier calibration of this id",
-                        value=name,
-                        expected="ids of calibrations above it: " + (", ".join(earlier) or "none"),
-                    )
+            self._check_id("calibration", record.id, f"{where}.file", where, data, earlier)
             entry = CalibrationEntry(
                 record,
                 tuple(data.get("use", ("joint_zeros",))),
@@ -706,6 +692,43 @@ class _Reader:
             self._check_homes(entry, where)
             found.append(entry)
         return tuple(found)
+
+    def _check_id(
+        self,
+        noun: str,
+        own: str,
+        place: str,
+        where: str,
+        data: Mapping[str, Any],
+        earlier: Collection[str],
+    ) -> None:
+        """Check that a record has a new id, and supersedes only records above it.
+
+        Args:
+            noun: the kind of record, in the singular.
+            own: id of the record.
+            place: field that the id comes from.
+            where, data: path and fields of the record's entry in the twin.
+            earlier: ids of the entries above it.
+
+        Raises:
+            SpecError: it does not.
+        """
+        if own in earlier:
+            raise self.section.error(
+                place,
+                f"two {noun}s of one id",
+                value=own,
+                expected=f"a different id for each {noun}",
+            )
+        for name in data.get("supersedes", ()):
+            if name not in earlier:
+                raise self.section.error(
+                    f"{where}.supersedes",
+                    f"no earlier {noun} of this id",
+                    value=name,
+                    expected=f"ids of {noun}s above it: " + (", ".join(earlier) or "none"),
+                )
 
     def _check_homes(self, entry: CalibrationEntry, where: str) -> None:
         """Check that each home position was measured with the sign that the twin states."""
@@ -739,22 +762,8 @@ class _Reader:
                 entry = self._fit_entry(one, where)
                 entries.append(entry)
                 found = Fit(entry.record.id, entry.record.fit, {}, entry.record.path)
-            if found.id in tables:
-                raise self.section.error(
-                    where,
-                    "two fits of one id",
-                    value=found.id,
-                    expected="an id of its own for each record",
-                )
-            for name in one.get("supersedes", ()):
-                if name not in tables:
-                    raise self.section.error(
-                        f"{where}.supersedes",
-                        "no earlier fit of this id",
-                        value=name,
-                        expected="ids of records above it: " + (", ".join(tables) or "none"),
-                    )
-                superseded.add(name)
+            self._check_id("fit", found.id, where, where, one, tables)
+            superseded.update(one.get("supersedes", ()))
             tables[found.id] = found
         in_use = [one for name, one in tables.items() if name not in superseded]
         return _merged(in_use, self.path), tuple(entries)

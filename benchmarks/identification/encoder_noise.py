@@ -15,10 +15,8 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from coverage_of_intervals import JOINTS, MODEL
-from scipy import signal
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.measured import Measured, MeasuredSet
@@ -28,10 +26,10 @@ from pytest_twin.signals import NO_SIGNALS
 
 sys.path.append(str(Path(__file__).parents[1]))
 from drawn_arms import nominal_parameters, true_parameters
-from fourier_motion import fourier
+from fourier_motion import follow_noisy_positions, fourier
 
-TICK, INNER = 0.005, 5
-"""Period of the servos, s, and simulation steps in it."""
+TICK = 0.005
+"""Period of the servos, s."""
 STIFFNESS, DAMPING = np.array([1500.0, 600.0, 150.0]), np.array([120.0, 50.0, 12.0])
 """Gains of the servos, N*m/rad and N*m*s/rad."""
 SECONDS = 20.0
@@ -41,19 +39,9 @@ def driven(robot: Realization, path: Path, random: np.random.Generator, noise: f
     """One recording of servos that follow a random Fourier series; ``noise`` in rad."""
     time = np.arange(round(SECONDS / TICK)) * TICK
     command, speed, _ = fourier(random, time, len(JOINTS), 5, 0.1, (0.1, 0.5))
-    low = signal.butter(2, 3.0, fs=1.0 / TICK, output="sos")
-    added = signal.sosfilt(low, random.standard_normal(command.shape), axis=0)
-    added *= noise / added.std(axis=0)
-    model, data = robot.model, mujoco.MjData(robot.model)
-    model.opt.timestep = TICK / INNER
-    data.qpos[:], data.qvel[:] = command[0], speed[0]
-    seen, effort = np.empty_like(command), np.empty_like(command)
-    for at in range(len(time)):
-        seen[at] = data.qpos + added[at]
-        velocity = (seen[at] - seen[at - 1]) / TICK if at else speed[0]
-        effort[at] = STIFFNESS * (command[at] - seen[at]) + DAMPING * (speed[at] - velocity)
-        data.qfrc_applied[:] = effort[at]
-        mujoco.mj_step(model, data, INNER)
+    seen, effort = follow_noisy_positions(
+        robot.model, random, command, speed, (STIFFNESS, DAMPING), noise, TICK
+    )
     count = len(JOINTS)
     return Measured(path, 0.0, JOINTS, time, seen, None, effort, np.zeros(count, dtype=bool),
                     np.full(count, np.inf), {}, command=command)  # fmt: skip

@@ -44,10 +44,10 @@ def _duplicates(asset: Asset) -> Iterator[Finding]:
                 "warning",
                 place,
                 f"{kind} '{name}'",
-                f"its name differs from '{alike}' in upper and lower case alone",
+                f"its name differs from '{alike}' only in upper and lower case",
                 name,
                 None,
-                "names that differ even if written in lower case",
+                "names that also differ when all letters are lower case",
                 "some file systems and formats treat the two as one name",
                 "rename one of them",
             )

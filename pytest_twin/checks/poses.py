@@ -157,7 +157,7 @@ def resolve_poses(
                 field,
                 "two poses have the same name",
                 value=pose.name,
-                expected="a name of its own for each pose",
+                expected="a different name for each pose",
             )
         seen.add(pose.name)
     return poses

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,20 +82,8 @@ def rerooted(asset: Asset, q: Q) -> Iterator[Broken]:
                 )
         joints = form.dynamics.joints
         one, two = (_floating_base_inertia(i.floating, own, joints) for i in (plain, turned))
-        held = np.sqrt(np.maximum(np.diag(matrix_of(form, q)), 0.0))
-        bounds = asset.tolerances.mass_matrix * np.outer(held, held) + _TINY_INERTIA
-        apart = np.abs(one - two)
-        if joints and not np.all(apart <= bounds):
-            i, k = np.unravel_index(int(np.argmax(apart / bounds)), apart.shape)
-            words = f"with a floating base and root '{last}', has another inertia, off"
-            yield Broken(
-                f"joint '{joints[i]}'",
-                words,
-                float(apart[i, k]),
-                float(bounds[i, k]),
-                "kg*m^2, kg*m or kg",
-                form.name,
-            )
+        how = f"with a floating base and root '{last}'"
+        yield from _compare_inertias(asset, joints, matrix_of(form, q), one - two, how, form.name)
 
 
 def _import(form: Form, key: str, change: Any) -> _Imported:
@@ -134,22 +122,28 @@ def _compare(
         for frame in (frame for frame in poses if frame in theirs):
             expected = mirror @ poses[frame] @ mirror
             yield from _compare_poses(asset, form, frame, expected, theirs[frame], how, other.name)
-        bounds = (
-            asset.tolerances.mass_matrix * np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
-            + _TINY_INERTIA
+        off = matrix_of(other, own, joints) - matrix
+        forms = f"{form.name}, imported again by {other.name}"
+        yield from _compare_inertias(asset, joints, matrix, off, how, forms)
+
+
+def _compare_inertias(
+    asset: Asset, joints: Sequence[str], matrix: Vector, off: Vector, how: str, forms: str
+) -> Iterator[Broken]:
+    """Compare errors ``off`` of the joint inertias (n, n) with the tolerance of ``matrix``."""
+    held = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    bounds = asset.tolerances.mass_matrix * np.outer(held, held) + _TINY_INERTIA
+    apart = np.abs(off)
+    if joints and not np.all(apart <= bounds):
+        i, k = np.unravel_index(int(np.argmax(apart / bounds)), apart.shape)
+        yield Broken(
+            f"joint '{joints[int(i)]}'",
+            f"{how}, has another inertia, off",
+            float(apart[i, k]),
+            float(bounds[i, k]),
+            "kg*m^2, kg*m or kg",
+            forms,
         )
-        apart = np.abs(matrix_of(other, own, joints) - matrix)
-        if joints and not np.all(apart <= bounds):
-            i, k = np.unravel_index(int(np.argmax(apart / bounds)), apart.shape)
-            words = f"{how}, has another inertia, off"
-            yield Broken(
-                f"joint '{joints[i]}'",
-                words,
-                float(apart[i, k]),
-                float(bounds[i, k]),
-                "kg*m^2, kg*m or kg",
-                f"{form.name}, imported again by {other.name}",
-            )
 
 
 def _compare_poses(

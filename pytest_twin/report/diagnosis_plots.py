@@ -13,7 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.report.diagnosis_view import JointView, Regime
 from pytest_twin.report.log_axes import logarithmic
 from pytest_twin.report.panels import Line, thin
-from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW, STYLE, finish
+from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW, STYLE, svg_of
 from pytest_twin.report.text import number, printable
 
 if TYPE_CHECKING:
@@ -72,17 +72,11 @@ def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
         names = max((len(_regime_name(r)) for r in shown), default=0)
         start = _MIDDLE + _GAP + _CHARACTER * names
         _regimes(_panel(figure, 0.055, 0.285, start), view, shown)
-        buffer = io.BytesIO()
         if image == "png":
+            buffer = io.BytesIO()
             figure.savefig(buffer, format="png", dpi=110, facecolor="white")
             return buffer.getvalue()
-        figure.savefig(
-            buffer,
-            format="svg",
-            transparent=True,
-            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
-        )
-    return finish(buffer.getvalue().decode("utf-8")).encode("utf-8")
+        return svg_of(figure)
 
 
 def _panel(

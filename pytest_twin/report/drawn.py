@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from pytest_twin.report.plot_style import STYLE, finish
+from pytest_twin.report.plot_style import STYLE, svg_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -14,8 +14,7 @@ if TYPE_CHECKING:
 
 def svg(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
     """Draw an SVG figure of ``width`` by ``height`` inches, for light and dark pages."""
-    data = _drawn(draw, width, height, "svg")
-    return finish(data.decode("utf-8")).encode("utf-8")
+    return _drawn(draw, width, height, "svg")
 
 
 def png(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
@@ -33,10 +32,8 @@ def _drawn(draw: Callable[[Figure], None], width: float, height: float, kind: st
         figure = Figure(figsize=(width, height))
         (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(figure)
         draw(figure)
+        if kind == "svg":
+            return svg_of(figure)
         buffer = io.BytesIO()
-        if kind == "png":
-            figure.savefig(buffer, format="png", dpi=120, facecolor="white")
-        else:
-            empty = {"Date": None, "Creator": None, "Format": None, "Type": None}
-            figure.savefig(buffer, format="svg", transparent=True, metadata=empty)
-    return buffer.getvalue()
+        figure.savefig(buffer, format="png", dpi=120, facecolor="white")
+        return buffer.getvalue()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import warnings
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from pytest_twin.report.plot_style import BAND, DIM, INK, NOW, STYLE, finish
+from pytest_twin.report.plot_style import BAND, DIM, INK, NOW, STYLE, svg_of
 from pytest_twin.report.text import printable
 
 _SIZE = (6.4, 3.4)
@@ -57,11 +56,4 @@ def law_figure(law: Mapping[str, Any], joint: str) -> bytes:
         data.set_ylabel("samples [%]")
         unit = "" if law["unit"] == "1" else f" [{law['unit']}]"
         data.set_xlabel(f"{law['variable']}{unit}")
-        buffer = io.BytesIO()
-        figure.savefig(
-            buffer,
-            format="svg",
-            transparent=True,
-            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
-        )
-    return finish(buffer.getvalue().decode("utf-8")).encode("utf-8")
+        return svg_of(figure)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Light colour -> dark colour. The SVG has the light ones; a style rule replaces them.
 INK, DIM, GRID = "#1c2430", "#5c6675", "#d5dae1"
@@ -52,6 +56,14 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 8,
 }
 """Matplotlib settings of all plots."""
+
+
+def svg_of(figure: Figure) -> bytes:
+    """The figure as an SVG for light and dark pages; the same figure gives the same bytes."""
+    buffer = io.BytesIO()
+    metadata = {"Date": None, "Creator": None, "Format": None, "Type": None}
+    figure.savefig(buffer, format="svg", transparent=True, metadata=metadata)
+    return finish(buffer.getvalue().decode("utf-8")).encode("utf-8")
 
 
 def finish(svg: str) -> str:

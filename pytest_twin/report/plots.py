@@ -5,7 +5,6 @@ matplotlib is imported only when a plot is drawn, in the child process.
 
 from __future__ import annotations
 
-import io
 import math
 import warnings
 from collections.abc import Callable, Sequence
@@ -22,7 +21,7 @@ from pytest_twin.report.panels import (
     thin,
     time_panels,
 )
-from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW, PASS, STYLE, finish
+from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW, PASS, STYLE, svg_of
 from pytest_twin.report.text import number, printable, quantity
 
 if TYPE_CHECKING:
@@ -85,14 +84,7 @@ def _render(title: str, draw: Callable[[Figure], None]) -> bytes:
         FigureCanvasSVG(figure)
         draw(figure)
         figure.suptitle(_label(title, 90), x=0.01, ha="left", fontsize=9.5, fontweight="bold")
-        buffer = io.BytesIO()
-        figure.savefig(
-            buffer,
-            format="svg",
-            transparent=True,
-            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
-        )
-    return finish(buffer.getvalue().decode("utf-8")).encode("utf-8")
+        return svg_of(figure)
 
 
 def _draw_time(figure: Figure, series: Series, panels: Sequence[Panel], left_out: int) -> None:

@@ -185,14 +185,8 @@ class RecordingChecks:
         to_next = float(np.median(np.abs(np.diff(position))))
         after = float(np.median(np.abs(position[2:] - position[:-2])))
         if to_next > max(_ALTERNATION_SPAN, _ALTERNATION * after):
-            raise self.error(
-                "two publishers send different positions of one joint",
-                f"{topic} joint '{joint}'",
-                value=f"{to_next:.4g} apart from message to message",
-                unit=self.unit(joint, "position"),
-                expected="one publisher; record the topic of one robot, or give the joints of each "
-                "names of their own",
-            )
+            apart = f"{to_next:.4g} apart from message to message"
+            raise self._two_publishers(joint, topic, "", apart)
 
     def refuse_contradictions(
         self, joint: str, position: FloatArray, time: FloatArray, topic: str
@@ -207,14 +201,25 @@ class RecordingChecks:
             return
         apart = float(np.median(np.abs(np.diff(position)[same])))
         if apart > _ALTERNATION_SPAN:
-            raise self.error(
-                "two publishers send different positions of one joint at the same stamps",
-                f"{topic} joint '{joint}'",
-                value=f"{apart:.4g} apart at {int(same.sum())} of {len(position)} stamps",
-                unit=self.unit(joint, "position"),
-                expected="one publisher; record the topic of one robot, or give the joints of each "
-                "names of their own",
-            )
+            where = f"{apart:.4g} apart at {int(same.sum())} of {len(position)} stamps"
+            raise self._two_publishers(joint, topic, " at the same stamps", where)
+
+    def _two_publishers(self, joint: str, topic: str, when: str, apart: str) -> RecordingError:
+        """The error of two publishers of one joint.
+
+        Args:
+            joint, topic: names in the recording.
+            when: end of the first sentence: when the positions differ.
+            apart: distance of the positions in the unit of the joint, and where.
+        """
+        return self.error(
+            f"two publishers send different positions of one joint{when}",
+            f"{topic} joint '{joint}'",
+            value=apart,
+            unit=self.unit(joint, "position"),
+            expected="one publisher; record the topic of one robot, or rename the joints of one of "
+            "the robots",
+        )
 
     def note_stuck(
         self,

@@ -202,6 +202,6 @@ def test_invalid_poses_are_refused_with_the_expected_form(
 
 
 def test_two_poses_with_the_same_name_are_refused(tmp_path: Path) -> None:
-    words = r"two poses have the same name \(got 'home'; expected a name of its own for each pose"
+    words = r"two poses have the same name \(got 'home'; expected a different name for each pose"
     with pytest.raises(SpecError, match=words):
         poses(robot(tmp_path), "home", {"name": "home", "joints": {"pan": 1}})

@@ -5,16 +5,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import mujoco
 import numpy as np
-from scipy import signal
 
 from pytest_twin.formats.mcap import write_recording as write_mcap_file
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.realization import Realization, load
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-from fourier_motion import fourier, needed_effort
+from fourier_motion import follow_noisy_positions, fourier, needed_effort
 
 TRUE = """<mujoco model="two_links">
   <worldbody>
@@ -89,20 +87,8 @@ def closed_loop(
     The encoder noise (rad) lies below 3 Hz, as the motion does, and acts on the servo.
     """
     random = np.random.default_rng(seed)
-    tick, inner, stiff, damped = 0.005, 5, np.array([200.0, 67.0]), np.array([20.0, 6.7])
-    time = np.arange(round(seconds / tick)) * tick
+    time = np.arange(round(seconds / 0.005)) * 0.005
     command, speed, _ = fourier(random, time, 2, 5, 0.1, (0.1, 0.6))
-    low = signal.butter(2, 3.0, fs=1.0 / tick, output="sos")
-    added = signal.sosfilt(low, random.standard_normal(command.shape), axis=0)
-    added *= noise / added.std(axis=0)
-    model, data = realization.model, mujoco.MjData(realization.model)
-    model.opt.timestep = tick / inner
-    data.qpos[:], data.qvel[:] = command[0], speed[0]
-    seen, effort = np.empty_like(command), np.empty_like(command)
-    for at in range(len(time)):
-        seen[at] = data.qpos + added[at]
-        velocity = (seen[at] - seen[at - 1]) / tick if at else speed[0]
-        effort[at] = stiff * (command[at] - seen[at]) + damped * (speed[at] - velocity)
-        data.qfrc_applied[:] = effort[at]
-        mujoco.mj_step(model, data, inner)
+    gains = np.array([200.0, 67.0]), np.array([20.0, 6.7])
+    seen, effort = follow_noisy_positions(realization.model, random, command, speed, gains, noise)
     return time, seen, effort, command

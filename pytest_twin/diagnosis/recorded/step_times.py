@@ -102,11 +102,19 @@ def step_intervals(command: FloatArray) -> NDArray[np.int64]:
     changes in one period, and rests again.
     """
     change = np.abs(np.diff(command, axis=0))
-    if len(change) < 3:
-        return np.zeros(0, dtype=np.int64)
-    beside = np.maximum(change[:-2], change[2:])
-    least = np.maximum(_JUMP * beside, _OF_ALL * np.ptp(command, axis=0))
-    return 1 + np.flatnonzero((change[1:-1] > least).any(axis=1))
+    is_large = change > _OF_ALL * np.ptp(command, axis=0)
+    return np.flatnonzero((_is_jump(command) & is_large).any(axis=1))
+
+
+def _is_jump(command: FloatArray) -> NDArray[np.bool_]:
+    """(times - 1, joints) whether a command changes much more than in the periods before and after.
+
+    False for the first and the last period, which lack a neighbour.
+    """
+    change = np.abs(np.diff(command, axis=0))
+    found = np.zeros(change.shape, dtype=bool)
+    found[1:-1] = change[1:-1] > _JUMP * np.maximum(change[:-2], change[2:])
+    return found
 
 
 def fitted_shares(
@@ -145,6 +153,7 @@ def fitted_shares(
 def with_steps_at(trial: Trial, shares: FloatArray) -> Trial:
     """The trial with its steps at (steps,) shares of their periods; other joints move linearly."""
     steps = step_intervals(trial.command)
+    jumps = _is_jump(trial.command)
     times: list[float] = []
     rows: list[FloatArray] = []
     for k, share in zip(steps, shares, strict=True):
@@ -152,22 +161,11 @@ def with_steps_at(trial: Trial, shares: FloatArray) -> Trial:
         before, after = trial.command[k : k + 2]
         at = start + share * (end - start)
         moving = before + share * (after - before)
-        is_step = _is_step(trial.command, int(k))
         times += [at - 0.5 * _AT_ONCE, at + 0.5 * _AT_ONCE]
-        rows += [np.where(is_step, before, moving), np.where(is_step, after, moving)]
+        rows += [np.where(jumps[k], before, moving), np.where(jumps[k], after, moving)]
     places = np.repeat(steps + 1, 2)
     return replace(
         trial,
         command_time=np.insert(trial.command_time, places, times),
         command=np.insert(trial.command, places, np.array(rows), axis=0),
     )
-
-
-def _is_step(command: FloatArray, k: int) -> NDArray[np.bool_]:
-    """(joints,) whether a command steps between ``k`` and ``k + 1``."""
-    change = np.abs(command[k + 1] - command[k])
-    beside = np.maximum(
-        np.abs(command[k] - command[k - 1]), np.abs(command[k + 2] - command[k + 1])
-    )
-    found: NDArray[np.bool_] = change > _JUMP * beside
-    return found

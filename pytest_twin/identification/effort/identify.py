@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -164,13 +164,9 @@ def identify_effort(
     before, _ = _identify(realization, measured, signals)
     found = _identify_in_stages(realization, torques, signals)
     words = ", ".join(f"{joint} {gain.value:.4g} A/(N*m)" for joint, gain in gains.items())
-    stage = judge_stage(
-        Stage(
-            "drive", "accepted", f"recorded current per torque, from known payloads: {words}",
-            tuple(f"{joint}.effort_scale" for joint in gains), None, EXCLUDES["drive"],
-        ),
-        HeldOut(_mean_relative(before.errors), _mean_relative(found.errors), "relative effort"),
-    )  # fmt: skip
+    stage = _scale_stage(
+        f"recorded current per torque, from known payloads: {words}", gains, before, found
+    )
     if stage.state != "accepted":
         return _identify_in_stages(realization, measured, signals)
     own = next(s for s in found.stages if s.name == "drive")
@@ -182,6 +178,19 @@ def identify_effort(
         gains=_corrected(gains, found.scales),
         scales={joint: scale for joint, scale in found.scales.items() if joint not in gains},
     )
+
+
+def _scale_stage(
+    why: str, joints: Iterable[str], before: EffortResult, after: EffortResult
+) -> Stage:
+    """The drive stage of effort scales, judged by the held-out errors before and after them."""
+    return judge_stage(
+        Stage(
+            "drive", "accepted", why,
+            tuple(f"{joint}.effort_scale" for joint in joints), None, EXCLUDES["drive"],
+        ),
+        HeldOut(_mean_relative(before.errors), _mean_relative(after.errors), "relative effort"),
+    )  # fmt: skip
 
 
 def _corrected(gains: Mapping[str, Scale], scales: Mapping[str, Scale]) -> dict[str, Scale]:
@@ -442,13 +451,9 @@ def _with_scales(
     right = MeasuredSet(scaled(measured.fit, off), scaled(measured.held_out, off))
     again, _ = _identify(realization, right, signals)
     words = ", ".join(f"{joint} {scale.value:.3f}" for joint, scale in off.items())
-    stage = judge_stage(
-        Stage(
-            "drive", "accepted", f"recorded over true effort, from known payloads: {words}",
-            tuple(f"{joint}.effort_scale" for joint in off), None, EXCLUDES["drive"],
-        ),
-        HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
-    )  # fmt: skip
+    stage = _scale_stage(
+        f"recorded over true effort, from known payloads: {words}", off, found, again
+    )
     if stage.state != "accepted":
         return replace(found, stages=tuple(stage if s.name == "drive" else s for s in found.stages))
     assert stage.held_out is not None

@@ -93,7 +93,7 @@ def predicted(
     motions = [differentiate(one, chosen) for one in recordings]
     rest = _rest(motions)
     return [
-        _inner_rows(_unfiltered(motion, regressor, rest) @ own, motion, chosen)
+        inner_rows(_unfiltered(motion, regressor, rest) @ own, motion, chosen)
         for motion, own in zip(motions, parameters, strict=True)
     ]
 
@@ -122,7 +122,7 @@ def _rows(
 
 
 def _matrix(motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray) -> FloatArray:
-    return _inner_rows(_unfiltered(motion, regressor, rest), motion, chosen)
+    return inner_rows(_unfiltered(motion, regressor, rest), motion, chosen)
 
 
 def _unfiltered(motion: Motion, regressor: Regressor, rest: FloatArray) -> FloatArray:
@@ -130,7 +130,7 @@ def _unfiltered(motion: Motion, regressor: Regressor, rest: FloatArray) -> Float
     return regressor.matrix(motion.position, moving, motion.acceleration)
 
 
-def _inner_rows(values: FloatArray, motion: Motion, chosen: Filter) -> FloatArray:
+def inner_rows(values: FloatArray, motion: Motion, chosen: Filter) -> FloatArray:
     """Decimate (n, ...) values to the rate of the fit and cut off the edges."""
     found = decimated(values, motion.rate, chosen)
     return np.asarray(found[_inner(len(found), chosen)])

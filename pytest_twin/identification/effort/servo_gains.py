@@ -9,12 +9,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.base import si_unit
 from pytest_twin.identification.effort.delay import without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
-from pytest_twin.identification.effort.filtering import Filter, decimated, differentiate, uniform
+from pytest_twin.identification.effort.filtering import Filter, differentiate, uniform
 from pytest_twin.identification.effort.identify import EffortResult
 from pytest_twin.identification.effort.least_squares import LinearProblem, solve
+from pytest_twin.identification.effort.sampled import inner_rows
 from pytest_twin.identification.effort.scale import scaled
 from pytest_twin.identification.measured import Measured
 from pytest_twin.realization import Realization
@@ -53,11 +54,10 @@ class ServoGains:
 
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Return ``JOINT.servo_stiffness`` and ``JOINT.servo_damping`` for a record."""
-        unit = "N/m" if self.slide else "N*m/rad"
-        speed = "N*s/m" if self.slide else "N*m*s/rad"
         rows = zip(
             ("servo_stiffness", "servo_damping"), (self.stiffness, self.damping),
-            self.half_widths, self.nominal, (unit, speed), strict=True,
+            self.half_widths, self.nominal,
+            (si_unit("stiffness", self.slide), si_unit("damping", self.slide)), strict=True,
         )  # fmt: skip
         return {
             f"{self.joint}.{name}": {
@@ -82,7 +82,7 @@ class ServoGains:
     @property
     def words(self) -> str:
         """Describe the gains and the model's."""
-        unit = "N/m" if self.slide else "N*m/rad"
+        unit = si_unit("stiffness", self.slide)
         return f"{self.joint} {self.stiffness:.4g} {unit} (model {self.nominal[0]:.4g})"
 
 
@@ -170,8 +170,8 @@ def _fitted(
             ],
             axis=1,
         )
-        columns.append(_inner(decimated(rows, motion.rate, chosen), chosen))
-        efforts.append(_inner(decimated(motion.effort[:, k : k + 1], motion.rate, chosen), chosen))
+        columns.append(inner_rows(rows, motion, chosen))
+        efforts.append(inner_rows(motion.effort[:, k : k + 1], motion, chosen))
         known.append(np.abs(efforts[-1]) < 0.98 * one.limit[k])
     if sum(map(len, columns)) < _FEWEST_ROWS:
         return None
@@ -187,9 +187,3 @@ def _fitted(
     if solution.noise[0] > _OTHER_LAW * spread or half[0] > _WIDEST * stiffness:
         return None
     return (float(stiffness), float(damping)), (float(half[0]), float(half[1]))
-
-
-def _inner(values: FloatArray, chosen: Filter) -> FloatArray:
-    """Cut off one period of the parallel filter at both ends, where it has transients."""
-    edge = int(np.ceil(chosen.rate / chosen.parallel))
-    return values[edge : max(len(values) - edge, edge + 1)]
