@@ -164,7 +164,7 @@ def _size(shape: Shape) -> Iterator[Finding]:
             "1",
             None,
             "some loaders turn its faces inside out, others use the absolute value",
-            "mirror the mesh in a file of its own",
+            "write the mirrored mesh to a separate file, and use it with a positive scale",
         )
     scale = np.abs(shape.scale)
     if scale.min() > 0 and scale.max() / scale.min() > 1.001:

@@ -144,7 +144,7 @@ def _check(plan: Plan, observations: Observations) -> None:
             "estimate",
             f"{ENCODERS} cannot be combined with other estimates",
             value=", ".join(plan.estimate),
-            expected=f"a plan of its own for {ENCODERS}: it compares readings of the same pose",
+            expected=f"a separate plan for {ENCODERS}: it compares readings of the same pose",
         )
     poses = set(observations.poses or ())
     for pose, stated in plan.references.items():

@@ -110,7 +110,7 @@ def from_table(table: ObservationTable) -> Observations:
                 "id",
                 "an id occurs twice" if name else "no id",
                 value=name or None,
-                expected="an id of its own for each observation",
+                expected="a different id for each observation",
             )
         seen[name] = row
     joints = {

@@ -379,7 +379,7 @@ def _refuse_too_few(trial: Trial) -> None:
             "too few states for a diagnosis",
             path=trial.path,
             value=str(count),
-            expected=f"at least {_FEWEST}, each at a time of its own",
+            expected=f"at least {_FEWEST}, each at a different time",
         )
 
 

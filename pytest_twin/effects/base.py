@@ -82,7 +82,7 @@ _COMMANDED: Mapping[tuple[str, str], tuple[str, str]] = {
 REFERENCES: Mapping[str, str] = {
     # For a parameter that is fitted as a reciprocal: the scale of the reported value.
     "one": "",
-    "twelfth": "1/12 of the longest recording",
+    "twelfth": "a twelfth of the longest recording",
     "effort": "the drive's RMS effort",
     "velocity": "the RMS speed",
     "position": "the standard deviation of the position",

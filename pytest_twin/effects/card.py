@@ -127,7 +127,7 @@ def _range(parameter: Parameter) -> str:
     if parameter.choice:
         return _listed([f"{start:g}" for start in parameter.starts])
     of = REFERENCES[parameter.reference]
-    scale = f" times {of}" if of else ""
+    scale = f" {of[2:]}" if of.startswith("1 ") else f" times {of}" if of else ""
     where = ""
     if parameter.under is not None:
         choice, values = parameter.under

@@ -18,7 +18,7 @@ _TWO_FORCES = (
 
 
 class ContactOffset(Effect):
-    """A surface is not where the model has it."""
+    """A contact surface is at another place than in the model."""
 
     id = "contact_offset"
     family = "contact"
@@ -50,7 +50,7 @@ class ContactStiffness(Effect):
 
     id = "contact_stiffness"
     family = "contact"
-    law = "k times 1 + relative_error, b unchanged"
+    law = "contact stiffness times 1 + relative_error, contact damping unchanged"
     source = "Todorov, ICRA (2014): convex and analytically-invertible dynamics with contacts"
     scope = "robot"
     parameters = (
@@ -74,7 +74,10 @@ class ContactDamping(Effect):
 
     id = "contact_damping"
     family = "contact"
-    law = "b times 1 + relative_error, k unchanged; b also slows slip within the friction cone"
+    law = (
+        "contact damping times 1 + relative_error, contact stiffness unchanged; "
+        "the damping also slows slip within the friction cone"
+    )
     source = "Hunt, Crossley, J. Appl. Mech. 42 (1975): restitution as damping in vibroimpact"
     scope = "robot"
     parameters = (

@@ -56,7 +56,7 @@ class DirectionalViscousFriction(Effect):
 
 
 class GearEfficiency(Effect):
-    """The gear loses more effort in one direction of power than in the other.
+    """The losses of the gear depend on whether the motor drives the load or the load the motor.
 
     A worm or harmonic gear that the motor drives loses less than one that the load drives. A gear
     that the load cannot drive is self-locking: its ``backward_loss`` is 1 or more.

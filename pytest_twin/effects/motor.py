@@ -74,7 +74,7 @@ class WatchdogTimeout(Effect):
     family = "actuation"
     law = (
         "delivered = 0 once the command has been constant for timeout, until it changes; "
-        "back_emf v: the part of the model's passive damping that ends with it"
+        "back_emf v: the part of the model's passive damping that disappears while the drive is off"
     )
     source = "Bus Watchdog, ROBOTIS e-Manual, X series, control table address 98"
     parameters = (

@@ -134,7 +134,7 @@ class EncoderEccentricity(Effect):
 
 
 class EffortBias(Effect):
-    """The effort sensor reads a constant offset."""
+    """The effort sensor has a constant offset."""
 
     id = "effort_bias"
     family = "sensing"

@@ -193,9 +193,9 @@ class ControlPeriod(Effect):
     # It samples the setpoint after all other effects have changed it.
     hook_order = 9
     confused_with: ClassVar = {
-        "command_delay": "push the robot by hand: a control period takes damping away, a delay of "
+        "command_delay": "push the robot by hand: a control period reduces the damping, a delay of "
         "the command does not",
-        "controller_gain": "record slow and fast motions: a control period takes damping away from "
+        "controller_gain": "record slow and fast motions: a control period reduces the damping of "
         "fast motions only",
         "actuator_lag": "log the effort at 1 kHz or more: a control period shows steps, a lag is "
         "smooth",

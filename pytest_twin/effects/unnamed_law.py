@@ -168,7 +168,7 @@ _MEANINGS = {
     "low": "first knot, in the unit of the variable",
     "high": "last knot",
     "valid_low": "lower end of the range in which the table is known",
-    "valid_high": "its upper end",
+    "valid_high": "upper end of that range",
 }
 
 

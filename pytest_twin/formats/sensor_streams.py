@@ -77,7 +77,7 @@ def _stream(path: Path, topic: str, stamps: Integers, values: FloatArray, zero: 
     if len(rows) < _FEWEST:
         raise RecordingError(
             "too few samples", path=path, where=topic, value=len(rows),
-            expected=f"at least {_FEWEST} with stamps of their own",
+            expected=f"at least {_FEWEST} with different stamps",
         )  # fmt: skip
     time = np.asarray((stamps[rows] - zero) * 1e-9, dtype=np.float64)
     return Stream(topic, time, values[rows])

@@ -194,7 +194,7 @@ def _of_events(events: Sequence[Mapping[str, Any]], skipped: list[str]) -> Itera
         operation = params.get("operation", _OPERATION.get(function, "abs"))
         distribution = params.get("distribution", "uniform")
         if operation not in ("abs", "scale", "add") or not isinstance(distribution, str):
-            skipped.append(f"{where}: {function}: an operation or distribution of its own")
+            skipped.append(f"{where}: {function}: a custom operation or distribution")
             continue
         target = params.get("asset_cfg")
         target = target if isinstance(target, Mapping) else {}

@@ -130,7 +130,7 @@ def _stream(values: FloatArray, lines: list[int], path: Path) -> PoseStream:
     values = values[np.concatenate([[True], np.diff(values[:, 0]) > 0.0])]
     if len(values) < _FEWEST:
         raise FormatError(
-            "too few poses with stamps of their own",
+            "too few poses with different stamps",
             path=path,
             value=len(values),
             expected=f"at least {_FEWEST}",

@@ -142,7 +142,8 @@ def velocity_fact(time: FloatArray, position: FloatArray, velocity: FloatArray) 
         )  # fmt: skip
     return Fact(
         "sensor", 0.95, "data",
-        "the velocity has noise of its own and is as old as the position, to within "
+        "the velocity has noise that the position does not have, and is as old as the position, to "
+        "within "
         f"{1e3 * max(2.0 * found.lag_error, abs(found.lag)):.2g} ms",
         lag,
     )  # fmt: skip
