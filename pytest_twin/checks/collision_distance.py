@@ -21,7 +21,7 @@ from pytest_twin.checks.poses import (
     POSES_SCHEMA,
     REFERENCE,
     joints_above,
-    keyframes_of,
+    keyframe_parts,
     recorded_poses,
     resolve_poses,
 )
@@ -120,9 +120,10 @@ class CollisionDistance(Check):
             for part in structure.part_ids
             if part.startswith(f"{structure.realization}/collision:")
         }
-        keyframes = [structure.keyframe(name) for name in keyframes_of(golden)]
         return structure.contact(names).union(
-            masks, {f"{structure.realization}/contact:pairs"}, *keyframes
+            masks,
+            {f"{structure.realization}/contact:pairs"},
+            keyframe_parts(golden, structure),
         )
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:

@@ -16,7 +16,7 @@ from pytest_twin.checks.base import (
 )
 from pytest_twin.checks.contact_scene import FLOOR, OBJECT, SIZES, Scene
 from pytest_twin.checks.fields import GRAVITY_SCHEMA, QUANTITY_SCHEMA
-from pytest_twin.checks.poses import POSE_SCHEMA, keyframes_of
+from pytest_twin.checks.poses import POSE_SCHEMA, keyframe_parts
 from pytest_twin.checks.scalars import declared_measure, scalar_measures
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import TwinError
@@ -230,7 +230,7 @@ class Contact(Check):
             | set(structure.contact())
             | structure.additions()
             | set(structure.contact(set(target["pair"]) - own))
-            | {f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)}
+            | keyframe_parts(golden, structure)
             | ({f"recording:{target['recording']}"} if "recording" in target else set())
         )
 

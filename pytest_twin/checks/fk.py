@@ -20,7 +20,7 @@ from pytest_twin.checks.poses import (
     POSES_SCHEMA,
     REFERENCE,
     joints_above,
-    keyframes_of,
+    keyframe_parts,
     recorded_poses,
     resolve_poses,
 )
@@ -80,9 +80,7 @@ class ForwardKinematics(Check):
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
         """Return kinematics of the chains to the frames, their couplings, and named keyframes."""
-        return structure.chain(golden.target["frames"]) | {
-            f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
-        }
+        return structure.chain(golden.target["frames"]) | keyframe_parts(golden, structure)
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Compute the frames at every pose with the realization's simulator and Pinocchio."""

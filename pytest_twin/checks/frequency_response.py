@@ -27,7 +27,7 @@ from pytest_twin.checks.drive import (
     prepare,
 )
 from pytest_twin.checks.fields import QUANTITY_SCHEMA, quantity, spec_error
-from pytest_twin.checks.poses import keyframes_of
+from pytest_twin.checks.poses import keyframe_parts
 from pytest_twin.checks.scalars import scalar_measures
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import TwinError
@@ -165,9 +165,7 @@ class FrequencyResponse(Check):
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
         """Return all parts that affect the joint's motion, and the named keyframe."""
-        return set(structure.dynamics([golden.target["joint"]])) | {
-            f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
-        }
+        return set(structure.dynamics([golden.target["joint"]])) | keyframe_parts(golden, structure)
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Hold, settle and excite the joint; realizations are rows of one batch."""

@@ -17,7 +17,7 @@ from pytest_twin.checks.base import (
     Trace,
 )
 from pytest_twin.checks.fields import POSITION_UNIT, known_name, quantity, spec_error, tolerance
-from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, Pose, keyframes_of, resolve_pose
+from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, Pose, keyframe_parts, resolve_pose
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SimulationError
 from pytest_twin.golden import Golden
@@ -126,7 +126,6 @@ class JointDirection(Check):
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
         """Return kinematics of the frames, and the dynamics of joints with an actuator."""
-        name = structure.realization
         joints = golden.target["joints"]
         frames = {
             frame
@@ -137,7 +136,7 @@ class JointDirection(Check):
         commanded = [joint for joint, entry in joints.items() if "actuator" in entry]
         parts = {
             *structure.chain(frames),
-            *(f"{name}/keyframe:{key}" for key in keyframes_of(golden)),
+            *keyframe_parts(golden, structure),
         }
         return parts | (structure.dynamics(commanded) if commanded else frozenset())
 

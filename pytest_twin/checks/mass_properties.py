@@ -19,7 +19,7 @@ from pytest_twin.checks.fields import known_name, tolerance
 from pytest_twin.checks.poses import (
     POSES_SCHEMA,
     REFERENCE,
-    keyframes_of,
+    keyframe_parts,
     recorded_poses,
     resolve_poses,
 )
@@ -89,7 +89,7 @@ class MassProperties(Check):
         return {
             *(part for part in structure.part_ids if part.startswith(layers)),
             f"{name}/option:gravity",
-            *(f"{name}/keyframe:{key}" for key in keyframes_of(golden)),
+            *keyframe_parts(golden, structure),
         }
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:

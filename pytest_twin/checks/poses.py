@@ -218,10 +218,11 @@ def joints_to_give(realization: Realization, joints: Iterable[str]) -> frozenset
     return frozenset(root for root in roots if root is not None)
 
 
-def keyframes_of(golden: Golden) -> list[str]:
-    """Return the keyframes that a golden's poses name."""
+def keyframe_parts(golden: Golden, structure: Structure) -> frozenset[str]:
+    """Return the ids of the keyframes that a golden's poses name."""
     entries = [*golden.stimulus.get("poses", []), golden.stimulus.get("pose")]
-    return [entry for entry in entries if isinstance(entry, str) and entry != REFERENCE]
+    names = [entry for entry in entries if isinstance(entry, str) and entry != REFERENCE]
+    return frozenset().union(*(structure.keyframe(name) for name in names))
 
 
 def _given(golden: Golden, place: str, entry: object, number: int, solver: _Coupled) -> Pose:

@@ -19,7 +19,7 @@ from pytest_twin.checks.fields import (
     quantity,
     spec_error,
 )
-from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, keyframes_of, resolve_pose
+from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, keyframe_parts, resolve_pose
 from pytest_twin.checks.scalars import declared_measure, sample_grid, scalar_measures
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
@@ -117,9 +117,7 @@ class Settling(Check):
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
         """Return all parts that affect motion, and the named keyframe."""
-        return set(structure.dynamics()) | {
-            f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
-        }
+        return set(structure.dynamics()) | keyframe_parts(golden, structure)
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Release the robot and simulate for the duration."""

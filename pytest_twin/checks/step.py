@@ -19,7 +19,7 @@ from pytest_twin.checks.base import (
 )
 from pytest_twin.checks.drive import BENCH_SCHEMA, TARGET_SCHEMA, command_unit, prepare
 from pytest_twin.checks.fields import POSITION_UNIT, QUANTITY_SCHEMA, quantity, spec_error
-from pytest_twin.checks.poses import keyframes_of
+from pytest_twin.checks.poses import keyframe_parts
 from pytest_twin.checks.scalars import sample_grid, scalar_measures
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
@@ -86,9 +86,7 @@ class Step(Check):
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
         """Return all parts that affect the joint's motion, and the named keyframe."""
-        return set(structure.dynamics([golden.target["joint"]])) | {
-            f"{structure.realization}/keyframe:{name}" for name in keyframes_of(golden)
-        }
+        return set(structure.dynamics([golden.target["joint"]])) | keyframe_parts(golden, structure)
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Hold the joint, let it settle, and apply the step."""

@@ -120,7 +120,10 @@ def golden_schema(kinds: Iterable[str]) -> dict[str, Any]:
         definitions.update(check.schema.get("$defs", {}))
         branches.append(
             {
-                "if": {"properties": {"kind": {"const": kind}}, "required": ["kind"]},
+                "if": {
+                    "properties": {"kind": {"const": kind, **_described("kind")}},
+                    "required": ["kind"],
+                },
                 "then": _fragment(check),
             }
         )
@@ -140,9 +143,12 @@ def golden_schema(kinds: Iterable[str]) -> dict[str, Any]:
 def _fragment(check: Check) -> dict[str, Any]:
     """Schema of what a kind declares: target, stimulus, names and units of tolerances."""
     properties: dict[str, Any] = {
-        name: check.schema[name] for name in ("target", "stimulus") if name in check.schema
+        name: {**_described(name), **check.schema[name]}
+        for name in ("target", "stimulus")
+        if name in check.schema
     }
     properties["tolerance"] = {
+        **_described("tolerance"),
         "type": "object",
         "properties": {
             name: tolerance_schema(unit) for name, unit in sorted(check.tolerances.items())
@@ -155,6 +161,11 @@ def _fragment(check: Check) -> dict[str, Any]:
         name for name in ("target", "stimulus") if properties.get(name, {}).get("required")
     ]
     return {"properties": properties, "required": required}
+
+
+def _described(name: str) -> dict[str, str]:
+    """Description of a field of every kind, so that editors show it below a kind too."""
+    return {"description": str(_COMMON[name]["description"])}
 
 
 def _write_shipped_schema() -> None:

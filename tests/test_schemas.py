@@ -1,4 +1,4 @@
-"""Schemas of results: every field that a reader may meet is described."""
+"""Schemas of specs and results: every field that a reader may meet is described."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ import pytest
 
 from pytest_twin.formats.schema import load_schema
 
-RESULTS = sorted(
-    file.name.removesuffix(".schema.json")
-    for file in (resources.files("pytest_twin") / "schemas" / "results").iterdir()
+FOLDER = resources.files("pytest_twin") / "schemas"
+SCHEMAS = sorted(
+    f"{place}{file.name}"
+    for place, folder in (("", FOLDER), ("results/", FOLDER / "results"))
+    for file in folder.iterdir()
+    if file.name.endswith(".json")
 )
 
 
@@ -33,9 +36,9 @@ def properties(schema: Any, place: str = "") -> Iterator[tuple[str, dict[str, An
             yield from properties(inner, place)
 
 
-@pytest.mark.parametrize("name", RESULTS)
-def test_every_property_of_a_result_is_described(name: str) -> None:
-    found = list(properties(load_schema(f"results/{name}.schema.json")))
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_every_property_of_a_schema_is_described(name: str) -> None:
+    found = list(properties(load_schema(name)))
     assert len(found) > 3
     assert [place for place, one in found if not one.get("description", "").strip()] == []
 
