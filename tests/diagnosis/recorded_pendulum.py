@@ -6,6 +6,7 @@ the writer of recordings comes from the package.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -119,25 +120,27 @@ def simulate(seed: int, reality: Reality, seconds: float) -> dict[str, np.ndarra
     late = round(reality.delay / STEP)
     follows = np.concatenate([np.full(late, follows[0]), follows])[: len(time)]
     inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
-    keep = np.exp(-STEP / reality.lag) if reality.lag else 0.0
+    keep = math.exp(-STEP / reality.lag) if reality.lag else 0.0
     kp, kv = KP * reality.stiffness, KV * reality.damping
+    damping, braked = DAMPING + reality.viscous, STEP * (DRY * reality.dry) / inertia
     q = v = torque = 0.0
-    out = np.empty((4, len(time)))
-    for k, u in enumerate(follows):
+    moved = []
+    # Plain numbers are several times as fast here as NumPy's.
+    for u in follows.tolist():
         if reality.driven:
             demand = u
         else:
             error = u - q
-            error -= np.clip(error, -reality.play, reality.play)
+            error -= min(max(error, -reality.play), reality.play)
             demand = kp * error - kv * v
         torque = keep * torque + (1.0 - keep) * demand
-        out[:, k] = q, v, kp * (u - q) - kv * v if not reality.driven else u, torque
-        pull = torque + MASS * GRAVITY * LENGTH * np.sin(q) - (DAMPING + reality.viscous) * v
-        level = DRY * reality.dry
-        moved = v + STEP * pull / inertia
+        moved.append((q, v, kp * (u - q) - kv * v if not reality.driven else u, torque))
+        pull = torque + MASS * GRAVITY * LENGTH * math.sin(q) - damping * v
+        v += STEP * pull / inertia
         # Dry friction stops the joint, and does not reverse it.
-        v = np.sign(moved) * max(abs(moved) - STEP * level / inertia, 0.0)
+        v = math.copysign(max(abs(v) - braked, 0.0), v)
         q += STEP * v
+    out = np.array(moved).T
     return {
         "time": time, "position": out[0], "velocity": out[1], "demand": out[2], "torque": out[3],
         "stamps": stamps, "values": values,

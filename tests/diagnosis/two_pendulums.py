@@ -6,6 +6,7 @@ the writer of recordings comes from the package.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -69,32 +70,34 @@ def simulate(
         magnet: largest torque of a magnet at ``MAGNET_AT``, N*m.
         joint: index of the joint with these effects.
     """
-    joints = setpoints.shape[1]
+    columns = []
+    for j, column in enumerate(setpoints.T):
+        hidden = (delay, viscous, lag, dry, magnet) if j == joint else (0.0,) * 5
+        columns.append(_moved(column.tolist(), *hidden))
+    return np.stack(columns, axis=1)
+
+
+def _moved(
+    setpoints: list[float], delay: float, viscous: float, lag: float, dry: float, magnet: float
+) -> list[float]:
+    """Positions of one joint; plain numbers are ten times as fast here as small arrays."""
     inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
-    delayed = np.zeros(joints, int)
-    delayed[joint] = round(delay / STEP)
-    damping = np.full(joints, DAMPING)
-    damping[joint] += viscous
-    keep = np.zeros(joints)
-    keep[joint] = np.exp(-STEP / lag) if lag else 0.0
-    level = np.zeros(joints)
-    level[joint] = dry
-    pull = np.zeros(joints)
-    pull[joint] = magnet
-    given = np.zeros(joints)
-    q, v = np.zeros(joints), np.zeros(joints)
-    out = np.empty_like(setpoints)
-    columns = np.arange(joints)
-    for k in range(len(setpoints)):
-        out[k] = q
-        sent = setpoints[np.maximum(k - delayed, 0), columns]
-        demand = np.clip(KP * (sent - q) - KV * v, -LIMIT, LIMIT)
+    delayed = round(delay / STEP)
+    damping = DAMPING + viscous
+    keep = math.exp(-STEP / lag) if lag else 0.0
+    braked = STEP * dry / inertia
+    given = q = v = 0.0
+    out = []
+    for sent in [setpoints[0]] * delayed + setpoints[: len(setpoints) - delayed]:
+        out.append(q)
+        demand = min(max(KP * (sent - q) - KV * v, -LIMIT), LIMIT)
         given = demand + keep * (given - demand)
-        distance = (q - MAGNET_AT) / MAGNET_WIDTH
-        effort = given - damping * v + MASS * 9.81 * LENGTH * np.sin(q)
-        effort -= pull * distance * np.exp((1.0 - distance**2) / 2.0)
+        effort = given - damping * v + MASS * 9.81 * LENGTH * math.sin(q)
+        if magnet:
+            distance = (q - MAGNET_AT) / MAGNET_WIDTH
+            effort -= magnet * distance * math.exp((1.0 - distance**2) / 2.0)
         v = v + STEP * effort / inertia
-        v = np.sign(v) * np.maximum(np.abs(v) - STEP * level / inertia, 0.0)
+        v = math.copysign(max(abs(v) - braked, 0.0), v)
         q = q + STEP * v
     return out
 
