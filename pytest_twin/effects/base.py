@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.fast_clip import fast_clip
 from pytest_twin.effects.motor_side import Gear, MotorSide
 from pytest_twin.old_names import old_name
 from pytest_twin.trial import CommandMode
@@ -240,6 +241,7 @@ class World:
             warmest.
         motor: state of the motor sides; None where all transmissions are rigid.
         state: memory of effects between steps, by effect id.
+        has_setpoint_range: whether any command has a limited range; None until the first step.
     """
 
     time: FloatArray
@@ -267,6 +269,7 @@ class World:
     cold_fraction: FloatArray = field(default_factory=lambda: np.ones(1))
     motor: MotorSide | None = None
     state: dict[str, Any] = field(default_factory=dict)
+    has_setpoint_range: bool | None = None
 
     @property
     def motor_position(self) -> FloatArray:
@@ -277,6 +280,14 @@ class World:
     def motor_velocity(self) -> FloatArray:
         """Motor velocities, converted to the joint side."""
         return self.velocity if self.motor is None else self.motor.speed
+
+    def limit_setpoint(self) -> None:
+        """Limit the commands to the range that the drives accept."""
+        low, high = self.least_setpoint, self.greatest_setpoint
+        if self.has_setpoint_range is None:
+            self.has_setpoint_range = bool((low > -np.inf).any() or (high < np.inf).any())
+        if self.has_setpoint_range:
+            self.setpoint = fast_clip(self.setpoint, low, high)
 
     def push_motor(self, effort: FloatArray) -> None:
         """Add effort on the motor side of the transmission, N*m or N at the joint."""
@@ -298,12 +309,11 @@ class World:
         Args:
             position, velocity: (rows, joints) state of the motors, converted to the joint side.
         """
-        return (
-            self.gain * self.setpoint
-            - self.stiffness * position
-            - self.damping * velocity
-            + self.offset
-        )
+        effort = self.gain * self.setpoint
+        effort -= self.stiffness * position
+        effort -= self.damping * velocity
+        effort += self.offset
+        return effort
 
     asked = old_name("asked", "control_effort")
     coldness = old_name("coldness", "cold_fraction")

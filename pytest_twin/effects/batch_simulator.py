@@ -453,8 +453,10 @@ class BatchSimulator:
         )
         pushes = bool(hooks["force"] or hooks["drive"] or hooks["gear"] or by_hand)
         apart = written.apart.any()
+        has_own_bounds = False
 
         def before(k: int) -> None:
+            nonlocal has_own_bounds
             world.time = start + k * self.timestep
             q[k], v[k] = qpos[:, at_qpos], qvel[:, at_dof]
             world.position, world.velocity = q[k], v[k]
@@ -470,9 +472,11 @@ class BatchSimulator:
             bounds = world.lower, world.upper
             native = run_hooks(world, hooks, drives=needs_drive)
             if hooks["servo"]:
-                if written.force_range is not None:
+                own = world.lower is bounds[0] and world.upper is bounds[1]
+                if written.force_range is not None and not (own and has_own_bounds):
                     self.models.write_bounds(written.force_range, world)
                 world.lower, world.upper = bounds
+                has_own_bounds = own
             if written.friction is not None:
                 level_now = np.maximum(world.friction_level, 0.0)
                 written.friction[:, at_dof] = (
@@ -482,8 +486,8 @@ class BatchSimulator:
                 # On a rigid joint the engine applies the control law itself. The motor of an
                 # elastic transmission is not part of the engine's model.
                 added = world.delivered - native
-                world.applied += np.where(written.apart, 0.0, added)
-                effort[k] = np.where(written.apart, world.delivered, added)
+                world.applied += np.where(written.apart, 0.0, added) if apart else added
+                effort[k] = np.where(written.apart, world.delivered, added) if apart else added
             if by_hand:
                 by_command = np.where(written.apart, 0.0, world.setpoint)[:, bare]
                 world.applied[:, bare] += by_command

@@ -43,7 +43,7 @@ def run_hooks(world: World, hooks: Hooks, *, drives: bool = True) -> FloatArray:
         world.motor.meet(world.position, world.velocity)
     for effect, v in hooks["command"]:
         effect.command(world, v)
-    world.setpoint = fast_clip(world.setpoint, world.least_setpoint, world.greatest_setpoint)
+    world.limit_setpoint()
     for effect, v in hooks["servo"]:
         effect.servo(world, v)
     native = world.delivered

@@ -117,6 +117,7 @@ class MotorSide:
 
     Attributes:
         apart: where the transmission is not rigid; elsewhere the motor is part of the link.
+        all_apart: whether it is rigid nowhere.
         angle, speed: motor state, converted to the joint side.
         constant: constant effort on the motor.
         applied: effort on the motor in this step, without the drive's.
@@ -129,6 +130,7 @@ class MotorSide:
     """
 
     apart: NDArray[np.bool_]
+    all_apart: bool
     angle: FloatArray
     speed: FloatArray
     constant: FloatArray
@@ -168,15 +170,17 @@ class MotorSide:
         play = bool(gear.gap.any())
         inert = momentum + motor.damping
         return cls(
-            gear.apart, position + np.where(gear.apart, stretch, 0.0), velocity.copy(), constant,
-            constant, np.zeros_like(constant), stiffness, pull, gear.gap / 2.0 if play else None,
-            momentum, inert if play else inert + pull, motor.servo,
+            gear.apart, bool(gear.apart.all()), position + np.where(gear.apart, stretch, 0.0),
+            velocity.copy(), constant, constant, np.zeros_like(constant), stiffness, pull,
+            gear.gap / 2.0 if play else None, momentum, inert if play else inert + pull,
+            motor.servo,
         )  # fmt: skip
 
     def meet(self, position: FloatArray, velocity: FloatArray) -> None:
         """Begin a step: with a rigid transmission the motor has the link's state."""
-        self.angle = np.where(self.apart, self.angle, position)
-        self.speed = np.where(self.apart, self.speed, velocity)
+        if not self.all_apart:
+            self.angle = np.where(self.apart, self.angle, position)
+            self.speed = np.where(self.apart, self.speed, velocity)
         self.applied, self.drag = self.constant.copy(), np.zeros(self.constant.shape)
 
     def step(
@@ -225,4 +229,6 @@ class MotorSide:
             flat = half == 0.0
             transmitted = np.where(flat, transmitted, flank * np.maximum(flank * transmitted, 0.0))
         self.angle, self.speed = self.angle + timestep * moving, moving
+        if self.all_apart:
+            return transmitted
         return np.where(self.apart, transmitted, self.applied - self.drag * velocity)

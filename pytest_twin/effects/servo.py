@@ -313,17 +313,18 @@ class _SampleAge:
 
     Attributes:
         shape: (samples, rows, joints).
-        whole: (samples, rows * joints) number of steps back to the step that contains the sample.
-        since: (samples, rows * joints) time from the start of that step to the sample, s.
+        before: (samples, rows * joints) index of the step before each sample, relative to that of
+            the present step, into (steps, columns) without their end: it may be negative.
+        after: the same of the step after each sample.
+        since: (samples, rows * joints) time from the step before to the sample, s.
         half_share: half of ``since``, in steps.
-        column: (rows * joints,) indices of the columns.
     """
 
     shape: tuple[int, ...]
-    whole: NDArray[np.int64]
+    before: NDArray[np.int64]
+    after: NDArray[np.int64]
     since: FloatArray
     half_share: FloatArray
-    column: NDArray[np.int64]
 
     @classmethod
     def of(cls, ago: FloatArray, step: float) -> _SampleAge:
@@ -331,15 +332,19 @@ class _SampleAge:
         flat = ago.reshape(len(ago), -1)
         whole = np.maximum(np.ceil(flat / step), 0.0).astype(np.int64)
         since = whole * step - flat
-        return cls(ago.shape, whole, since, 0.5 * since / step, np.arange(flat.shape[1]))
+        column = np.arange(flat.shape[1])
+        before, after = (column - back * len(column) for back in (whole, np.maximum(whole - 1, 0)))
+        return cls(ago.shape, before, after, since, 0.5 * since / step)
 
     def at(self, count: int, steps: int) -> NDArray[np.int64]:
-        """Indices, into (steps, columns), of the step before each sample."""
-        found: NDArray[np.int64] = (count - 1 - self.whole) % steps * len(self.column) + self.column
+        """Indices, into (steps, columns), of the step before each sample.
+
+        Negative ones count from the end, as in a ring.
+        """
+        found: NDArray[np.int64] = self.before + (count - 1) % steps * self.before.shape[1]
         return found
 
     def later(self, count: int, steps: int) -> NDArray[np.int64]:
         """Of the step after each."""
-        back = np.maximum(self.whole - 1, 0)
-        found: NDArray[np.int64] = (count - 1 - back) % steps * len(self.column) + self.column
+        found: NDArray[np.int64] = self.after + (count - 1) % steps * self.after.shape[1]
         return found
