@@ -203,19 +203,15 @@ def _to_the_floor(
 
 
 def from_start(selection: StepwiseSelection, start: Hypothesis) -> SelectedModel:
-    """Select effects, starting from a hypothesis or, without one, from the structure search.
+    """Select effects by the structure search, from the nominal model or from a hypothesis.
 
-    The structure search needs a third of the simulations of a selection from the nominal model. A
-    second search, which ends early unless it explains more, starts from the nominal model.
+    Then the stepwise selection removes and exchanges effects, and adds some if the structure
+    search ended early.
     """
     comparison, budget = selection.comparison, selection.diagnosis_run.budget
-    if start.terms:
-        with budget.reserved():
-            rival = comparison.score_without_fit(start)
-        return selection.run(comparison.fit_to_convergence(rival))
-    if selection.share_left < 1.0:
-        return selection.run()
-    chosen = _structure(selection)
+    if not start.terms and not selection.can_explain_enough():
+        return SelectedModel(comparison.nominal, comparison.nominal, tried=comparison.tried)
+    chosen = _structure(selection, start)
     with budget.reserved():
         rival = comparison.score_without_fit(chosen.model.hypothesis, slopes=True)
     if chosen.has_left:
@@ -225,7 +221,7 @@ def from_start(selection: StepwiseSelection, start: Hypothesis) -> SelectedModel
     return selection.run(rival if rival.hypothesis.terms else None)
 
 
-def _structure(selection: StepwiseSelection) -> Result:
+def _structure(selection: StepwiseSelection, start: Hypothesis) -> Result:
     """Run the structure search with the criterion of the selection for an early end."""
     problem = selection.problem
 
@@ -233,7 +229,7 @@ def _structure(selection: StepwiseSelection) -> Result:
         none = np.zeros((*model.residual.shape, 0))
         return selection.leave(ScoredModel(as_fitted(problem, model, none), model.validation))
 
-    return StructureSearch(problem, selection.diagnosis_run, leave=leave).run()
+    return StructureSearch(problem, selection.diagnosis_run, leave=leave).run(start)
 
 
 def confirm(

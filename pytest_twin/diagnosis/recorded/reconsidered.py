@@ -54,6 +54,7 @@ def with_fewer_effects(
         least = _without_one(found, selection.comparison)
         if least is None:
             continue
+        selection.has_nothing_to_add = True
         selected = selection.run(selection.comparison.fit_to_convergence(least))
         other = conclude(prepared, trials, selection, selected)
         if _fewer(other, found if best is None else best[0]):

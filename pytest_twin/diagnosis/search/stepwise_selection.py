@@ -24,7 +24,6 @@ from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, limits_instead
 from pytest_twin.diagnosis.search.linearized_shortlist import (
-    LinearizedShortlist,
     fit_and_score_linearized,
     linearized_shortlist,
 )
@@ -94,7 +93,7 @@ class StepwiseSelection:
             problem: the problem.
             run: the running diagnosis.
             share_left: largest share of the nominal squared error that may remain. Below 1, the
-                search ends if no set leaves less in the linearized motion, or after one shortlist.
+                nominal model is kept if no set leaves less in the linearized motion.
             leave: whether the search ends at a model; called after each addition until a restart.
         """
         self.problem = problem
@@ -102,7 +101,6 @@ class StepwiseSelection:
         self.share_left = share_left
         self.leave = leave
         self.has_left_off = False
-        self.attempts = SELECTION.attempts if share_left >= 1.0 else 1
         self.comparison = ModelComparison(problem, self.diagnosis_run)
         self.restarted_from: tuple[Term, ...] = ()
         self.has_nothing_to_add = False
@@ -340,7 +338,7 @@ class StepwiseSelection:
             self.known_sensitivities[term] = [
                 r for r in linearized.candidate_sensitivities.responses if r.term == term
             ]
-        for _ in range(self.attempts):
+        for _ in range(SELECTION.attempts):
             rivals = [] if self._is_spent(best) else self.simulated_shortlist(best, linearized)
             if not rivals:
                 break
@@ -387,7 +385,7 @@ class StepwiseSelection:
     ) -> list[ScoredModel]:
         """Models of the shortlist, fitted by simulation; the largest evidence is first."""
         found = linearized_shortlist(self.comparison, best, linearized)
-        if found is None or self._is_hopeless(found):
+        if found is None:
             return []
         starts, left = simulation_shortlist(self.problem, best, linearized, found), found.left
         if not starts:
@@ -409,14 +407,23 @@ class StepwiseSelection:
         self.shortlist = []
         return rivals
 
-    def _is_hopeless(self, found: LinearizedShortlist) -> bool:
-        """Whether the best set in the linearized motion leaves more than ``share_left``."""
+    def can_explain_enough(self) -> bool:
+        """Whether some set leaves at most ``share_left`` of the error in the linearized motion."""
         if self.share_left >= 1.0:
+            return True
+        nominal = self.comparison.nominal
+        try:
+            linearized = linearize_for_additions(self.problem, nominal)
+            found = linearized_shortlist(self.comparison, nominal, linearized)
+        except OutOfTime:
+            return False
+        if found is None:
             return False
         floor = self.problem.signal_floor
-        whole = self.comparison.nominal.fitted.mean_square
-        share = float(np.sum(found.left / floor**2) / np.sum(whole / floor**2))
-        return share > self.share_left
+        whole = nominal.fitted.mean_square
+        return float(np.sum(found.left / floor**2)) <= self.share_left * float(
+            np.sum(whole / floor**2)
+        )
 
     def eliminate(self, best: ScoredModel) -> ScoredModel:
         """The best fit after backward elimination.
