@@ -38,13 +38,27 @@ def fit_terms(problem: Problem, terms: Sequence[Term], first: FloatArray) -> Hyp
 
 
 def fit_best_start(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis:
-    """Continue the fit whose start has the lowest error after some iterations."""
+    """Continue the fit whose start has the lowest error after some iterations.
+
+    The fit is repeated with the discretization error at its own result.
+    """
     apart = [h for k, h in enumerate(starts) if all(not _same(h, g) for g in starts[:k])]
     weights = _weights(problem, apart)
     if len(apart) > 1:
         tried = fit(problem, apart, weights, problem.fit, iterations=_LOOK, slopes=False)
         apart = [min(tried, key=lambda one: one.cost).hypothesis]
     (found,) = fit(problem, apart, weights, problem.fit, iterations=ITERATIONS, slopes=False)
+    return refitted(problem, with_possible_totals(problem, found.hypothesis))
+
+
+def refitted(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """Fit a hypothesis again with the discretization error of the simulator at its parameters.
+
+    That error depends on the motion: at the limit of a drive it is not that of the model's motion.
+    """
+    problem.refine_at(hypothesis)
+    weights = _weights(problem, [hypothesis])
+    (found,) = fit(problem, [hypothesis], weights, problem.fit, iterations=ITERATIONS, slopes=False)
     return with_possible_totals(problem, found.hypothesis)
 
 
@@ -71,6 +85,7 @@ def add_effects(
     present = {term.effect for term in base.terms}
     left = [name for name in effects if name not in present and terms_at([name], modes)]
     while left:
+        problem.refine_at(base)
         looked = _looked(problem, base, {n: _added(base, n, modes) for n in left})
         left = [name for name in left if name in looked]
         if not left:
@@ -81,9 +96,8 @@ def add_effects(
         tried = fit(problem, starts, weights, problem.fit, iterations=ITERATIONS, slopes=False)
         best = min(range(len(tried)), key=lambda k: tried[k].cost)
         left.remove(foremost[best])
-        merged = take_better_terms(
-            problem, base, with_possible_totals(problem, tried[best].hypothesis)
-        )
+        better = refitted(problem, with_possible_totals(problem, tried[best].hypothesis))
+        merged = take_better_terms(problem, base, better)
         if set(merged.terms) != set(base.terms):
             base = merged
     return base
@@ -111,6 +125,7 @@ def take_better_terms(problem: Problem, before: Hypothesis, after: Hypothesis) -
 
 def with_derivatives(problem: Problem, hypothesis: Hypothesis) -> Fitted:
     """Compute the derivatives of a prediction, without changing the hypothesis."""
+    problem.refine_at(hypothesis)
     residual = problem.residuals([hypothesis], problem.fit)[0]
     weights = problem.weights(np.mean(residual**2, axis=0))
     return fit(problem, [hypothesis], weights, problem.fit, iterations=0)[0]
@@ -123,7 +138,11 @@ def held_out_error(problem: Problem, hypothesis: Hypothesis) -> float:
 
 
 def _in_floors(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
-    """(n, joints) held-out position errors, in multiples of the noise floor."""
+    """(n, joints) held-out position errors, in multiples of the noise floor.
+
+    They are corrected for the discretization error at the parameters of the hypothesis.
+    """
+    problem.refine_at(hypothesis)
     residual = problem.residuals([hypothesis], problem.tested)[0]
     return np.asarray(residual[:, : len(problem.joints)] / problem.floor)
 

@@ -217,6 +217,7 @@ def _together(
     if not found.terms:
         why = "no stage before was accepted: there is nothing to fit together"
         return found, list(stages), Stage(name, "not_observable", why, (), None, EXCLUDES[name])
+    problem.refine_at(found)
     residual = problem.residuals([found], problem.fit)[0]
     weights = problem.weights(np.mean(residual**2, axis=0))
     (tried,) = fit(problem, [found], weights, problem.fit, iterations=_LAST, slopes=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -93,10 +94,21 @@ def terms_at(names: Sequence[str], modes: Sequence[str]) -> list[Term]:
 
 
 def starts_of(effect: str) -> list[tuple[float, ...]]:
-    """Return starting values of an effect's parameters, in multiples of their scales."""
+    """Return starting values of an effect's parameters, in multiples of their scales.
+
+    Each form of an effect has all starting values: a fit does not change a choice.
+    """
     parameters = catalogue()[effect].parameters
-    count = max(len(p.starts) for p in parameters)
-    return [tuple(p.starts[min(k, len(p.starts) - 1)] for p in parameters) for k in range(count)]
+    count = max(len(p.starts) for p in parameters if not p.choice)
+    forms = product(*(p.starts if p.choice else (None,) for p in parameters))
+    return [
+        tuple(
+            p.starts[min(k, len(p.starts) - 1)] if chosen is None else chosen
+            for p, chosen in zip(parameters, form, strict=True)
+        )
+        for form in forms
+        for k in range(count)
+    ]
 
 
 def start(terms: Sequence[Term], scales: Scales, first: FloatArray) -> Hypothesis:
