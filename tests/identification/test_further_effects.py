@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from test_identify_simulation import MODEL, NOMINAL
+from test_identify_simulation import MODEL, NOMINAL, REAL
 
+from pytest_twin import cli
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
@@ -72,12 +74,12 @@ def with_lag(time_constant: float) -> Drive:
     return drive
 
 
-def write_trial(path: Path, seed: int, drive: Drive) -> Path:
+def write_trial(path: Path, seed: int, drive: Drive, robot: Mapping[str, float] = NOMINAL) -> Path:
     """Write a run of a pendulum whose servo drives it through a drive that the model lacks."""
     servo = f'<position name="servo" joint="swing" kp="{{kp}}" kv="{DAMPING}"/>'
     text = MODEL.replace(servo, '<motor name="servo" joint="swing"/>')
     assert text != MODEL
-    model = mujoco.MjModel.from_xml_string(text.format(**NOMINAL))
+    model = mujoco.MjModel.from_xml_string(text.format(**robot))
     model.opt.timestep = INTERVAL
     data = mujoco.MjData(model)
     random = np.random.default_rng(seed)
@@ -89,7 +91,7 @@ def write_trial(path: Path, seed: int, drive: Drive) -> Path:
         rows.append((time, data.qpos[0] + 1e-3 * random.standard_normal(), command))
         for _ in range(STEPS):
             position, velocity = float(data.qpos[0]), float(data.qvel[0])
-            effort = NOMINAL["kp"] * (command - position) - DAMPING * velocity
+            effort = robot["kp"] * (command - position) - DAMPING * velocity
             data.ctrl[0] = drive(effort, velocity)
             mujoco.mj_step(model, data)
     head = "time,swing.position,swing.command"
@@ -145,3 +147,27 @@ def test_the_drive_stage_adds_the_effect_that_the_drive_has(
     }
     assert reported[parameter] == pytest.approx(value, rel=0.03)
     assert held_out_error(problem, found) < 1.2 < 0.25 * held_out_error(problem, EMPTY)
+
+
+def test_friction_is_fitted_again_once_the_limit_of_the_drive_is_known(tmp_path: Path) -> None:
+    """Without the limit no friction explains the motion, and the friction stage comes first."""
+    (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
+    one, two, held = (
+        str(write_trial(tmp_path / f"{name}.csv", seed, limited(1.0), REAL))
+        for seed, name in enumerate("abc", 1)
+    )
+    words = ["identify", str(tmp_path / "model.xml"), one, two, "--held-out", held]
+    assert cli.main([*words, "--command-between", "held", "--out", str(tmp_path / "out")]) == 0
+    document = json.loads((tmp_path / "out/identification.json").read_text())
+    stages = {stage["stage"]: stage for stage in document["stages"]}
+    assert stages["friction"]["state"] == "reopened"
+    assert "fitted again with what later stages had found" in stages["friction"]["why"]
+    assert stages["friction"]["parameters"] == ["swing.viscous_friction", "swing.coulomb_friction"]
+    together = stages["closed_loop"]["held_out"]
+    assert together["after"] < 1.0 < 0.2 * together["before"]
+    found = {name: one["value"] for name, one in document["parameters"].items()}
+    added = REAL["damping"] - NOMINAL["damping"]
+    assert found["swing.viscous_friction"] == pytest.approx(added, abs=0.03)
+    assert found["swing.coulomb_friction"] == pytest.approx(REAL["friction"], abs=0.03)
+    gain = REAL["kp"] / NOMINAL["kp"] - 1.0
+    assert found["swing.controller_gain.stiffness_error"] == pytest.approx(gain, abs=0.03)

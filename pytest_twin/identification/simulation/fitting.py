@@ -152,8 +152,7 @@ def _looked(
 ) -> dict[str, Fitted]:
     """Effect -> the best fit after one step from its starts; only effects that reduce the error.
 
-    Derivatives by the parameters of the base are those at the base. Derivatives by the parameters
-    of the effect are computed at its starts.
+    Where a start has the values of the base, the derivatives by them are those at the base.
     """
     weights = _weights(problem, [base])
     (here,) = fit(problem, [base], weights, problem.fit, iterations=0)
@@ -162,7 +161,8 @@ def _looked(
     moved, steps, places = [], [], []
     for row, h in enumerate(every):
         (which,) = np.nonzero(h.movable)
-        kept = len(h.without(*(t for t in h.terms if t not in base.terms)).theta)
+        known = _has_values_of(h, base)
+        kept = len(h.without(*(t for t in h.terms if t not in base.terms)).theta) if known else 0
         for k, nearby, step in zip(which.tolist(), *finite_differences(h), strict=True):
             if k >= kept:
                 moved.append(nearby)
@@ -172,7 +172,7 @@ def _looked(
     for h, left in zip(every, residual, strict=True):
         columns = np.zeros((*left.shape, h.theta.size))
         for term in base.terms:
-            if term in h.terms and here.jacobian.size:
+            if term in h.terms and here.jacobian.size and _has_values_of(h, base):
                 columns[..., h.slice_of(term)] = here.jacobian[..., base.slice_of(term)]
         slopes.append(columns)
     for (row, k), step, left in zip(
@@ -192,8 +192,36 @@ def _looked(
 def _added(base: Hypothesis, name: str, modes: Sequence[str]) -> list[Hypothesis]:
     """Return the base with an effect at all its joints, one hypothesis for each starting value.
 
-    The effect replaces its special cases in the base.
+    The effect replaces its special cases in the base. Starts are needed from the base and from the
+    model's own values: without the limit of a drive, a fit of its gain may end far off.
     """
+    found = _with_effect(base, name, modes)
+    bare = base.with_theta(
+        np.concatenate([np.zeros(0), *(_neutral(term, base) for term in base.terms)])
+    )
+    return found if _has_values_of(bare, base) else [*found, *_with_effect(bare, name, modes)]
+
+
+def _neutral(term: Term, base: Hypothesis) -> FloatArray:
+    """(parameters,) neutral values of a term, or its own where a parameter has none."""
+    own = base.theta[base.slice_of(term)]
+    return np.array([
+        value if p.neutral is None else p.neutral
+        for p, value in zip(term.parameters, own, strict=True)
+    ])  # fmt: skip
+
+
+def _has_values_of(one: Hypothesis, base: Hypothesis) -> bool:
+    """Whether the terms of the base that a hypothesis has are at the base's values in it."""
+    return all(
+        np.array_equal(one.theta[one.slice_of(term)], base.theta[base.slice_of(term)])
+        for term in base.terms
+        if term in one.terms
+    )
+
+
+def _with_effect(base: Hypothesis, name: str, modes: Sequence[str]) -> list[Hypothesis]:
+    """The base with an effect at all its joints, for each starting value."""
     terms = [term for term in terms_at([name], modes) if term not in base.terms]
     special = {
         t: base.theta[base.slice_of(t)]

@@ -22,12 +22,14 @@ from pytest_twin.diagnosis.recorded import RecordedSignals, determine_signals
 from pytest_twin.diagnosis.search_result import build_problem, joint_errors, residuals_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.identification.simulation.equation_error import first_values
 from pytest_twin.identification.simulation.fitting import (
     LEAST_GAIN,
     add_effects,
     fit_terms,
     held_out_error,
+    refitted,
     take_better_terms,
     with_derivatives,
     with_possible_totals,
@@ -120,6 +122,10 @@ def identify_simulation(
                 stage_of[term] = name
             progress((k + 1) / (len(SIMULATED) + 1))
         found, last, whole = _together(problem, found, stage_of, stages, modes)
+        if found.terms and held_out_error(problem, found) > VERDICT.stands_out:
+            found, last, whole = _asked_again(
+                given, used, prepared, (found, last, whole), stage_of, first, modes
+            )
         undetermined = undetermined_terms(problem, found, modes)
         stages = [*(_as_the_model_says(one, undetermined) for one in last), whole]
         slopes = with_derivatives(problem, found)
@@ -172,6 +178,72 @@ def _stage(
     if stage.state != "accepted":
         return stage, EMPTY
     return stage, kept
+
+
+_FURTHER_EFFECTS = frozenset(effect for each in FURTHER.values() for effect in each)
+
+
+def _asked_again(
+    given: ModelSetup,
+    trials: TrialSet,
+    whole: Prepared,
+    before: tuple[Hypothesis, list[Stage], Stage],
+    stage_of: dict[Term, StageName],
+    first: FloatArray,
+    modes: Sequence[str],
+) -> tuple[Hypothesis, list[Stage], Stage]:
+    """Fit each stage again if a residual remains, with what later stages have found.
+
+    The first time a stage was fitted without the effects of later ones: a friction stage cannot
+    succeed while the drive lacks its limit. All parameters are then fitted together, and stay as
+    they were if the held-out error does not fall.
+
+    Args:
+        before: fitted terms, stages, and the stage that fits all together.
+        stage_of: term -> stage that fits it; new terms are added.
+    """
+    problem = whole.problem
+    found, stages, together = before
+    error = held_out_error(problem, found)
+    for name in SIMULATED:
+        others = found.without(*(t for t in found.terms if stage_of[t] == name))
+        # Further effects stay as they are. Friction, gains and armature, which compensate for one
+        # another, are free again.
+        frozen = others.without(*(t for t in others.terms if t.effect not in _FURTHER_EFFECTS))
+        _, accepted = _stage(given, trials, whole, name, frozen, first, modes)
+        if not accepted.terms:
+            continue
+        proposed = others
+        for term in accepted.terms:
+            proposed = proposed.with_term_of(accepted, term)
+        merged = take_better_terms(problem, found, refitted(problem, proposed))
+        less = held_out_error(problem, merged)
+        if less > (1.0 - LEAST_GAIN) * error:
+            continue
+        for term in merged.terms:
+            stage_of.setdefault(term, name)
+        why = (
+            f"fitted again with what later stages had found, and the held-out error falls from "
+            f"{error:.3g} to {less:.3g} noise floors"
+        )
+        stages = [
+            replace(one, state="reopened", why=f"{one.why}; {why}") if one.name == name else one
+            for one in stages
+        ]
+        found, error = merged, less
+    if found is before[0]:
+        return before
+    words = {
+        name: tuple(
+            f"{place_of(problem, t)}.{t.effect}" for t in found.terms if stage_of[t] == name
+        )
+        for name in SIMULATED
+    }
+    stages = [replace(one, parameters=words[one.name]) for one in stages]
+    held = HeldOut(together.held_out.before if together.held_out else error, error, "noise floors")
+    every = tuple(f"{place_of(problem, t)}.{t.effect}" for t in found.terms)
+    together = judge_stage(replace(together, why="", parameters=every), held)
+    return found, stages, together
 
 
 def _as_the_model_says(stage: Stage, undetermined: Mapping[Term, StageName]) -> Stage:
