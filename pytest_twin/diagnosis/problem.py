@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -17,6 +19,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 
+T = TypeVar("T")
 # Hypotheses whose discretization errors are kept in memory.
 _CACHED_HYPOTHESES = 16
 REFINE = 4
@@ -106,6 +109,7 @@ class Problem:
     _refined_at: dict[_Key, tuple[dict[int, Predicted], FreeInitialStates]] = field(
         default_factory=dict
     )
+    _kept: tuple[tuple[object, ...], Any] | None = field(default=None, init=False)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -227,6 +231,40 @@ class Problem:
         if hypothesis.is_rough:
             return q, v, self.predict([hypothesis], segments)[0]
         return q, v, [self._corrected(int(s), p, 1.0) for s, p in zip(segments, read, strict=True)]
+
+    def count_trajectories(self, hypothesis: Hypothesis, segments: NDArray[np.int64]) -> None:
+        """Count the steps of :meth:`trajectories_with_readings`, whose result is known.
+
+        Limits of simulations then do not depend on what is kept.
+        """
+        self.simulator.count(segments)
+        if hypothesis.is_rough:
+            (self.refined or self.simulator).count(segments, repeated=True)
+
+    def kept(
+        self, hypothesis: Hypothesis, segments: NDArray[np.int64], make: Callable[[], T]
+    ) -> tuple[T, bool]:
+        """What ``make`` returns for a hypothesis, and whether it is kept from the last call.
+
+        It is kept while hypothesis, segments and the state of the problem are the same.
+        """
+        state: tuple[object, ...] = (
+            *self.simulator.segments, self.simulator, self.refined, self.scales,
+            self.position_weights, self.effort_weights, self.discretization_error, self.starts,
+            self.free,
+        )  # fmt: skip
+        noise = self.floor, self.start_noise, self.effort_floor
+        values = hypothesis.terms, *(
+            None if x is None else x.tobytes() for x in (hypothesis.theta, segments, *noise)
+        )  # fmt: skip
+        if self._kept is not None:
+            (known_values, *known), result = self._kept
+            same = len(known) == len(state) and all(map(operator.is_, known, state))
+            if known_values == values and same:
+                return result, True
+        made = make()
+        self._kept = (values, *state), made
+        return made, False
 
     def _corrected(self, segment: int, p: Predicted, share: float) -> Predicted:
         error = self.discretization_error.get(segment)

@@ -190,7 +190,7 @@ class BatchSimulator:
         """
         effects = active_effects(with_fixed(values, self.fixed, len(rows)))
         q, v, _ = self._moved(rows, effects)
-        self._count(rows)
+        self.count(rows)
         return q, v
 
     def trajectories_with_readings(
@@ -199,7 +199,7 @@ class BatchSimulator:
         """As :meth:`trajectories`, with the sensor readings of each row."""
         effects = active_effects(with_fixed(values, self.fixed, len(rows)))
         motion = self._moved(rows, effects)
-        self._count(rows)
+        self.count(rows)
         segments = [self.segments[r] for r in rows]
         return motion[0], motion[1], predicted_readings(segments, effects, motion, self.timestep)
 
@@ -210,7 +210,7 @@ class BatchSimulator:
 
         Each is (stamps, joints), N m or N.
         """
-        self._count(rows)
+        self.count(rows)
         return self._each(
             rows, with_fixed(values, self.fixed, len(rows)), self._read_at_neighbouring_steps
         )
@@ -250,9 +250,12 @@ class BatchSimulator:
         """Rows with their model fields written, their initial state and their drives."""
         return self.models.written(rows, effects, threads_here(self.threads))
 
-    def _count(self, rows: NDArray[np.int64]) -> None:
-        """Add the steps of rows to :attr:`stepped`."""
-        self.stepped += int(self.steps[rows].sum())
+    def count(self, rows: NDArray[np.int64], *, repeated: bool = False) -> None:
+        """Add the steps of rows to :attr:`stepped`, and to :attr:`repeated` on request."""
+        steps = int(self.steps[rows].sum())
+        self.stepped += steps
+        if repeated:
+            self.repeated += steps
 
     def commands(
         self,

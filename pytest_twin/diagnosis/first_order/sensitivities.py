@@ -244,10 +244,18 @@ def sensitivities_around(
 def linearize(
     problem: Problem, segments: NDArray[np.int64], hypothesis: Hypothesis
 ) -> Linear | None:
-    """The linearization around a hypothesis; None if the robot can touch a surface."""
+    """The linearization around a hypothesis; None if the robot can touch a surface.
+
+    The end of a search and the comparisons after it ask for the same one.
+    """
     if problem.simulator.models.contact.world.size:
         return None
-    return Linear(problem, hypothesis, segments)
+    linear, is_known = problem.kept(
+        hypothesis, segments, lambda: Linear(problem, hypothesis, segments)
+    )
+    if is_known:
+        problem.count_trajectories(hypothesis, segments)
+    return linear
 
 
 class Linear:
@@ -290,6 +298,7 @@ class Linear:
         self.readings = SensorReadings(problem, self.trajectory, self.deviation, self.bins)
         self.starts = self._free_starts()
         self.readings.free(self.starts)
+        self._sensitivities: dict[tuple[Term, ...], list[Sensitivity]] = {}
 
     def residual(self, residual: FloatArray) -> FloatArray:
         """Bin means (bins, signals) of a (samples, signals) residual.
@@ -344,10 +353,14 @@ class Linear:
                 EMPTY.with_term(t, start) for each in by_effect.values() for t in each
                 for start, _ in grid(t)
             ])  # fmt: skip
-        order = sorted(by_effect, key=_slow, reverse=True)
-        found = Forks(cores).map(self._of_effect, [by_effect[e] for e in order])
-        of = dict(zip(order, found, strict=True))
-        return [response for effect in by_effect for response in of[effect]]
+        groups = [tuple(each) for each in by_effect.values()]
+        new = sorted(
+            (g for g in groups if g not in self._sensitivities),
+            key=lambda g: _slow(g[0].effect), reverse=True,
+        )  # fmt: skip
+        found = Forks(cores).map(self._of_effect, new)
+        self._sensitivities.update(zip(new, found, strict=True))
+        return [response for group in groups for response in self._sensitivities[group]]
 
     def _of_effect(self, terms: Sequence[Term]) -> list[Sensitivity]:
         """Sensitivities of one effect at several joints, at the sizes of its grid."""
