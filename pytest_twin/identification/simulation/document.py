@@ -16,7 +16,8 @@ from pytest_twin.effects.base import Parameter
 from pytest_twin.identification.motions import undetermined_by_command
 from pytest_twin.identification.records import correlated, verdict_of
 from pytest_twin.identification.simulation.command_mistakes import command_mistakes
-from pytest_twin.identification.simulation.identify import SimulationResult, place_of
+from pytest_twin.identification.simulation.identify import SimulationResult
+from pytest_twin.identification.simulation.staged_fit import place_of
 
 
 def simulation_document(result: SimulationResult) -> dict[str, Any]:

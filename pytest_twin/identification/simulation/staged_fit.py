@@ -1,0 +1,252 @@
+"""Stages that are fitted in order, then together, and again while a residual remains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.fit import fit
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.intervals import parameter_spread
+from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.patched.model import AppliedEffect
+from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.identification.simulation.fitting import (
+    LEAST_GAIN,
+    add_effects,
+    fit_terms,
+    held_out_error,
+    refitted,
+    take_better_terms,
+    with_derivatives,
+    with_possible_totals,
+)
+from pytest_twin.identification.simulation.stage_effects import (
+    EXCLUDES,
+    FURTHER,
+    SIMULATED,
+    nuisance_of,
+    terms_of,
+)
+from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_stage
+
+_LAST = 10
+"""Iterations of the fit of all accepted terms together."""
+_TOGETHER: StageName = "closed_loop"
+_FURTHER_STAGE = {effect: name for name, effects in FURTHER.items() for effect in effects}
+"""Further effect -> stage that adds it."""
+
+
+@dataclass
+class StagedFit:
+    """Effects that are fitted stage by stage; a stage that is accepted is frozen.
+
+    Attributes:
+        given: the model with its simulation settings.
+        trials: recordings to fit and held-out ones.
+        prepared: problem of the nominal model.
+        modes: (joints,) command mode of each joint's drive.
+        first: (joints, 5) first values from the equation error.
+        found: accepted terms with their parameters.
+        stage_of: term -> stage that fits it.
+        stages: name -> stage.
+    """
+
+    given: ModelSetup
+    trials: TrialSet
+    prepared: Prepared
+    modes: Sequence[str]
+    first: FloatArray
+    found: Hypothesis = EMPTY
+    stage_of: dict[Term, StageName] = field(default_factory=dict)
+    stages: dict[StageName, Stage] = field(default_factory=dict)
+
+    def run(self, progress: Callable[[float], None]) -> None:
+        """Fit all stages; ``progress`` is called with the fraction done."""
+        for k, name in enumerate(SIMULATED):
+            self.stages[name], accepted = self._stage(name, self.found)
+            for term in accepted.terms:
+                self.found = self.found.with_term_of(accepted, term)
+                self.stage_of[term] = name
+            progress((k + 1) / (len(SIMULATED) + 1))
+        self._fit_together()
+        if self.found.terms and self._error(self.found) > VERDICT.stands_out:
+            self._fit_again()
+
+    @property
+    def _problem(self) -> Problem:
+        return self.prepared.problem
+
+    def _error(self, hypothesis: Hypothesis) -> float:
+        return held_out_error(self._problem, hypothesis)
+
+    def _words(self, name: StageName, hypothesis: Hypothesis) -> tuple[str, ...]:
+        """Names of a stage's effects with their places."""
+        return tuple(
+            f"{place_of(self._problem, t)}.{t.effect}"
+            for t in hypothesis.terms
+            if name in (_TOGETHER, self.stage_of.get(t, name))
+        )
+
+    def _stage(self, name: StageName, frozen: Hypothesis) -> tuple[Stage, Hypothesis]:
+        """Fit one stage with the frozen terms of other stages; return its accepted terms."""
+        outside_mjcf = (*self.given.outside_mjcf, *applied(self._problem, frozen))
+        problem = (
+            replace(self.given, outside_mjcf=outside_mjcf)
+            .prepared(
+                self.trials.fit,
+                self.trials.held_out,
+                self.prepared.window,
+                scales=self._problem.scales,
+            )
+            .problem
+        )
+        problem.floor = self._problem.floor
+        problem.position_weights = self._problem.position_weights
+        own, free = terms_of(name, self.modes), nuisance_of(name, frozen.terms, self.modes)
+        without = fit_terms(problem, free, self.first)
+        fitted = take_better_terms(problem, without, fit_terms(problem, [*own, *free], self.first))
+        fitted = add_effects(problem, fitted, FURTHER.get(name, ()), self.modes)
+        kept = fitted.without(*(t for t in fitted.terms if t in free))
+        held = HeldOut(
+            held_out_error(problem, without), held_out_error(problem, fitted), "noise floors"
+        )
+        words = tuple(f"{place_of(problem, t)}.{t.effect}" for t in kept.terms)
+        stage = judge_stage(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
+        if not kept.terms or held.after > (1.0 - LEAST_GAIN) * held.before:
+            stage = replace(
+                stage, state="not_observable", parameters=(),
+                why="the motion shows none of it: at no joint does the held-out error fall by more "
+                "than chance explains",
+            )  # fmt: skip
+        return stage, kept if stage.state == "accepted" else EMPTY
+
+    def _fit_together(self) -> None:
+        """Fit all accepted terms together in the closed loop; a stage that moves is reopened."""
+        problem, found = self._problem, self.found
+        if not found.terms:
+            why = "no stage before was accepted: there is nothing to fit together"
+            self.stages[_TOGETHER] = Stage(
+                _TOGETHER, "not_observable", why, (), None, EXCLUDES[_TOGETHER]
+            )
+            return
+        problem.refine_at(found)
+        residual = problem.residuals([found], problem.fit)[0]
+        weights = problem.weights(np.mean(residual**2, axis=0))
+        (tried,) = fit(problem, [found], weights, problem.fit, iterations=_LAST, slopes=False)
+        moved = with_possible_totals(problem, tried.hypothesis)
+        before = self._error(found)
+        if self._error(moved) > before:
+            moved = found
+        # What a frozen stage has taken up may hide an effect: with all parameters free it shows.
+        whole = add_effects(problem, moved, list(_FURTHER_STAGE), self.modes)
+        held = HeldOut(before, self._error(whole), "noise floors")
+        stage = judge_stage(
+            Stage(
+                _TOGETHER, "accepted", "", self._words(_TOGETHER, whole), None, EXCLUDES[_TOGETHER]
+            ),
+            held,
+        )
+        self.stages[_TOGETHER] = stage
+        if stage.state != "accepted":
+            return
+        moved_terms = self._moved_terms(whole)
+        for term in whole.terms:
+            self.stage_of.setdefault(term, _FURTHER_STAGE.get(term.effect, _TOGETHER))
+        for name in dict.fromkeys(self.stage_of[t] for t in moved_terms):
+            self._reopen(
+                name,
+                "all accepted parameters fitted together move it beyond its 95 % interval or add "
+                "an effect to it",
+                held.before,
+                held.after,
+            )
+        self.found = whole
+
+    def _moved_terms(self, whole: Hypothesis) -> list[Term]:
+        """Terms that are new, or whose parameters are beyond the 95 % intervals of a fit."""
+        half = parameter_spread(self._problem, with_derivatives(self._problem, whole)).half_width
+        moved = []
+        for term in whole.terms:
+            own = whole.slice_of(term)
+            if term not in self.found.terms:
+                moved.append(term)
+                continue
+            off = np.abs(whole.theta[own] - self.found.theta[self.found.slice_of(term)])
+            if np.any(off > np.maximum(half[own], 1e-9)):
+                moved.append(term)
+        return moved
+
+    def _reopen(self, name: StageName, cause: str, before: float, after: float) -> None:
+        """Set a stage to ``reopened`` with the reason; errors are in noise floors."""
+        stage = self.stages[name]
+        self.stages[name] = replace(
+            stage,
+            state="reopened",
+            why=f"{stage.why}; {cause}, and the held-out error falls from {before:.3g} to "
+            f"{after:.3g} noise floors",
+        )
+
+    def _fit_again(self) -> None:
+        """Fit each stage again with what later stages have found.
+
+        The first time a stage was fitted without the effects of later ones: a friction stage
+        cannot succeed while the drive lacks its limit. All parameters are then fitted together,
+        and stay as they were if the held-out error does not fall.
+        """
+        before = error = self._error(self.found)
+        for name in SIMULATED:
+            others = self.found.without(*(t for t in self.found.terms if self.stage_of[t] == name))
+            # Further effects stay as they are. Friction, gains and armature, which compensate for
+            # one another, are free again.
+            kept = [t for t in others.terms if t.effect in _FURTHER_STAGE]
+            _, accepted = self._stage(name, others.without(*(set(others.terms) - set(kept))))
+            if not accepted.terms:
+                continue
+            proposed = others
+            for term in accepted.terms:
+                proposed = proposed.with_term_of(accepted, term)
+            merged = take_better_terms(self._problem, self.found, refitted(self._problem, proposed))
+            less = self._error(merged)
+            if less > (1.0 - LEAST_GAIN) * error:
+                continue
+            for term in merged.terms:
+                self.stage_of.setdefault(term, name)
+            self._reopen(name, "fitted again with what later stages had found", error, less)
+            self.found, error = merged, less
+        if error == before:
+            return
+        self.stage_of = {t: name for t, name in self.stage_of.items() if t in self.found.terms}
+        for name in SIMULATED:
+            words = self._words(name, self.found)
+            self.stages[name] = replace(self.stages[name], parameters=words)
+        together = self.stages[_TOGETHER]
+        assert together.held_out is not None
+        held = HeldOut(together.held_out.before, error, "noise floors")
+        words = self._words(_TOGETHER, self.found)
+        self.stages[_TOGETHER] = judge_stage(replace(together, why="", parameters=words), held)
+
+
+def place_of(problem: Problem, term: Term) -> str:
+    """Name of the joint that a term acts at, or ``robot``."""
+    return "robot" if term.joint < 0 else problem.joints[term.joint]
+
+
+def applied(problem: Problem, hypothesis: Hypothesis) -> tuple[AppliedEffect, ...]:
+    """The terms of a hypothesis as effects with SI values."""
+    found = []
+    for term in hypothesis.terms:
+        theta = hypothesis.theta[hypothesis.slice_of(term)]
+        values = {
+            p.name: float(t * problem.scales.value(p, term.joint))
+            for p, t in zip(term.parameters, theta, strict=True)
+        }
+        joint = None if term.joint < 0 else problem.joints[term.joint]
+        found.append(AppliedEffect(term.effect, joint, values, is_in_mjcf=False))
+    return tuple(found)
