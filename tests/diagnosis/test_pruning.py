@@ -160,6 +160,9 @@ def test_an_effect_is_rejected_only_if_an_alternative_is_clearly_more_likely(
     )
     rejections = at_bound_or_in_doubt(tested)
     assert not rejections if is_accepted else "other effects are more likely" in rejections[0]
+    # Where the time did not suffice to simulate the alternatives, they reject nothing.
+    unproven = replace(tested, not_simulated=frozenset({term}))
+    assert not at_bound_or_in_doubt(unproven)
 
 
 @pytest.mark.parametrize(

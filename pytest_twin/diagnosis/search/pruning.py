@@ -66,8 +66,9 @@ def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -
     while fitted.hypothesis.terms:
         refitted, weights, base, levels = refit_without_each(problem, fitted, hurried)
         tested = RefitComparison(
-            problem, fitted, selected.confidence, before, base, refitted, levels, weights, rivals
-        )
+            problem, fitted, selected.confidence, before, base, refitted, levels, weights, rivals,
+            selected.not_simulated,
+        )  # fmt: skip
         rule, removed = next(((r, removed) for r in RULES if (removed := r(tested))), (None, {}))
         if not removed and not judged:
             judged = True

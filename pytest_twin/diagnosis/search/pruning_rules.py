@@ -39,6 +39,8 @@ class RefitComparison:
         weights: (signals,) of the refits.
         rivals: confidence of the likeliest alternative to each effect; without, all alternatives
             are one.
+        not_simulated: effects whose alternatives were compared in the linearized motion only. That
+            comparison ranks alternatives; it is no ground to reject an effect that was simulated.
     """
 
     problem: Problem
@@ -50,6 +52,7 @@ class RefitComparison:
     levels: list[FloatArray]
     weights: FloatArray
     rivals: Mapping[Term, float] = field(default_factory=dict)
+    not_simulated: frozenset[Term] = frozenset()
 
     @cached_property
     def known(self) -> Spread:
@@ -78,6 +81,8 @@ class RefitComparison:
         Two effects that the recordings cannot distinguish have a confidence of about 0.5 each. That
         is no evidence for a third effect.
         """
+        if term in self.not_simulated:
+            return True
         chance = self.chance(term)
         rival = self.rivals.get(term, 1.0 - chance)
         return chance >= SETTINGS.even or chance >= SETTINGS.as_likely * rival
@@ -263,7 +268,7 @@ def small_and_replaceable(tested: RefitComparison) -> Rejections:
 
 def alternatives_more_likely(tested: RefitComparison) -> Rejections:
     """Reject the least likely of several effects if its alternatives are far more likely."""
-    chances = [tested.chance(t) for t in tested.terms]
+    chances = [1.0 if t in tested.not_simulated else tested.chance(t) for t in tested.terms]
     k = int(np.argmin(chances))
     if len(chances) == 1 or chances[k] >= SETTINGS.least_confidence:
         return {}

@@ -80,6 +80,8 @@ class SelectedModel:
         near: models that explain nearly as much: their odds against the best, and the difference of
             the parameters of common terms, scaled.
         tried: number of candidates.
+        not_simulated: terms whose alternatives were compared in the linearized motion only, because
+            the time was over.
     """
 
     best: ScoredModel
@@ -90,6 +92,7 @@ class SelectedModel:
     sets: dict[Term, list[Alternative]] = field(default_factory=dict)
     near: list[tuple[float, dict[Term, FloatArray]]] = field(default_factory=list)
     tried: int = 0
+    not_simulated: frozenset[Term] = frozenset()
 
     def alternatives_to(self, term: Term) -> list[Alternative]:
         """Alternatives to a term, most likely first."""
@@ -106,6 +109,7 @@ class SelectedModel:
         self.confidence.clear()
         self.alternatives.clear()
         self.evidence.clear()
+        self.not_simulated = frozenset()
         for term in self.best.hypothesis.terms:
             # A more general law that gains nothing is no alternative to its special case.
             others = {

@@ -29,8 +29,9 @@ class SelectionSettings:
         even: evidence within which residuals below the noise floor decide.
         other_form: evidence by which another form of a law with as many parameters must be ahead.
         close: alternatives to one effect that are simulated.
-        linearized_confidence: greatest confidence of an effect that was compared with its
-            alternatives in the linearized motion alone.
+        linearized_least, linearized_most: least and greatest confidence of an effect that was
+            compared with its alternatives in the linearized motion alone. Of 51 such names in blind
+            cases that ended after 60 s, 29 were right.
         hurried: models of a shortlist that are simulated once time is over.
         crowd: effects at one joint from which the search is repeated from the strongest of them.
         clearly_less: factor between residuals below the noise floor that counts.
@@ -49,7 +50,8 @@ class SelectionSettings:
     even: float = 10.0
     other_form: float = 10.0
     close: int = 2
-    linearized_confidence: float = 0.8
+    linearized_least: float = 0.2
+    linearized_most: float = 0.6
     hurried: int = 4
     crowd: int = 3
     clearly_less: float = 1.25

@@ -175,17 +175,14 @@ class StepwiseSelection:
                 selected.weigh(self.evidence_of_exchanges(best, found, []))
         except OutOfTime:
             return
+        selected.not_simulated = frozenset(terms)
         for t in terms:
-            not_simulated = selected.confidence[t]
+            linearized_share = selected.confidence[t]
             selected.confidence[t] = kept = float(
-                np.clip(
-                    not_simulated,
-                    1.0 - SELECTION.linearized_confidence,
-                    SELECTION.linearized_confidence,
-                )
+                np.clip(linearized_share, SELECTION.linearized_least, SELECTION.linearized_most)
             )
-            if kept > not_simulated:
-                rest = (1.0 - kept) / (1.0 - not_simulated)
+            if kept > linearized_share:
+                rest = (1.0 - kept) / (1.0 - linearized_share)
                 selected.alternatives[t] = [(a, rest * c) for a, c in selected.alternatives[t]]
 
     def _record_end(self, best: ScoredModel) -> None:
