@@ -1,6 +1,6 @@
 """Online update of friction and drive on real servos, in the order of the recordings.
 
-    python benchmarks/real/online_update.py RECORDINGS [SET...] [--release]
+    python benchmarks/real/online_update.py RECORDINGS [SET...] [--friction-alone] [--release]
 
 RECORDINGS is the folder with ``xl330`` and ``so101``. Each window of 0.5 s is predicted from its
 first measured state before it updates the parameters. Both columns are over the same windows.
@@ -8,6 +8,8 @@ first measured state before it updates the parameters. Both columns are over the
 All recordings of a set begin at the same stamp, so their order is not in the files. Those of
 ``xl330`` are ordered by the temperature of the servo, which rises from 28 to 39 deg C; those of
 ``so101`` by name.
+
+With ``--friction-alone`` the torque constants are fixed.
 
 With ``--release`` the commands do it: the twin is released, the update is declared and compared by
 ``pytest-twin shadow``, promoted and released; then a model with 3.5 times the damping is compared,
@@ -66,11 +68,18 @@ def ordered(folder: Path, name: str, topics: dict[str, str]) -> list[Path]:
     return sorted(paths, key=temperature)[: MOST_RECORDINGS[name]]
 
 
-def parameters_of(joints: tuple[str, ...], name: str) -> dict[str, tuple[float, float]]:
-    return {f"{joint}.{kind}": span for joint in joints for kind, span in BOUNDS[name].items()}
+def parameters_of(
+    joints: tuple[str, ...], name: str, fixed: tuple[str, ...] = ()
+) -> dict[str, tuple[float, float]]:
+    return {
+        f"{joint}.{kind}": span
+        for joint in joints
+        for kind, span in BOUNDS[name].items()
+        if kind not in fixed
+    }
 
 
-def run(folder: Path, name: str) -> None:
+def run(folder: Path, name: str, fixed: tuple[str, ...] = ()) -> None:
     """Print the errors of base and update for one set."""
     twin = load_twin(folder / "twin.yaml") if (folder / "twin.yaml").is_file() else None
     realization = load(folder / "model.xml", twin=twin)
@@ -82,7 +91,7 @@ def run(folder: Path, name: str) -> None:
         for trial in make_trials(recording, realization.structure)
     ]
     rows = [row_of(realization, trial) for trial in trials]
-    parameters = parameters_of(trials[0].command_joints, name)
+    parameters = parameters_of(trials[0].command_joints, name, fixed)
     spec = UpdateSpec(name, parameters, window=WINDOW)
     recursion = Recursion(spec, base_parameters(spec, rows[0].model))
     began = time.perf_counter()
@@ -154,11 +163,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("recordings", type=Path)
     parser.add_argument("sets", nargs="*", default=list(BOUNDS))
+    parser.add_argument("--friction-alone", action="store_true")
     parser.add_argument("--release", action="store_true")
     args = parser.parse_args()
+    fixed = ("torque_constant",) if args.friction_alone else ()
     if not args.release:
         for which in args.sets:
-            run(args.recordings / which, which)
+            run(args.recordings / which, which, fixed)
         return
     with tempfile.TemporaryDirectory() as scratch:
         for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
