@@ -80,6 +80,9 @@ def coordinates_of_record(
         if name not in record.values:
             found.left_out.append(f"{name}: its stage is not accepted")
             continue
+        if not matrix[at, at]:
+            found.left_out.append(f"{name}: its recordings do not determine it, it keeps its value")
+            continue
         column = columns.get(name)
         if column is not None and regressor.columns[column].is_inertial:
             inertial.append(at)

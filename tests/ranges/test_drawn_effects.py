@@ -160,3 +160,24 @@ def test_correlated_delay_and_rate_limit_are_drawn_together(bench: tuple, tmp_pa
     pair = draws[:, columns[name]], draws[:, columns[delay]]
     assert np.corrcoef(pair)[0, 1] == pytest.approx(correlation, abs=0.03)
     assert pair[1].std() == pytest.approx(0.002, rel=0.05)
+
+
+def test_a_parameter_that_the_recordings_do_not_determine_is_left_out_with_the_reason(
+    bench: tuple, tmp_path: Path
+) -> None:
+    values = {"coulomb": 0.1, "stiction_excess": 0.0, "stribeck_velocity": 0.2}
+    path = written(bench, tmp_path / "twin", "stribeck_friction", 0, values)
+    drawn, kept = (
+        f"{JOINTS[0]}.stribeck_friction.{name}" for name in ("coulomb", "stribeck_velocity")
+    )
+    with_record(path, drawn, 0.1, "N*m")
+    record_file = path.parent / "record.json"
+    text = json.loads(record_file.read_text())
+    text["parameters"][kept] = {"value": 0.2, "unit": "rad/s", "ci95": [0.006, 6.0]}
+    text["covariance"] = {"names": [drawn, kept], "matrix": [[1e-4, 0.0], [0.0, 0.0]]}
+    record_file.write_text(json.dumps(text))
+    twin = load_twin(path)
+    robot = load(twin.first_realization.file, twin=twin)
+    found = collect_uncertain_parameters(twin, robot, patched_of(robot))
+    assert [one.name for one in found.distribution.coordinates] == [drawn]
+    assert found.left_out == (f"{kept}: its recordings do not determine it, it keeps its value",)

@@ -69,9 +69,15 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
 
 
 def parameters_with_covariance(result: SimulationResult) -> tuple[dict[str, Any], FloatArray]:
-    """Return the estimated parameters by name, and their (n, n) covariance, SI units."""
+    """Return the estimated parameters by name, and their (n, n) covariance, SI units.
+
+    A parameter is not determined if its interval contains every value that its law allows, such as
+    the Stribeck velocity of a joint whose friction at rest is as in motion. Its interval is then
+    the range of the law, and its variance is 0.
+    """
     problem, hypothesis = result.prepared.problem, result.hypothesis
     kept: list[int] = []
+    determined: list[bool] = []
     scale: list[float] = []
     parameters: dict[str, Any] = {}
     at = 0
@@ -87,9 +93,10 @@ def parameters_with_covariance(result: SimulationResult) -> tuple[dict[str, Any]
                     f".{p.name}" if is_named else ""
                 )
                 theta, half = float(hypothesis.theta[at]), float(result.spread.half_width[at])
-                low, high = (
-                    (theta - half, theta + half) if np.isfinite(half) else (p.lower, p.upper)
-                )
+                low, high = theta - half, theta + half
+                has_end = bool(np.isfinite(half)) and (low > p.lower or high < p.upper)
+                if not has_end:
+                    low, high = p.lower, p.upper
                 parameters[name] = {
                     "value": theta * unit,
                     "unit": _unit(problem, term, p),
@@ -99,9 +106,12 @@ def parameters_with_covariance(result: SimulationResult) -> tuple[dict[str, Any]
                     "used": True,
                 }
                 kept.append(at)
+                determined.append(has_end)
                 scale.append(unit)
             at += 1
-    return parameters, _covariance(result, np.array(kept, dtype=np.intp), np.array(scale))
+    return parameters, _covariance(
+        result, np.array(kept, dtype=np.intp), np.array(determined, dtype=bool), np.array(scale)
+    )
 
 
 def _unit(problem: Problem, term: Term, parameter: Parameter) -> str:
@@ -110,8 +120,24 @@ def _unit(problem: Problem, term: Term, parameter: Parameter) -> str:
     return parameter.fitted_unit(kind, str(problem.simulator.layout.servo[joint]))
 
 
-def _covariance(result: SimulationResult, kept: NDArray[np.intp], scale: FloatArray) -> FloatArray:
-    """(n, n) in SI units, as wide as the intervals; 0 where an interval has no end."""
-    known = np.where(np.isfinite(result.spread.half_width[kept]), scale, 0.0)
+def _covariance(
+    result: SimulationResult,
+    kept: NDArray[np.intp],
+    determined: NDArray[np.bool_],
+    scale: FloatArray,
+) -> FloatArray:
+    """(n, n) in SI units, as wide as the intervals; 0 for parameters that are not determined.
+
+    The recordings determine combinations of parameters. A parameter that is not determined keeps
+    its value, so the covariance of the others is the one at this value (conditional covariance).
+    Otherwise they would vary as if it followed them.
+    """
     joint = result.spread.joint[np.ix_(kept, kept)]
-    return np.asarray(np.nan_to_num(joint * np.outer(known, known)))
+    (free,) = np.nonzero(determined)
+    (fixed,) = np.nonzero(~determined & np.isfinite(np.diag(joint)))
+    across = joint[np.ix_(free, fixed)]
+    found = np.zeros_like(joint)
+    found[np.ix_(free, free)] = joint[np.ix_(free, free)] - (
+        across @ np.linalg.pinv(joint[np.ix_(fixed, fixed)], hermitian=True) @ across.T
+    )
+    return np.asarray(np.nan_to_num(found * np.outer(scale, scale)))
