@@ -12,6 +12,7 @@ from test_first_order import ELBOW, ROBOT, SHOULDER, carried, problem_of
 from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
 from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
@@ -316,6 +317,20 @@ def test_two_effects_that_are_exchanged_for_each_other_are_equally_likely(
     )
     assert have_same_forms(of_rate, of_rate.with_theta(0.5 * of_rate.theta))
     assert not have_same_forms(of_rate, of_effort)
+
+
+def test_an_effect_is_not_exchanged_for_one_that_cannot_exist() -> None:
+    """A total damping below zero compensates for another effect, however well it fits."""
+    problem = problem_of("position", {DRAG: {"coefficient": -0.4}})
+    selection = StepwiseSelection(problem)
+    best, other = (converged(selection.comparison, term) for term in (SPRING, DRAG))
+    selection.comparison.judge([other], best)
+    assert other.evidence > 1.0
+    assert refused(problem, other.hypothesis)
+    selected = SelectedModel(best, selection.comparison.nominal)
+    selection.exchange_terms(selected)
+    assert DRAG not in selected.best.hypothesis.terms
+    assert DRAG not in [term for term, _ in selected.alternatives.get(SPRING, [])]
 
 
 def test_the_simulated_evidence_of_a_removal_replaces_the_linearized_one() -> None:

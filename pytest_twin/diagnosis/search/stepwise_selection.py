@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from pytest_twin.diagnosis.evidence import supported_by_windows
 from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity, linearize
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, limits_instead
@@ -111,6 +113,11 @@ class StepwiseSelection:
         self.known_sensitivities: dict[Term, list[Sensitivity]] = {}
         self.tested_limits: set[Term] = set()
         self.simulated_losses: dict[tuple[Term, ...], float] = {}
+
+    @cached_property
+    def recorded(self) -> RecordedRange:
+        """Ranges of the recordings."""
+        return RecordedRange.of(self.problem)
 
     def run(self, start: ScoredModel | None = None) -> SelectedModel:
         """Search from a fit, or from the nominal model; if time runs out, the best so far."""
@@ -307,7 +314,7 @@ class StepwiseSelection:
         impossible or outside the range of the recordings.
         """
         problem, hypothesis = self.problem, rival.hypothesis
-        excluded = refused(problem, hypothesis)
+        excluded = refused(problem, hypothesis, self.recorded)
         left = in_noise_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
         return [
             t for t in hypothesis.terms
@@ -579,6 +586,26 @@ class StepwiseSelection:
         rivals = [self.judge_with_own_correction(r, best) for r in rivals]
         return list(zip([*near, *doubtful], rivals, strict=True))
 
+    def _possible(
+        self, found: Sequence[TermExchange], simulated: Sequence[tuple[TermExchange, ScoredModel]]
+    ) -> tuple[list[TermExchange], list[tuple[TermExchange, ScoredModel]]]:
+        """Exchanges whose effects can exist, all and the simulated ones.
+
+        An effect with an impossible total is no alternative: it compensates for another effect.
+        """
+        fitted = {(x.removed, x.new): r.hypothesis for x, r in simulated}
+        impossible = {
+            (x.removed, x.new)
+            for x in found
+            if x.new is not None
+            and (not x.is_doubtful or (x.removed, x.new) in fitted)
+            and refused(self.problem, fitted.get((x.removed, x.new), x.hypothesis), self.recorded)
+        }
+        return (
+            [x for x in found if (x.removed, x.new) not in impossible],
+            [(x, r) for x, r in simulated if (x.removed, x.new) not in impossible],
+        )
+
     def kept_in_addition(self, best: ScoredModel, top: ScoredModel) -> ScoredModel:
         """An exchange of one term, or the model with both terms if that is better."""
         own, terms = best.hypothesis, top.hypothesis.terms
@@ -676,6 +703,7 @@ class StepwiseSelection:
         ]
         found = better_than_several(best, linearized, found, additions, price)
         simulated = self.simulated_exchanges(best, found, additions)
+        found, simulated = self._possible(found, simulated)
         evidence = self.evidence_of_exchanges(best, found, simulated)
         selected.weigh(evidence)
         better = [(x, r) for x, r in simulated if evidence[x.removed, x.new] > 1.0]
@@ -685,6 +713,8 @@ class StepwiseSelection:
             top = self.kept_in_addition(best, first)
         elif additions or self._is_spent(best):
             top = self.best_addition(best, simulated, additions.values())
+        if top is not None and refused(self.problem, top.hypothesis, self.recorded):
+            top = None
         for x, r in simulated:
             if r is not top:
                 e = evidence[x.removed, x.new]
