@@ -16,6 +16,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run, Scored
+from pytest_twin.diagnosis.search.distant_starts import distant
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView, linearize_around
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.structure_search.proposals import (
@@ -169,6 +170,10 @@ class StructureSearch:
             if scorer.stands_out(best, 2.0 * VERDICT.stands_out).any():
                 scanned = self._scanned(incumbent, best)
                 models += self._fitted(view, scanned, incumbent, 3)
+                if not incumbent.hypothesis.terms:
+                    # Their linearization at the nominal model says nothing.
+                    far = distant(self.problem, EMPTY, incumbent.mean_square)
+                    models += scorer.simulate(far)
         except OutOfTime:
             return models, False
         return models, True
