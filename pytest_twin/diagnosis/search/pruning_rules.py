@@ -345,9 +345,15 @@ def _explained_by_position_and_velocity(
 
 
 def residual_remains(tested: RefitComparison) -> Rejections:
-    """Reject effects with which most of the mismatch of their joint remains."""
+    """Reject effects with which most of the mismatch of their joint remains.
+
+    It is no ground where the time of the search was over: the rest may be an effect that it did not
+    come to.
+    """
     removed = {}
     for k, t in enumerate(tested.terms):
+        if t in tested.not_simulated:
+            continue
         share = share_too_large(
             tested.problem, t, *_levels_that_count(tested, t),
             several=sum(other.joint == t.joint >= 0 for other in tested.terms) > 1,
