@@ -162,6 +162,7 @@ def test_friction_is_fitted_again_once_the_limit_of_the_drive_is_known(tmp_path:
     stages = {stage["stage"]: stage for stage in document["stages"]}
     assert stages["friction"]["state"] == "reopened"
     assert "fitted again with what later stages had found" in stages["friction"]["why"]
+    assert "the motion shows none of it" not in stages["friction"]["why"]
     assert stages["friction"]["parameters"] == ["swing.viscous_friction", "swing.coulomb_friction"]
     together = stages["closed_loop"]["held_out"]
     assert together["after"] < 1.0 < 0.2 * together["before"]

@@ -186,10 +186,13 @@ class StagedFit:
     def _reopen(self, name: StageName, cause: str, before: float, after: float) -> None:
         """Set a stage to ``reopened`` with the reason; errors are in noise floors."""
         stage = self.stages[name]
+        first = stage.why
+        if stage.state == "not_observable":
+            first = "fitted alone, it reduced no held-out error by more than chance explains"
         self.stages[name] = replace(
             stage,
             state="reopened",
-            why=f"{stage.why}; {cause}, and the held-out error falls from {before:.3g} to "
+            why=f"{first}; {cause}, and the held-out error falls from {before:.3g} to "
             f"{after:.3g} noise floors",
         )
 
