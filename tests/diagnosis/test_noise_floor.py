@@ -256,14 +256,17 @@ def test_the_floor_of_a_stuck_encoder_is_kept(tmp_path: Path) -> None:
 def test_an_effect_below_a_floor_that_was_too_high_is_found_after_the_floor_is_lowered(
     tmp_path: Path,
 ) -> None:
-    """With viscous friction in the model the floor is lowered, and the delay exceeds it."""
-    model, *files = map(Path, case(tmp_path / "case", ("left",), viscous=0.3, delay=0.003))
+    """With viscous friction in the model the floor is lowered, and the delay exceeds it.
+
+    The delay is 5 ms, because a lag explains these recordings as well as a delay of 3 ms.
+    """
+    model, *files = map(Path, case(tmp_path / "case", ("left",), viscous=0.3, delay=0.005))
     loaded = load_model(model)
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
     found = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
     problem = found.problem
     measured = problem.floor.copy()
-    hidden = with_raised_floor(found, 20.0)
+    hidden = with_raised_floor(found, 40.0)
     best = search(found, trials, StepwiseSelection(problem)).selected.best
     assert {t.effect for t in best.hypothesis.terms} == {"viscous_friction", "command_delay"}
     assert float(np.sqrt(best.fitted.mean_square[0])) < measured[0] < 0.3 * hidden
