@@ -51,14 +51,14 @@ def fit_best_start(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis
     return refitted(problem, with_possible_totals(problem, found.hypothesis))
 
 
-def refitted(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+def refitted(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) -> Hypothesis:
     """Fit a hypothesis again with the discretization error of the simulator at its parameters.
 
     That error depends on the motion: at the limit of a drive it is not that of the model's motion.
     """
     problem.refine_at(hypothesis)
     weights = _weights(problem, [hypothesis])
-    (found,) = fit(problem, [hypothesis], weights, problem.fit, iterations=ITERATIONS, slopes=False)
+    (found,) = fit(problem, [hypothesis], weights, problem.fit, iterations=iterations, slopes=False)
     return with_possible_totals(problem, found.hypothesis)
 
 
@@ -126,8 +126,7 @@ def take_better_terms(problem: Problem, before: Hypothesis, after: Hypothesis) -
 def with_derivatives(problem: Problem, hypothesis: Hypothesis) -> Fitted:
     """Compute the derivatives of a prediction, without changing the hypothesis."""
     problem.refine_at(hypothesis)
-    residual = problem.residuals([hypothesis], problem.fit)[0]
-    weights = problem.weights(np.mean(residual**2, axis=0))
+    weights = _weights(problem, [hypothesis])
     return fit(problem, [hypothesis], weights, problem.fit, iterations=0)[0]
 
 
@@ -158,22 +157,19 @@ def _looked(
     (here,) = fit(problem, [base], weights, problem.fit, iterations=0)
     every = [h for each in starts.values() for h in each]
     residual = problem.residuals(every, problem.fit)
-    moved, steps, places = [], [], []
-    for row, h in enumerate(every):
+    moved, steps, places, slopes = [], [], [], []
+    for row, (h, left) in enumerate(zip(every, residual, strict=True)):
         (which,) = np.nonzero(h.movable)
-        known = _has_values_of(h, base)
-        kept = len(h.without(*(t for t in h.terms if t not in base.terms)).theta) if known else 0
+        shared = [t for t in base.terms if t in h.terms] if _has_values_of(h, base) else []
+        kept = sum(len(t.parameters) for t in shared)
         for k, nearby, step in zip(which.tolist(), *finite_differences(h), strict=True):
             if k >= kept:
                 moved.append(nearby)
                 steps.append(step)
                 places.append((row, k))
-    slopes = []
-    for h, left in zip(every, residual, strict=True):
         columns = np.zeros((*left.shape, h.theta.size))
-        for term in base.terms:
-            if term in h.terms and here.jacobian.size and _has_values_of(h, base):
-                columns[..., h.slice_of(term)] = here.jacobian[..., base.slice_of(term)]
+        for term in shared:
+            columns[..., h.slice_of(term)] = here.jacobian[..., base.slice_of(term)]
         slopes.append(columns)
     for (row, k), step, left in zip(
         places, steps, problem.residuals(moved, problem.fit), strict=True

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import parameter_spread
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -25,7 +24,6 @@ from pytest_twin.identification.simulation.fitting import (
     refitted,
     take_better_terms,
     with_derivatives,
-    with_possible_totals,
 )
 from pytest_twin.identification.simulation.stage_effects import (
     EXCLUDES,
@@ -117,7 +115,7 @@ class StagedFit:
         held = HeldOut(
             held_out_error(problem, without), held_out_error(problem, fitted), "noise floors"
         )
-        words = tuple(f"{place_of(problem, t)}.{t.effect}" for t in kept.terms)
+        words = self._words(name, kept)
         stage = judge_stage(Stage(name, "accepted", "", words, None, EXCLUDES[name]), held)
         if not kept.terms or held.after > (1.0 - LEAST_GAIN) * held.before:
             stage = replace(
@@ -136,11 +134,7 @@ class StagedFit:
                 _TOGETHER, "not_observable", why, (), None, EXCLUDES[_TOGETHER]
             )
             return
-        problem.refine_at(found)
-        residual = problem.residuals([found], problem.fit)[0]
-        weights = problem.weights(np.mean(residual**2, axis=0))
-        (tried,) = fit(problem, [found], weights, problem.fit, iterations=_LAST, slopes=False)
-        moved = with_possible_totals(problem, tried.hypothesis)
+        moved = refitted(problem, found, _LAST)
         before = self._error(found)
         if self._error(moved) > before:
             moved = found
