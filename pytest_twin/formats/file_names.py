@@ -27,9 +27,10 @@ _DEVICE = re.compile(r"(?:con|prn|aux|nul|conin\$|conout\$|com[0-9]|lpt[0-9])(?:
 def portable_names(names: Iterable[str]) -> dict[str, str]:
     """Return name -> file name without suffix.
 
-    Every name gets a different file name, also on systems that ignore case: names that differ only
-    in case, such as ``FFJ3`` and ``ffj3``, all get a part of their SHA-256. The file name of any
-    other name does not depend on the other names or their order.
+    No two names get the same file name, even on systems that ignore case. For names that differ
+    only in capital letters, such as ``FFJ3`` and ``ffj3``, the file name ends with a part of the
+    name's SHA-256. The file name of any other name does not depend on the other names or their
+    order.
     """
     digits = dict.fromkeys(names, 0)
     for name in digits:
