@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,8 @@ _COORDINATE_STEP = 1e-6
 # A parameter is not fitted if a change by its own size moves the prediction by less than this share
 # of the residual: its slope is rounding error. Example: the roll of a base with level axes only.
 _NEGLIGIBLE_CHANGE = 1e-4
+Bounds = Callable[[Hypothesis], tuple[FloatArray, FloatArray]]
+"""Lower and upper bounds of a hypothesis, (parameters,) each, in multiples of the scales."""
 # Shares of a parameter's reach that are tried in addition to the step along the slope.
 _REACHED = (-1.0, -0.25, 0.25, 1.0)
 
@@ -51,7 +53,7 @@ class Fitted:
         return mean_square
 
 
-def fit(
+def fit(  # noqa: PLR0913
     problem: Problem,
     starts: Sequence[Hypothesis],
     weights: FloatArray,
@@ -60,6 +62,7 @@ def fit(
     iterations: int,
     slopes: bool = True,
     jacobians: Sequence[FloatArray] | None = None,
+    bounds: Bounds | None = None,
 ) -> list[Fitted]:
     """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
 
@@ -72,6 +75,8 @@ def fit(
         slopes: whether the Jacobian at the optimum is needed.
         jacobians: an approximate Jacobian of each start. All steps then use it with Broyden's
             rank-one update (Math. Comp. 19, 1965), which needs no further simulation.
+        bounds: bounds that depend on other parameters, for the start and each step; those of the
+            laws if None.
 
     Returns:
         The optimum of each start, in the same order.
@@ -79,7 +84,7 @@ def fit(
     Raises:
         OutOfTime: the time of the search is over.
     """
-    current = list(starts)
+    current = [_within(bounds, start) for start in starts]
     residual = problem.residuals(current, segments)
     cost = [weighted_cost(r, weights) for r in residual]
     known: list[FloatArray | None] = [None] * len(current) if jacobians is None else [*jacobians]
@@ -98,7 +103,8 @@ def fit(
         for i in active:
             jac = known[i]
             assert jac is not None
-            trials += proposals(current[i], residual[i], jac, weights, _DAMPINGS)
+            proposed = proposals(current[i], residual[i], jac, weights, _DAMPINGS, bounds)
+            trials += [_within(bounds, one) for one in proposed]
             ends.append(len(trials))
         tried = problem.residuals(trials, segments)
         still = []
@@ -134,6 +140,13 @@ def fit(
             Fitted(h, residual[i], np.empty(shape) if jac is None or not slopes else jac, cost[i])
         )
     return out
+
+
+def _within(bounds: Bounds | None, hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis with its parameters clipped to bounds that depend on other parameters."""
+    if bounds is None:
+        return hypothesis
+    return hypothesis.with_theta(np.clip(hypothesis.theta, *bounds(hypothesis)))
 
 
 def _corrected(jacobian: FloatArray | None, step: FloatArray, change: FloatArray) -> FloatArray:
@@ -205,6 +218,7 @@ def proposals(
     jacobian: FloatArray,
     weights: FloatArray,
     dampings: Sequence[float],
+    bounds: Bounds | None = None,
 ) -> list[Hypothesis]:
     """Candidates of one fit step: a damped step for each damping, and the distant steps.
 
@@ -214,8 +228,9 @@ def proposals(
         jacobian: (samples, signals, parameters).
         weights: (signals,) reciprocal standard deviations.
         dampings: relative to the diagonal of the normal matrix.
+        bounds: as for :func:`fit`.
     """
-    damped_steps = [propose(h, residual, jacobian, weights, d) for d in dampings]
+    damped_steps = [propose(h, residual, jacobian, weights, d, bounds) for d in dampings]
     return damped_steps + distant_steps(h)
 
 
@@ -237,14 +252,19 @@ def distant_steps(h: Hypothesis) -> list[Hypothesis]:
 
 
 def propose(
-    h: Hypothesis, residual: FloatArray, jacobian: FloatArray, weights: FloatArray, damping: float
+    h: Hypothesis,
+    residual: FloatArray,
+    jacobian: FloatArray,
+    weights: FloatArray,
+    damping: float,
+    bounds: Bounds | None = None,
 ) -> Hypothesis:
     """A damped Gauss-Newton step within the bounds, in the coordinates of each law.
 
     A parameter at a bound stays there if its step points outwards. The hypothesis is unchanged if
     the normal matrix overflows. Arguments are as in :func:`proposals`.
     """
-    lower, upper = h.bounds
+    lower, upper = h.bounds if bounds is None else bounds(h)
     slopes = (jacobian * weights[:, None]).reshape(-1, h.theta.size)
     a = slopes @ _chart(h)
     b = np.nan_to_num(residual * weights).ravel()

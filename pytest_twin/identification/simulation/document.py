@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Term
-from pytest_twin.diagnosis.physical_totals import impossible
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
 from pytest_twin.identification.motions import undetermined_by_command
 from pytest_twin.identification.records import correlated, verdict_of
 from pytest_twin.identification.simulation.command_mistakes import command_mistakes
 from pytest_twin.identification.simulation.identify import SimulationResult
+from pytest_twin.identification.simulation.passive_joints import impossible
 from pytest_twin.identification.simulation.staged_fit import place_of
 
 

@@ -12,6 +12,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import at_zero
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.identification.paired import paired
+from pytest_twin.identification.simulation.passive_joints import back_emf_bounds
 from pytest_twin.identification.simulation.stage_effects import start, starts_of, terms_at
 
 ITERATIONS = 8
@@ -45,9 +46,9 @@ def fit_best_start(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis
     apart = [h for k, h in enumerate(starts) if all(not _same(h, g) for g in starts[:k])]
     weights = _weights(problem, apart)
     if len(apart) > 1:
-        tried = fit(problem, apart, weights, problem.fit, iterations=_LOOK, slopes=False)
+        tried = _fit(problem, apart, weights, _LOOK)
         apart = [min(tried, key=lambda one: one.cost).hypothesis]
-    (found,) = fit(problem, apart, weights, problem.fit, iterations=ITERATIONS, slopes=False)
+    (found,) = _fit(problem, apart, weights, ITERATIONS)
     return refitted(problem, with_possible_totals(problem, found.hypothesis))
 
 
@@ -58,8 +59,22 @@ def refitted(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATI
     """
     problem.refine_at(hypothesis)
     weights = _weights(problem, [hypothesis])
-    (found,) = fit(problem, [hypothesis], weights, problem.fit, iterations=iterations, slopes=False)
+    (found,) = _fit(problem, [hypothesis], weights, iterations)
     return with_possible_totals(problem, found.hypothesis)
+
+
+def _fit(
+    problem: Problem,
+    starts: Sequence[Hypothesis],
+    weights: FloatArray,
+    iterations: int,
+    jacobians: Sequence[FloatArray] | None = None,
+) -> list[Fitted]:
+    """Fit with back-EMF of at most the damping that contains it; arguments as for ``fit``."""
+    return fit(
+        problem, starts, weights, problem.fit,
+        iterations=iterations, slopes=False, jacobians=jacobians, bounds=back_emf_bounds(problem),
+    )  # fmt: skip
 
 
 def with_possible_totals(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
@@ -93,7 +108,7 @@ def add_effects(
         foremost = sorted(left, key=lambda each: looked[each].cost)[:_FITTED]
         weights = _weights(problem, [base])
         starts = [looked[each].hypothesis for each in foremost]
-        tried = fit(problem, starts, weights, problem.fit, iterations=ITERATIONS, slopes=False)
+        tried = _fit(problem, starts, weights, ITERATIONS)
         best = min(range(len(tried)), key=lambda k: tried[k].cost)
         left.remove(foremost[best])
         better = refitted(problem, with_possible_totals(problem, tried[best].hypothesis))
@@ -175,9 +190,7 @@ def _looked(
         places, steps, problem.residuals(moved, problem.fit), strict=True
     ):
         slopes[row][..., k] = np.nan_to_num((residual[row] - left) / step)
-    tried = iter(
-        fit(problem, every, weights, problem.fit, iterations=1, slopes=False, jacobians=slopes)
-    )
+    tried = iter(_fit(problem, every, weights, 1, slopes))
     best = {
         name: min((next(tried) for _ in each), key=lambda one: one.cost)
         for name, each in starts.items()

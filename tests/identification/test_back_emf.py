@@ -1,0 +1,105 @@
+"""A fitted back-EMF is at most the whole damping of its joint, which contains it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_further_effects import Drive, found_by_the_drive_stage
+from test_identify_simulation import NOMINAL
+
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.identification.simulation.fitting import held_out_error
+from pytest_twin.identification.simulation.passive_joints import back_emf_bounds, impossible
+
+DAMPING = NOMINAL["damping"]
+ROLLOFF, DRAG = Term("torque_rolloff", 0), Term("viscous_friction", 0)
+KNEE, BACK_EMF = 2.0, 1.5 * DAMPING
+
+
+def with_rolloff() -> Drive:
+    """A motor whose back-EMF is 1.5 times the damping of the joint in the model."""
+
+    def drive(effort: float, velocity: float) -> float:
+        ideal = effort - BACK_EMF * velocity
+        return ideal / (1.0 + abs(ideal) / KNEE) + BACK_EMF * velocity
+
+    return drive
+
+
+def rolloff(problem: Problem, back_emf: float, knee: float = KNEE) -> Hypothesis:
+    """A roll-off with a back-EMF in N*m*s/rad and a knee in N*m."""
+    knee_scale, scale = (problem.scales.value(p, 0) for p in ROLLOFF.parameters)
+    return EMPTY.with_term(ROLLOFF, np.array([1.0 / knee / knee_scale, back_emf / scale]))
+
+
+def drag(problem: Problem, coefficient: float) -> np.ndarray:
+    """An addition to the model's damping, N*m*s/rad."""
+    return np.array([coefficient / problem.scales.value(DRAG.parameters[0], 0)])
+
+
+def back_emf_of(problem: Problem, hypothesis: Hypothesis) -> float:
+    at = hypothesis.slice_of(ROLLOFF).start + 1
+    return float(hypothesis.theta[at]) * problem.scales.value(ROLLOFF.parameters[1], 0)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Hypothesis]:
+    return found_by_the_drive_stage(tmp_path_factory.mktemp("cell"), with_rolloff)
+
+
+def test_the_drive_stage_bounds_the_back_emf_by_the_damping(
+    found: tuple[Problem, Hypothesis],
+) -> None:
+    problem, drive = found
+    assert [term.effect for term in drive.terms] == ["torque_rolloff"]
+    # The recordings alone would determine more than the whole damping.
+    assert held_out_error(problem, rolloff(problem, BACK_EMF)) < held_out_error(problem, drive)
+    assert back_emf_of(problem, drive) == pytest.approx(DAMPING, rel=1e-6)
+    assert not impossible(problem, drive)
+
+
+def test_the_other_parameters_are_fitted_with_the_back_emf_at_its_bound(
+    found: tuple[Problem, Hypothesis],
+) -> None:
+    problem, drive = found
+
+    def cost(hypothesis: Hypothesis) -> float:
+        problem.refine_at(hypothesis)
+        return float(np.mean(problem.residuals([hypothesis], problem.fit)[0] ** 2))
+
+    others = [cost(rolloff(problem, DAMPING, knee)) for knee in np.linspace(1.0, 3.0, 41)]
+    assert cost(drive) < 1.001 * min(others)
+
+
+@pytest.mark.parametrize("added", [0.0, 0.1, -0.02])
+def test_a_back_emf_above_model_and_correction_is_impossible(
+    found: tuple[Problem, Hypothesis], added: float
+) -> None:
+    problem, whole = found[0], DAMPING + added
+    possible = rolloff(problem, whole).with_term(DRAG, drag(problem, added))
+    assert not impossible(problem, possible)
+    beyond = rolloff(problem, 1.2 * whole).with_term(DRAG, drag(problem, added))
+    (why,) = impossible(problem, beyond).items()
+    assert why == (
+        ROLLOFF,
+        f"its back-EMF of {1.2 * whole:.3g} would exceed the total damping of the joint, "
+        f"{whole:.3g}",
+    )
+    bounded = beyond.with_theta(np.clip(beyond.theta, *back_emf_bounds(problem)(beyond)))
+    assert back_emf_of(problem, bounded) == pytest.approx(whole)
+
+
+def test_friction_that_an_earlier_stage_added_is_part_of_the_damping(
+    found: tuple[Problem, Hypothesis],
+) -> None:
+    problem = found[0]
+    simulator = problem.simulator
+    frozen = {**simulator.fixed, "viscous_friction": {"coefficient": np.array([[0.1]])}}
+    later = replace(problem)
+    later.simulator = type(simulator)(simulator.segments, simulator.joints, threads=1, fixed=frozen)
+    hypothesis = rolloff(problem, DAMPING + 0.09)
+    assert impossible(problem, hypothesis)
+    assert not impossible(later, hypothesis)
