@@ -134,6 +134,7 @@ def simulated_sensitivities(
     segments: NDArray[np.int64],
     hypothesis: Hypothesis,
     residual: FloatArray,
+    closest: int = _CLOSEST,
 ) -> list[Sensitivity]:
     """Sensitivities by simulation: every candidate at one size, the best ones at all sizes.
 
@@ -143,14 +144,15 @@ def simulated_sensitivities(
         segments: indices of the segments that are simulated.
         hypothesis: the best hypothesis so far.
         residual: (bins, signals) residual of the hypothesis, by which candidates are ranked.
+        closest: number of candidates that are simulated at all sizes.
     """
     sizes = {t: grid(t) for t in terms}
     middle = {t: len(starts_in_first_form(t)) // 2 for t in sizes}
     found = _simulated(problem, [(t, sizes[t][middle[t]]) for t in terms], segments, hypothesis)
     weight = 1.0 / (np.mean(residual**2, axis=0) + problem.signal_floor**2)
     order = sorted(found, key=lambda r: -_explained(r.change, residual, weight))
-    closest = [r.term for r in order[:_CLOSEST]]
-    other_sizes = [(t, s) for t in closest for k, s in enumerate(sizes[t]) if k != middle[t]]
+    best = [r.term for r in order[:closest]]
+    other_sizes = [(t, s) for t in best for k, s in enumerate(sizes[t]) if k != middle[t]]
     return found + _simulated(problem, other_sizes, segments, hypothesis)
 
 

@@ -108,6 +108,26 @@ def linearize_around(
     return _view_around(problem, best, linear, _other_candidates(problem, best), known)
 
 
+def simulate_around(problem: Problem, best: ScoredModel, closest: int) -> LinearizedView:
+    """As :func:`linearize_around`, with candidates that are simulated at one size.
+
+    The linearization holds along the measured motion. Where the simulated motion is another (dry
+    friction holds the joint elsewhere), it can miss what explains the difference.
+
+    Args:
+        problem: the problem.
+        best: the fit.
+        closest: number of candidates that are simulated at all sizes.
+    """
+    left = bins(problem, problem.fit).mean(best.fitted.residual)
+    terms = _other_candidates(problem, best)
+    found = simulated_sensitivities(problem, terms, problem.fit, best.hypothesis, left, closest)
+    return LinearizedView(
+        best, None, residual_view(problem, best, left),
+        CandidateSensitivities(_identifiable(problem, found)), frozenset(terms),
+    )  # fmt: skip
+
+
 def _other_candidates(problem: Problem, best: ScoredModel) -> list[Term]:
     """Candidates that the fit does not contain."""
     named = set(best.hypothesis.terms)

@@ -79,7 +79,7 @@ def proposals(
         found = list[Proposal]()
         for elastic in (False, True):
             # The residual that an elastic transmission seems to leave would set the scale for all.
-            some = [f for f in fits if _new_elastic(f.hypothesis, own) == elastic]
+            some = [f for f in fits if has_new_elastic(f.hypothesis, own) == elastic]
             worth = linearized_evidence(
                 linearized.view, [incumbent, *some], scorer.penalty_per_effect
             )
@@ -94,7 +94,7 @@ def proposals(
     )
 
 
-def _new_elastic(hypothesis: Hypothesis, own: Hypothesis) -> bool:
+def has_new_elastic(hypothesis: Hypothesis, own: Hypothesis) -> bool:
     """Whether a hypothesis has an elastic transmission that another one lacks."""
     return any(t.law.is_elastic_transmission for t in hypothesis.terms if t not in own.terms)
 

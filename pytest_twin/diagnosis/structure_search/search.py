@@ -17,12 +17,17 @@ from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.distant_starts import distant
-from pytest_twin.diagnosis.search.linearized_view import LinearizedView, linearize_around
+from pytest_twin.diagnosis.search.linearized_view import (
+    LinearizedView,
+    linearize_around,
+    simulate_around,
+)
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.structure_search.proposals import (
     Proposal,
     Quota,
     best_of_each_size,
+    has_new_elastic,
     proposals,
 )
 from pytest_twin.diagnosis.structure_search.refit import (
@@ -159,6 +164,9 @@ class StructureSearch:
         """
         scorer, settings = self.scorer, self.settings
         found = proposals(scorer, view, settings)
+        if self._is_blind(found, view):
+            seen = simulate_around(self.problem, view.around, settings.simulated_at_all_sizes)
+            found += proposals(scorer, seen, settings)
         chosen = self._promising(found, incumbent)
         models = scorer.simulate([p.hypothesis for p in chosen])
         try:
@@ -177,6 +185,14 @@ class StructureSearch:
         except OutOfTime:
             return models, False
         return models, True
+
+    def _is_blind(self, found: Sequence[Proposal], view: LinearizedView) -> bool:
+        """Whether the linearization explains nothing of a residual that stands out."""
+        own = view.around.hypothesis
+        if view.linear is None or own.terms:
+            return False
+        gains = [p.gain for p in found if not has_new_elastic(p.hypothesis, own)]
+        return max(gains, default=0.0) < self.settings.earns
 
     def _promising(self, found: Sequence[Proposal], incumbent: Model) -> list[Proposal]:
         """The proposals that are simulated: the best of each number of effects."""

@@ -23,6 +23,8 @@ class StructureSearchSettings:
         finalists: simulated models that are fitted.
         corrections: simulations of one fit in the linearized motion.
         refinements: iterations of the final fit by simulation.
+        simulated_at_all_sizes: candidates that are simulated at all sizes of their grid, where the
+            linearization explains nothing of the residual. All others have one size.
         earns: penalized log-likelihood ratio that a larger model must gain. 5 are odds of 150 to 1,
             which are called very strong evidence (Kass, Raftery 1995).
         share: share of the log-likelihood ratio between a model and the nominal model that each
@@ -39,6 +41,7 @@ class StructureSearchSettings:
     finalists: int = 5
     corrections: int = 3
     refinements: int = 3
+    simulated_at_all_sizes: int = 4
     earns: float = 5.0
     share: float = 0.1
 
