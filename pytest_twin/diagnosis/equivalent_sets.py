@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.common_effects import at_every_joint, size_of, tied
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.effort_stamps import within_a_step
 from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
@@ -205,7 +206,7 @@ def _near(
     The most likely ones come first. The final set without some of its terms may be among them.
     """
     own, found = best.hypothesis, list[tuple[float, Hypothesis]]()
-    alike, similar = list[Hypothesis](), list[tuple[float, Hypothesis]]()
+    alike, similar = at_every_joint(comparison.problem, own), list[tuple[float, Hypothesis]]()
     places = subsets(own.terms)
     lefts = residuals_without(comparison.problem, linear, view, own, places)
     elastic = candidate_sensitivities.elastic_transmissions
@@ -453,7 +454,7 @@ def _simulated(
         current, residual = _front(comparison, best, current, residual, most, behind)
         slopes = linearized_slopes(linear, current)
         tried = [
-            propose(h, linear.residual(np.nan_to_num(r)), slope, weights, damping)
+            tied(problem, propose(h, linear.residual(np.nan_to_num(r)), slope, weights, damping), h)
             if h.theta.size
             else h
             for h, r, slope in zip(current, residual, slopes, strict=True)
@@ -603,7 +604,8 @@ def _decided(
     A set with more effects is at most as likely as the final one. A set with fewer effects has the
     penalty of the missing effects if its evidence without tempering is clearly lower.
     """
-    more = len(rival.hypothesis.terms) - len(best.hypothesis.terms)
+    mine, other = (size_of(comparison.problem, m.hypothesis).effects for m in (best, rival))
+    more = other - mine
     if more > 0:
         return min(value, 0.0)
     if more < 0 and rival.evidence < -SELECTION.earns:

@@ -188,6 +188,7 @@ def _weigh_untested(run: Run, selected: SelectedModel) -> None:
     for term in selected.best.hypothesis.terms if run.is_over else ():
         if term not in selected.confidence:
             selected.confidence[term] = _UNCOMPARED
+            selected.not_simulated |= {term}
             run.skip(f"the comparison of {term.effect} with its alternatives")
 
 

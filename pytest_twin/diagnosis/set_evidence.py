@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.common_effects import size_of
 from pytest_twin.diagnosis.effort_stamps import within_a_step
 from pytest_twin.diagnosis.evidence import (
     NOISE_FLOORS,
@@ -47,14 +48,18 @@ def set_price(
 ) -> float:
     """Penalty of the log-likelihood for the parameters and the effects of a set.
 
+    An effect that is common to all joints counts once.
+
     Args:
         comparison: model comparison of the problem.
         h: the set.
         samples: (signals,) effective samples.
         idle: number of parameters without influence, which are not penalized.
     """
+    size = size_of(comparison.problem, h)
     return float(
-        parameter_penalty(samples) * (h.free - idle) + comparison.penalty_per_effect * len(h.terms)
+        parameter_penalty(samples) * (size.free - idle)
+        + comparison.penalty_per_effect * size.effects
     )
 
 

@@ -153,6 +153,27 @@ def test_command_delay_and_sensor_delay_of_one_joint_share_the_confidence(
     assert found.simulations <= EQUIVALENT.most_simulations
 
 
+@pytest.mark.parametrize("hidden", ["commands", "readings"])
+def test_late_commands_of_all_joints_and_late_readings_share_the_confidence(hidden: str) -> None:
+    both = (COMMAND_DELAY, Term("command_delay", SECOND))
+    late = {t: {"delay": 0.02} for t in (both if hidden == "commands" else (SENSOR_DELAY,))}
+    problem = problem_of(PLANAR, "position", late)
+    found = compared(problem, with_values(problem, {SENSOR_DELAY: {"delay": 0.019}}))
+    selected = confidences(problem, found)
+    assert found.best.hypothesis.terms == (SENSOR_DELAY,)
+    (first, *_) = selected.sets[SENSOR_DELAY]
+    assert set(first.new) == set(both)
+    assert selected.confidence[SENSOR_DELAY] == pytest.approx(0.5, abs=0.15)
+    assert first.confidence == pytest.approx(0.5, abs=0.15)
+
+
+def test_late_commands_of_one_joint_of_two_are_no_late_readings() -> None:
+    problem = problem_of(PLANAR, "position", {COMMAND_DELAY: {"delay": 0.02}})
+    found = compared(problem, with_values(problem, {COMMAND_DELAY: {"delay": 0.019}}))
+    assert found.best.hypothesis.terms == (COMMAND_DELAY,)
+    assert confidences(problem, found).confidence[COMMAND_DELAY] > 0.95
+
+
 class Limit:
     """A limit on the number of times that a search asks whether its time is over."""
 

@@ -12,6 +12,7 @@ from test_windows import ONE, one_pendulum
 from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search import cma_es_fit
 from pytest_twin.diagnosis.search.full_drive_model import (
     fit_all_terms,
@@ -47,6 +48,25 @@ def result_with_dry_friction_only(prepared: Prepared, trials: TrialSet) -> Searc
     chosen.weigh({((DRY_FRICTION,), Term("viscous_friction", 0)): -1.0})
     found = conclude(prepared, trials, selection, chosen)
     return replace(found, selected=chosen, explained=Explained((), alone))
+
+
+def test_an_effect_that_was_compared_with_nothing_in_time_is_kept_with_low_confidence(
+    tmp_path: Path,
+) -> None:
+    """The pendulum also has viscous friction, which the search did not come to."""
+    realization, trials = one_pendulum(tmp_path, seconds=2.0, dry=DRY, viscous=VISCOUS)
+    prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
+    run = Run()
+    selection = StepwiseSelection(prepared.problem, run)
+    size = DRY / prepared.problem.scales.value(DRY_FRICTION.parameters[0], 0)
+    alone = EMPTY.with_term(DRY_FRICTION, np.array([size]))
+    best = selection.comparison.score_without_fit(alone, slopes=True)
+    run.budget.stop()
+    chosen = SelectedModel(best, selection.comparison.nominal)
+    found = conclude(prepared, trials, selection, chosen)
+    (finding,) = found.explained.findings
+    assert (finding.effect, finding.confidence) == ("coulomb_friction", 0.5)
+    assert found.verdict == "improved", found.pruned.notes
 
 
 def test_each_drive_effect_is_added_once_with_its_neutral_value(tmp_path: Path) -> None:

@@ -39,8 +39,8 @@ class RefitComparison:
         weights: (signals,) of the refits.
         rivals: confidence of the likeliest alternative to each effect; without, all alternatives
             are one.
-        not_simulated: effects whose alternatives were compared in the linearized motion only. That
-            comparison ranks alternatives; it is no ground to reject an effect that was simulated.
+        not_simulated: effects whose alternatives were not simulated. A comparison in the linearized
+            motion ranks alternatives; it is no ground to reject an effect that was simulated.
     """
 
     problem: Problem

@@ -80,8 +80,8 @@ class SelectedModel:
         near: models that explain nearly as much: their odds against the best, and the difference of
             the parameters of common terms, scaled.
         tried: number of candidates.
-        not_simulated: terms whose alternatives were compared in the linearized motion only, because
-            the time was over.
+        not_simulated: terms whose alternatives were not simulated, because the time was over: they
+            were compared in the linearized motion, or not at all.
     """
 
     best: ScoredModel

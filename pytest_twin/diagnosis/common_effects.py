@@ -1,0 +1,105 @@
+"""One cause that acts at every joint alike: the same effect at all joints with the same values.
+
+The catalogue has it as one effect for each joint. A bus that is late delays the commands of all
+joints by the same time. That is one cause with one parameter, as a late encoder bus is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.beam_search import candidates
+from pytest_twin.diagnosis.first_order.sensitivities import grid
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Size of a set of effects; an effect that is common to all joints counts once.
+
+    Attributes:
+        effects: number of effects.
+        free: number of estimated parameters.
+    """
+
+    effects: int
+    free: int
+
+
+def size_of(problem: Problem, hypothesis: Hypothesis) -> Size:
+    """Number of effects and parameters of a set, where common effects count once."""
+    repeated = [t for group in _common(problem, hypothesis) for t in group[1:]]
+    values = hypothesis.theta
+    tied = sum(int(t.movable(values[hypothesis.slice_of(t)]).sum()) for t in repeated)
+    return Size(len(hypothesis.terms) - len(repeated), hypothesis.free - tied)
+
+
+def at_every_joint(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """Sets with an effect at every joint instead of an effect of the whole robot.
+
+    For example the same command delay at all joints instead of a sensor delay. These are effects
+    that the catalogue lists as confused with the one of the robot, if all parameters of both have
+    the same name and quantity. They start with its values.
+    """
+    joints = range(len(problem.joints))
+    possible = set(candidates(problem))
+    out = []
+    for term in hypothesis.terms:
+        for effect in term.law.confused_with if term.joint < 0 and len(joints) > 1 else ():
+            each = [Term(effect, j) for j in joints]
+            if possible.issuperset(each) and not set(each) & set(hypothesis.terms):
+                values = _values(problem, hypothesis, term)
+                if values.keys() == {(p.name, p.quantity) for p in each[0].parameters}:
+                    starts = {t: _start(problem, t, values) for t in each}
+                    out.append(hypothesis.without(term).with_terms(starts))
+    return out
+
+
+def tied(problem: Problem, hypothesis: Hypothesis, like: Hypothesis) -> Hypothesis:
+    """A hypothesis in which effects that are common to all joints of ``like`` stay so.
+
+    Their parameters get the mean over the joints.
+    """
+    theta = hypothesis.theta.copy()
+    for group in _common(problem, like):
+        scales = np.array([[problem.scales.value(p, t.joint) for p in t.parameters] for t in group])
+        at = [hypothesis.slice_of(t) for t in group]
+        mean = np.mean([hypothesis.theta[s] * scale for s, scale in zip(at, scales, strict=True)],
+                       axis=0)  # fmt: skip
+        for s, scale in zip(at, scales, strict=True):
+            theta[s] = mean / scale
+    return hypothesis.with_theta(theta)
+
+
+def _common(problem: Problem, hypothesis: Hypothesis) -> list[list[Term]]:
+    """Groups of terms: the same effect with the same values at every joint of several."""
+    count, out = len(problem.joints), list[list[Term]]()
+    for effect in dict.fromkeys(t.effect for t in hypothesis.terms if t.joint >= 0):
+        each = [t for t in hypothesis.terms if t.effect == effect]
+        if count > 1 and len(each) == count:
+            values = [list(_values(problem, hypothesis, t).values()) for t in each]
+            if np.allclose(values, values[0], rtol=1e-9, atol=0.0):
+                out.append(each)
+    return out
+
+
+def _values(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[tuple[str, str], float]:
+    """(name, quantity) of each parameter of a term -> its value, SI units."""
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    return {
+        (p.name, p.quantity): float(x) * problem.scales.value(p, term.joint)
+        for p, x in zip(term.parameters, theta, strict=True)
+    }
+
+
+def _start(problem: Problem, term: Term, values: dict[tuple[str, str], float]) -> FloatArray:
+    """Scaled parameters of a term with given values, within their bounds."""
+    (start, _), *_ = grid(term)
+    for k, p in enumerate(term.parameters):
+        scale = problem.scales.value(p, term.joint)
+        start[k] = np.clip(values[p.name, p.quantity] / scale, p.lower, p.upper)
+    return start
