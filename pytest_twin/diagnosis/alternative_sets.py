@@ -56,7 +56,7 @@ def with_alternative_sets(
     run.begin("comparison with other sets", problem)
     comparison = ModelComparison(problem, run)
     allowed = allowed_without(problem, found.pruned.closest, recorded)
-    compared = compare_sets(comparison, final, allowed)
+    compared = compare_sets(comparison, final, allowed, found.selected.rivals)
     for other in compared.sets:
         run.step(
             problem, "exchange of a set", "rejected",

@@ -106,7 +106,10 @@ class ComparedSets:
 
 
 def compare_sets(
-    comparison: ModelComparison, found: Hypothesis, allowed: Allowed = lambda h: True
+    comparison: ModelComparison,
+    found: Hypothesis,
+    allowed: Allowed = lambda h: True,
+    known: Sequence[Hypothesis] = (),
 ) -> ComparedSets:
     """Compare a fitted set of effects with others that predict the same.
 
@@ -115,6 +118,7 @@ def compare_sets(
         found: the final set with its fitted parameters.
         allowed: whether a set may be reported. If the final set may not, the most likely other set
             replaces it.
+        known: other sets that explain nearly as much, fitted, best first.
 
     Returns:
         The comparison; without alternatives if the robot touches a surface, because there is no
@@ -137,6 +141,7 @@ def compare_sets(
         linearized.view,
         linearized.candidate_sensitivities,
         allowed,
+        known,
     )
     rivals, is_complete = _simulated(comparison, best, linearized.linear, near, count)
     rivals = [r for r in rivals if allowed(r.hypothesis) and np.isfinite(r.fitted.cost)]
@@ -200,6 +205,7 @@ def _near(
     view: ResidualView,
     candidate_sensitivities: CandidateSensitivities,
     allowed: Allowed,
+    known: Sequence[Hypothesis],
 ) -> list[Hypothesis]:
     """Other sets with nearly the same prediction, fitted in the linearized motion.
 
@@ -252,8 +258,10 @@ def _near(
     # differ, so they are simulated with the parameters of the effects that they replace.
     likeliest = _without_additions(ranked, own.terms, 1)
     fewer = [h for h in likeliest if len(h.terms) < len(own.terms)]
+    others = [h for h in known if not set(own.terms) <= set(h.terms) and allowed(h)]
     out = [
         *(h for h in alike[: EQUIVALENT.with_same_parameters] if allowed(h)),
+        *others[: EQUIVALENT.of_search],
         *fewer[: EQUIVALENT.with_fewer_effects],
         *(f.hypothesis for f in fitted[: len(closest)] if allowed(f.hypothesis)),
         *likeliest,

@@ -45,6 +45,9 @@ from pytest_twin.trial import Trial
 _MOSTLY = 0.1
 # Least unexplained share for which effects found in windows are refitted to whole recordings.
 _SOME = 0.01
+# Log-likelihood ratio by which other sets of the structure search may be behind to share the
+# confidence of its result: odds of 1 to 22,000.
+_NEARLY_AS_GOOD = 10.0
 # Confidence of an effect whose alternatives were not compared.
 _UNCOMPARED = 0.5
 
@@ -219,7 +222,9 @@ def from_start(selection: StepwiseSelection, start: Hypothesis) -> SelectedModel
         selection.has_left_off = True
         return SelectedModel(rival, comparison.nominal, tried=comparison.tried)
     selection.has_nothing_to_add = chosen.is_complete
-    return selection.run(rival if rival.hypothesis.terms else None)
+    selected = selection.run(rival if rival.hypothesis.terms else None)
+    selected.rivals = chosen.nearly_as_good(_NEARLY_AS_GOOD)
+    return selected
 
 
 def _structure(selection: StepwiseSelection, start: Hypothesis) -> Result:

@@ -17,6 +17,7 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.recorded import determine_signals, with_doubt
 from pytest_twin.diagnosis.recorded.command_between import AssumptionResiduals, Between, decide
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
+from pytest_twin.diagnosis.recorded.reconsidered import explains_as_much
 from pytest_twin.diagnosis.recorded.recorded_signals import RecordedSignals
 from pytest_twin.diagnosis.recorded.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
@@ -222,6 +223,15 @@ def test_a_delay_of_half_a_period_has_half_confidence_if_commands_may_be_ramped(
 def test_findings_do_not_change_if_the_interpolation_is_known() -> None:
     known = explained_by_delay(0.002)
     assert with_doubt(known, None) is known
+
+
+def test_an_effect_of_effort_readings_counts_although_it_changes_no_position() -> None:
+    floor = np.array([1e-4, 0.01])
+    with_effect, without = np.full((50, 2), [1e-3, 0.01]), np.full((50, 2), [1e-3, 0.5])
+    assert explains_as_much(with_effect, without, floor)
+    assert not explains_as_much(without, with_effect, floor)
+    # Below the noise floor, residuals are equal.
+    assert explains_as_much(with_effect, np.full((50, 2), [1e-3, 0.001]), floor)
 
 
 def test_a_declared_interpolation_is_not_estimated(tmp_path: Path) -> None:

@@ -10,10 +10,13 @@ from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.deadline import OutOfTime
+from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.search.linearized_view import LinearizedView, linearize_around
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.structure_search import search as search_module
 from pytest_twin.diagnosis.structure_search.proposals import (
     Proposal,
@@ -64,6 +67,32 @@ def test_exactly_the_hidden_effects_are_found_with_less_than_150_simulations(
     assert left.max() < 2.0
     accepted = [s for s in run.trace.steps if s.decision == "accepted"]
     assert bool(accepted) is bool(names)
+
+
+def test_where_the_linearization_shows_nothing_candidates_are_simulated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def blind(problem: Problem, best: ScoredModel) -> LinearizedView:
+        return linearize_around(problem, best).without(set(candidates(problem)))
+
+    problem = problem_of(tmp_path, viscous=0.03)
+    monkeypatch.setattr(search_module, "linearize_around", blind)
+    before = problem.stepped
+    result = StructureSearch(problem).run()
+    assert [t.effect for t in result.model.hypothesis.terms] == ["viscous_friction"]
+    assert (problem.stepped - before) / problem.simulator.steps.sum() < 250
+
+
+def test_sets_that_explain_nearly_as_much_are_kept_best_first(tmp_path: Path) -> None:
+    result = StructureSearch(problem_of(tmp_path, delay=0.02)).run()
+    (found,) = result.model.hypothesis.terms
+    assert found.effect == "command_delay"
+    behind = {m.hypothesis.terms: gain for m, gain in result.rivals}
+    (late_readings,) = (t for t in behind if [x.effect for x in t] == ["sensor_delay"])
+    near = [h.terms for h in result.nearly_as_good(1.0 - behind[late_readings])]
+    assert late_readings in near
+    assert [behind[t] for t in near] == sorted((behind[t] for t in near), reverse=True)
+    assert late_readings not in [h.terms for h in result.nearly_as_good(-behind[late_readings])]
 
 
 def test_when_time_runs_out_the_best_simulated_proposal_is_the_result(

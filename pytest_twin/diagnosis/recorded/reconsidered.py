@@ -63,19 +63,31 @@ def with_fewer_effects(
 
 
 def _without_one(found: SearchResult, comparison: ModelComparison) -> ScoredModel | None:
-    """The best fit with one effect fewer whose error is not larger at any joint; else None."""
-    start, joints = found.explained.hypothesis, len(comparison.problem.joints)
+    """The best fit with one effect fewer whose error is not larger in any signal; else None."""
+    start = found.explained.hypothesis
     fewer = [start.without(t) for t in start.terms]
     rivals = comparison.rivals(fewer, comparison.weights(comparison.nominal), FAIR)
-    before = _rms(found.pruned.fitted.residual, joints)
-    most = np.maximum(_AS_WELL * before, comparison.problem.floor[:joints])
-    as_good = [r for r in rivals if (_rms(r.fitted.residual, joints) <= most).all()]
+    before, floor = found.pruned.fitted.residual, comparison.problem.signal_floor
+    as_good = [r for r in rivals if explains_as_much(r.fitted.residual, before, floor)]
     comparison.judge(as_good, comparison.nominal)
     return max(as_good, key=lambda r: r.evidence, default=None)
 
 
-def _rms(residual: FloatArray, joints: int) -> FloatArray:
-    rms: FloatArray = np.sqrt(np.mean(residual[:, :joints] ** 2, axis=0))
+def explains_as_much(residual: FloatArray, before: FloatArray, floor: FloatArray) -> bool:
+    """Whether a residual is not larger than another one in any signal.
+
+    Signals are positions and efforts: some effects change efforts alone.
+
+    Args:
+        residual, before: (samples, signals).
+        floor: (signals,) noise floor, below which residuals are equal.
+    """
+    return bool((_rms(residual) <= np.maximum(_AS_WELL * _rms(before), floor)).all())
+
+
+def _rms(residual: FloatArray) -> FloatArray:
+    """(signals,) RMS of a (samples, signals) residual."""
+    rms: FloatArray = np.sqrt(np.mean(residual**2, axis=0))
     return rms
 
 
@@ -92,10 +104,13 @@ def _with_interpolation(trials: TrialSet, between: CommandBetween) -> TrialSet:
 
 
 def _fewer(other: SearchResult, found: SearchResult) -> bool:
-    """Whether a result has fewer effects and no larger error at any joint."""
+    """Whether a result has fewer effects and no larger error in any signal."""
     if other.explained.hypothesis.more_terms(found.explained.hypothesis) >= 0:
         return False
     if other.errors.keys() != found.errors.keys():
+        return False
+    now, before = (r.pruned.fitted.residual for r in (other, found))
+    if not explains_as_much(now, before, found.prepared.problem.signal_floor):
         return False
     return all(
         e.after <= max(_AS_WELL * found.errors[joint].after, e.floor)

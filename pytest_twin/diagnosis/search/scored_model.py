@@ -82,6 +82,7 @@ class SelectedModel:
         tried: number of candidates.
         not_simulated: terms whose alternatives were not simulated, because the time was over: they
             were compared in the linearized motion, or not at all.
+        rivals: other sets, fitted, that the structure search found nearly as good as its result.
     """
 
     best: ScoredModel
@@ -93,6 +94,7 @@ class SelectedModel:
     near: list[tuple[float, dict[Term, FloatArray]]] = field(default_factory=list)
     tried: int = 0
     not_simulated: frozenset[Term] = frozenset()
+    rivals: tuple[Hypothesis, ...] = ()
 
     def alternatives_to(self, term: Term) -> list[Alternative]:
         """Alternatives to a term, most likely first."""

@@ -62,6 +62,11 @@ class Result:
     has_left: bool = False
     is_complete: bool = False
 
+    def nearly_as_good(self, behind: float) -> tuple[Hypothesis, ...]:
+        """Rivals at most ``behind`` in their log-likelihood ratio, best first."""
+        close = [(m, gain) for m, gain in self.rivals if gain > -behind]
+        return tuple(m.hypothesis for m, _ in sorted(close, key=lambda each: -each[1]))
+
 
 class StructureSearch:
     """One search over sets of effects for a problem.
