@@ -213,12 +213,17 @@ class Information:
     enlarged: FloatArray
 
     def covariance(self, columns: NDArray[np.intp]) -> FloatArray:
-        """(k, k) covariance of the parameters of these columns, with the others fixed."""
+        """(k, k) covariance of the parameters of these columns, with the others fixed.
+
+        Combinations that the rows determine only by rounding have large finite variances.
+        """
         own = self.matrix[np.ix_(columns, columns)]
         sizes = np.sqrt(np.maximum(np.diag(own), 1e-300))
         unit = np.outer(sizes, sizes)
-        inverse = np.linalg.pinv(own / unit, hermitian=True) / unit
-        return np.asarray(inverse @ self.enlarged[np.ix_(columns, columns)] @ inverse)
+        rounding = len(columns) * np.finfo(np.float64).eps * np.eye(len(columns))
+        inverse = np.linalg.inv(own / unit + rounding)
+        enlarged = self.enlarged[np.ix_(columns, columns)] / unit + rounding
+        return np.asarray(inverse @ enlarged @ inverse / unit)
 
 
 def information(problem: LinearProblem, residual: FloatArray, weight: FloatArray) -> Information:
