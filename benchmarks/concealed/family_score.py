@@ -36,7 +36,7 @@ PLAUSIBLE = 3.0
 """Largest ratio of a background finding to its true size."""
 STANDS = (
     (0.0, 2.0, "less than 2"), (2.0, 5.0, "2 to 5"), (5.0, 10.0, "5 to 10"),
-    (10.0, np.inf, "10 or more"),
+    (10.0, np.inf, "at least 10"),
 )  # fmt: skip
 """Ranges of the ratio of an effect to the background: lower limit, upper limit, description."""
 BANDS = ((0.5, 0.75), (0.75, 0.9), (0.9, 1.0))
@@ -237,7 +237,7 @@ def rows(answers: Sequence[Answer]) -> list[tuple[str, str, str]]:
         ("the same, of cases with a result", "",
          share(first_right(a) for a in hiding if a.said is not None)),
         *(
-            (f"the same, of effects that stand out of the background by {words}", "",
+            (f"the same, of effects of {words} times the background", "",
              share(first_right(a) for a in hiding if low <= times_background(a) < high))
             for low, high, words in STANDS
         ),
@@ -252,19 +252,20 @@ def rows(answers: Sequence[Answer]) -> list[tuple[str, str, str]]:
          middle(removed(a) for a in ended if a.hidden)),
         ("95 % intervals that hold the hidden value", "90 to 99 %",
          share(v for a in ended for v in intervals(a))),
-        ("force in no catalogue left unexplained, right joint, no false name at 0.9", "",
+        ("force outside the catalogue unexplained at the right joint, no false name at 0.9", "",
          share(unexplained_right(a) for a in outside)),
     ]  # fmt: skip
     for (low, high), (right, every) in zip(BANDS, calibration(ended), strict=True):
         goal = "90 %" if high == 1.0 else ""
         value = f"{right} of {every} ({right / every:.0%})" if every else "none"
-        found.append((f"names said at {low:g} to {high:g} that are right", goal, value))
+        figure = f"names with a confidence of {low:g} to {high:g} that are right"
+        found.append((figure, goal, value))
     for count in sorted({len(a.truth["joints"]) for a in answers}):
         group = [a for a in answers if len(a.truth["joints"]) == count]
         joints = f"{count} joint{'s' if count > 1 else ''}"
-        found.append((f"simulations of all data, {joints}: median, 95 %, most", "",
+        found.append((f"simulations of all data, {joints}: median, 95th percentile, maximum", "",
                       spread(simulations(a) for a in group)))  # fmt: skip
-        found.append((f"wall time, {joints}: median, 95 %, most", "",
+        found.append((f"wall time, {joints}: median, 95th percentile, maximum", "",
                       spread((a.run["seconds"] for a in group), " s")))  # fmt: skip
     return found
 
