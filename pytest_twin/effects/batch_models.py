@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,7 +19,7 @@ from pytest_twin.effects.base import Effect, ModelFields, Values, World, moving_
 from pytest_twin.effects.constraint import hold
 from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
 from pytest_twin.effects.engine_options import disable_unused_features
-from pytest_twin.effects.layout import Layout
+from pytest_twin.effects.layout import Index, Layout, as_slice
 from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.point_mass import with_point_mass
 from pytest_twin.effects.sampling import age_of_initial_state
@@ -63,6 +64,22 @@ class Rows:
     constant: FloatArray
     friction: FloatArray | None
     force_range: FloatArray | None
+
+
+class _Drives(NamedTuple):
+    """Drives of a layout.
+
+    Attributes:
+        driven: joints with a drive.
+        act: their actuators.
+        gear: (drives,) gear ratios; None if all are 1.
+        reversed_drive: (drives,) whether the gear ratio is negative; None if none is.
+    """
+
+    driven: Index
+    act: Index
+    gear: FloatArray | None
+    reversed_drive: NDArray[np.bool_] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,18 +384,27 @@ class BatchModels:
 
     def write_bounds(self, force_range: FloatArray, world: World) -> None:
         """Write the effort limits of the drives into (rows, actuators, 2) force ranges."""
-        driven = self.layout.driven
-        act, gear = self.layout.actuator[driven], self.layout.gear[driven]
-        low, high = world.lower[:, driven] / gear, world.upper[:, driven] / gear
-        if self._has_reversed_drive:
-            low, high = np.where(gear < 0.0, high, low), np.where(gear < 0.0, low, high)
+        driven, act, gear, reversed_drive = self._drives
+        low, high = world.lower[:, driven], world.upper[:, driven]
+        if gear is not None:
+            low, high = low / gear, high / gear
+        if reversed_drive is not None:
+            low, high = np.where(reversed_drive, high, low), np.where(reversed_drive, low, high)
         force_range[:, act, 0] = np.maximum(low, -_UNBOUNDED)
         force_range[:, act, 1] = np.minimum(high, _UNBOUNDED)
 
     @cached_property
-    def _has_reversed_drive(self) -> bool:
-        """Whether a drive has a negative gear ratio."""
-        return bool((self.layout.gear[self.layout.driven] < 0.0).any())
+    def _drives(self) -> _Drives:
+        """The drives, for code that runs before each step."""
+        driven = self.layout.driven
+        gear = self.layout.gear[driven]
+        reversed_drive = gear < 0.0
+        return _Drives(
+            as_slice(driven),
+            as_slice(self.layout.actuator[driven]),
+            None if (gear == 1.0).all() else gear,
+            reversed_drive if reversed_drive.any() else None,
+        )
 
     def _write_inertia(self, batched: _Batched, fields: ModelFields) -> None:
         """Write changed masses, inertias and centres of mass of links, and added point masses."""

@@ -28,7 +28,7 @@ from pytest_twin.effects.base import Effect, Values, World
 from pytest_twin.effects.batch_division import Part, divide_rows, worth_forks
 from pytest_twin.effects.batch_models import BatchModels, Rows
 from pytest_twin.effects.commands_over_steps import CommandsOverSteps
-from pytest_twin.effects.layout import Layout
+from pytest_twin.effects.layout import Layout, as_slice
 from pytest_twin.effects.memory_warmup import (
     LEAD,
     PATH_STEP,
@@ -387,7 +387,7 @@ class BatchSimulator:
     def _rolled_out(self, written: Rows, commands: FloatArray) -> Motion:
         """Motion of rows whose effects are all in the model fields: one call of the engine."""
         batch, world, layout = written.batch, written.world, self.layout
-        at_qpos, at_dof = _span(layout.qpos_index), _span(layout.dof_index)
+        at_qpos, at_dof = as_slice(layout.qpos_index), as_slice(layout.dof_index)
         batch.bind("qpos")[:, at_qpos] = world.position
         batch.bind("qvel")[:, at_dof] = world.velocity
         batch.bind("qfrc_applied")[:, at_dof] = written.constant
@@ -419,7 +419,7 @@ class BatchSimulator:
     ) -> None:
         """Set the initial state of rows, and the memory of effects that act between steps."""
         batch, world = written.batch, written.world
-        at_qpos, at_dof = _span(self.layout.qpos_index), _span(self.layout.dof_index)
+        at_qpos, at_dof = as_slice(self.layout.qpos_index), as_slice(self.layout.dof_index)
         batch.bind("qpos")[:, at_qpos] = world.position
         batch.bind("qvel")[:, at_dof] = world.velocity
         batch.bind("qfrc_applied")[:, at_dof] = written.constant
@@ -436,12 +436,12 @@ class BatchSimulator:
     def _stepped(self, written: Rows, hooks: Hooks, commands: FloatArray) -> Motion:
         """Motion of rows whose effects act between the steps of the engine."""
         batch, world, layout = written.batch, written.world, self.layout
-        at_qpos, at_dof = _span(layout.qpos_index), _span(layout.dof_index)
+        at_qpos, at_dof = as_slice(layout.qpos_index), as_slice(layout.dof_index)
         qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
         ctrl, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
         bias, actuator_force = batch.bind("qfrc_bias"), batch.bind("qfrc_actuator")
         driven, bare = layout.driven, layout.bare
-        control, at_driven = _span(layout.control[driven]), _span(driven)
+        control, at_driven = as_slice(layout.control[driven]), as_slice(driven)
         scale = layout.scale[driven]
         rows, steps = commands.shape[:2]
         q, v, effort = self._motion(steps, rows)
@@ -509,10 +509,3 @@ class BatchSimulator:
 def _reads_load(hooks: Hooks) -> bool:
     """Whether an effect between steps needs the load of its joint."""
     return bool(hooks["friction"] or hooks["gear"] or any(e.reads_load for e, _ in hooks["servo"]))
-
-
-def _span(index: NDArray[np.int64]) -> slice | NDArray[np.int64]:
-    """The index as a slice if its elements are adjacent, because a slice needs no copy."""
-    if len(index) and (np.diff(index) == 1).all():
-        return slice(int(index[0]), int(index[-1]) + 1)
-    return index

@@ -21,6 +21,9 @@ _TOOL, _LEAST_TOOL, _TOOL_MASS = 0.15, 0.05, 0.02
 """Reference length of a payload on a flange and on any last link, as shares of the arm's length;
 smallest reference mass on a flange, as a share of the arm's mass."""
 
+Index = slice | NDArray[np.int64]
+"""Places along an axis of an array."""
+
 
 class Layout:
     """Indices of hinges, slides and commanded drives, and reference scales of joints and links.
@@ -151,3 +154,10 @@ class Layout:
         radial = np.where(on_axis, aside, offset)
         radial /= np.linalg.norm(radial, axis=1, keepdims=True)
         return radial, np.cross(axis, radial)
+
+
+def as_slice(index: NDArray[np.int64]) -> Index:
+    """The index as a slice if its elements are adjacent, because a slice needs no copy."""
+    if len(index) and (np.diff(index) == 1).all():
+        return slice(int(index[0]), int(index[-1]) + 1)
+    return index

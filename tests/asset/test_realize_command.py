@@ -14,6 +14,8 @@ from asset_robots import ARM, FINGER, PANDA, UR3, write_arm
 from pytest_twin.cli import main
 from pytest_twin.formats.digest import file_sha256
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 LOAD = """
 import sys, mujoco
 model = mujoco.MjModel.from_xml_path(sys.argv[1])

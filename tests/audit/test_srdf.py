@@ -22,6 +22,8 @@ from pytest_twin.cli import main
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import urdf
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 SRDF = """<?xml version="1.0"?>
 <robot name="clean">
   <virtual_joint name="fix" type="fixed" parent_frame="map" child_link="world"/>

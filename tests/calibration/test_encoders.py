@@ -17,6 +17,8 @@ from pytest_twin.calibration.plan import load_plan
 from pytest_twin.errors import FormatError, SpecError
 from pytest_twin.twin import load_twin
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 NOISE, GAP, HOME = 2e-4, 1e-3, 0.031
 STOP = -1.5
 

@@ -31,6 +31,8 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 ONE, TWO = ("shoulder",), ("shoulder", "elbow")
 CONTACT = {"contact_offset", "contact_stiffness", "contact_damping", "contact_friction"}
 

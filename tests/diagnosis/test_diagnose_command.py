@@ -20,6 +20,8 @@ from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.formats.schema import load_schema
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 
 @pytest.fixture(scope="module")
 def delayed(tmp_path_factory: pytest.TempPathFactory) -> Path:

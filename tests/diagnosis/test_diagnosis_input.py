@@ -34,6 +34,8 @@ from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.errors import RecordingError, SimulationError
 from pytest_twin.formats.mcap import JointSeries, write_recording
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 
 class Bench:
     """A folder with the nominal model and its recordings."""

@@ -19,6 +19,8 @@ from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import EFFECTS_FILE
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 EXCESS = 0.1
 
 

@@ -15,6 +15,8 @@ from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.errors import RecordingError
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 COUNTS = 4096 / (2.0 * np.pi)
 TURN = 2.0 * np.pi
 INERTIA, DAMPING = 0.02, 0.05

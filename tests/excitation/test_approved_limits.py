@@ -16,6 +16,8 @@ from pytest_twin.excitation.approved import missing_lines
 from pytest_twin.excitation.excite import excite, missing_template
 from pytest_twin.excitation.reading import read_approved
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 JOINTS = ("lift", "elbow")
 
 

@@ -28,6 +28,8 @@ from pytest_twin.formats.schema import load_schema
 from pytest_twin.identification.regressor.base_parameters import structural_base
 from pytest_twin.identification.regressor.regressor import Regressor
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 
 def designs(twin: Path) -> tuple[ApprovedLimits, int, dict[str, Design]]:
     """The approved limits, the number of base parameters, and the design problem per solver."""

@@ -32,6 +32,8 @@ sys.path += [str(Path(__file__).parents[1] / "formats"), str(Path(__file__).pare
 import sensor_bags
 from sensor_arm import ARM, COM, INERTIA, MASS, START, pinocchio_arm
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 JOINTS = ["j1", "j2", "j3"]
 PERIOD = 0.004
 DELAY, FRAME, LOST = 0.042, 1.0 / 30.0, 0.05

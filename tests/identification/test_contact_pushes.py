@@ -22,6 +22,8 @@ from pytest_twin.realization.free_body import FreeBody, poses_of
 sys.path.append(str(Path(__file__).parents[1] / "formats"))
 import sensor_bags
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 MASS, FRICTION, HALF, OFFSET = 0.4, 0.32, 0.05, 0.0012
 START = 1_700_000_000_000_000_000
 

@@ -14,6 +14,8 @@ from pytest_twin import cli
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.realization import load
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:

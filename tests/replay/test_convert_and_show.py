@@ -17,6 +17,8 @@ from pytest_twin.formats.recording import JointSeries, Recording
 sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
 from lerobot_files import episode, write_dataset
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 JOINTS = ("shoulder", "elbow")
 TIME = np.arange(200) * 0.01
 

@@ -23,6 +23,8 @@ from pytest_twin.replay import replay
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import load_twin
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 JOINTS = ("shoulder", "elbow")
 TIME = 0.01 * np.arange(300)
 SENT = np.column_stack([0.4 * np.sin(3 * TIME), 0.3 - 0.2 * np.sin(5 * TIME)])

@@ -20,6 +20,8 @@ from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import make_trial
 from pytest_twin.twin import load_twin
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 
 def recorded(root: Path, gain: float, effort: float, real: str = ARM) -> Path:
     """Write a twin and a recording of a real arm under a random walk of commands.

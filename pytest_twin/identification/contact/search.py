@@ -13,7 +13,6 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import cma
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
@@ -89,6 +88,9 @@ def minimize(
         reach = np.clip(start[0] + spread * np.linspace(-2.0, 2.0, 9), 0.0, 1.0)
         loss([np.array([place]) for place in reach])
         return loss.evaluated().best
+    # The import takes half a second: it loads matplotlib.
+    import cma
+
     strategy = cma.CMAEvolutionStrategy(
         np.clip(start, 0.02, 0.98),
         spread,

@@ -15,6 +15,8 @@ from pytest_twin.calibration.cameras.increments import changed, inverse
 from pytest_twin.calibration.clocks.streams import read_stream
 from pytest_twin.errors import FormatError
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 RECORDINGS = Path(
     os.environ.get("TWIN_RECORDINGS") or Path(__file__).parents[4] / "shared" / "recordings"
 )

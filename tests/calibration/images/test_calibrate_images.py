@@ -17,6 +17,8 @@ from pytest_twin import cli
 from pytest_twin.calibration.boards.target import Target
 from pytest_twin.calibration.cameras.increments import changed, inverse
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 
 def stated_target(board: Target) -> dict[str, object]:
     """A board as a plan states it."""

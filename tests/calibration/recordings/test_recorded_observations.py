@@ -24,6 +24,8 @@ from pytest_twin.calibration.plan import load_plan
 from pytest_twin.calibration.recordings.gathered import gather
 from pytest_twin.formats.sensor_messages import picture_of
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 STOPS, STEP_S = 16, 2.0
 """In each step the robot moves for one second and is at rest for one second."""
 

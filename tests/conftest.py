@@ -1,0 +1,26 @@
+"""Fixtures of several rooms."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+
+import pytest
+from in_process import InProcess
+
+from pytest_twin.cli import COMMANDS
+
+
+@pytest.fixture(scope="module")
+def commands_in_process() -> Iterator[None]:
+    """Commands do their work in this process, because the start of a child takes 1 to 2 s.
+
+    The children of commands are tested in ``tests/setup``, ``tests/realization/test_sandbox.py``
+    and in modules without this fixture.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        for name in COMMANDS:
+            command = importlib.import_module(f"pytest_twin.commands.{name}")
+            if hasattr(command, "Sandbox"):
+                patch.setattr(command, "Sandbox", InProcess)
+        yield
