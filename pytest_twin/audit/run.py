@@ -47,7 +47,7 @@ def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
     """Return the findings of all layers that need no simulator; installed packages come last."""
     return [
         *asset.faults,
-        *(_unseen(asset, layer, why) for layer, why in asset.unseen.items()),
+        *(_not_audited(asset, layer, why) for layer, why in asset.unseen.items()),
         *tree.check(asset),
         *joints.check(asset, known),
         *evidence.check(asset, known),
@@ -63,7 +63,7 @@ def audit(asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
     ]
 
 
-def _unseen(asset: Asset, layer: str, why: str) -> Finding:
+def _not_audited(asset: Asset, layer: str, why: str) -> Finding:
     return Finding(
         f"{layer}.not_looked_at",
         "unknown",

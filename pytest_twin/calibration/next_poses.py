@@ -84,7 +84,7 @@ def next_poses(found: Estimate) -> dict[str, Any]:
         gain = np.linalg.slogdet(middle)[1] / 2.0
         best = int(np.argmax(gain))
         information = information + blocks[best].T @ blocks[best]
-        poses.append(_stated(problem, at[chosen[best]], float(gain[best]) / np.log(2.0)))
+        poses.append(_pose_entry(problem, at[chosen[best]], float(gain[best]) / np.log(2.0)))
     seen = drawn_flanges if problem.chain is None else None
     where = (
         seen(problem.observations.flange, 60, seed=1)  # type: ignore[arg-type]
@@ -162,7 +162,7 @@ def _by_row(problem: Problem, rows: FloatArray) -> FloatArray:
     return found
 
 
-def _stated(problem: Problem, at: FloatArray, information: float) -> dict[str, Any]:
+def _pose_entry(problem: Problem, at: FloatArray, information: float) -> dict[str, Any]:
     if problem.chain is None:
         return {"flange": pose_vector(at).tolist(), "information": information}
     joints = {n: float(v) for n, v in zip(problem.chain.joints, at, strict=True)}

@@ -202,11 +202,11 @@ def load_plan(path: Path) -> Plan:
             "no flange is named",
             expected="flange: the robot's frame that carries camera, target, markers or tool",
         )
-    object.__setattr__(plan, "given", _given(plan, data.get("given", {})))
+    object.__setattr__(plan, "given", _read_given_poses(plan, data.get("given", {})))
     return plan
 
 
-def _given(plan: Plan, data: Mapping[str, Any]) -> dict[str, FloatArray]:
+def _read_given_poses(plan: Plan, data: Mapping[str, Any]) -> dict[str, FloatArray]:
     found = {}
     for name, pose in data.items():
         where = f"given.{name}"

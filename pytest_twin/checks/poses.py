@@ -148,7 +148,7 @@ def resolve_poses(
                     drawn = solver.draw(golden, place, seed, index, moved)
                 poses.append(solver.pose(golden, place, name, drawn, held=frozenset(), drawn=True))
         else:
-            poses.append(_given(golden, place, entry, number, solver))
+            poses.append(_read_pose(golden, place, entry, number, solver))
     seen: set[str] = set()
     for pose in poses:
         if pose.name in seen:
@@ -165,7 +165,7 @@ def resolve_poses(
 
 def resolve_pose(golden: Golden, realization: Realization, entry: object, field: str) -> Pose:
     """Return one pose, given in the form ``POSE_SCHEMA``; raises as ``resolve_poses``."""
-    return _given(golden, field, entry, 0, _Coupled(realization.model))
+    return _read_pose(golden, field, entry, 0, _Coupled(realization.model))
 
 
 def configuration(realization: Realization, values: Mapping[str, float]) -> FloatArray:
@@ -225,7 +225,7 @@ def keyframe_parts(golden: Golden, structure: Structure) -> frozenset[str]:
     return frozenset().union(*(structure.keyframe(name) for name in names))
 
 
-def _given(golden: Golden, place: str, entry: object, number: int, solver: _Coupled) -> Pose:
+def _read_pose(golden: Golden, place: str, entry: object, number: int, solver: _Coupled) -> Pose:
     if isinstance(entry, str):
         values = {} if entry == REFERENCE else solver.keyframe(golden, place, entry)
         return solver.pose(golden, place, entry, values, held=None)

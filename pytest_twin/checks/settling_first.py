@@ -73,7 +73,7 @@ def _under_gravity(
         # Feet that touch the floor at the pose do not count as overlap.
         stimulus.pop("contact", None)
         spec["stimulus"] = {"duration": "3 s", **stimulus}
-        found = _tried(check, spec, realization)
+        found = _observed_values(check, spec, realization)
         if found["deepest"] is None:
             raise NothingToProposeError(
                 "settling under gravity, because the base floats and nothing is under it (a "
@@ -88,7 +88,7 @@ def _under_gravity(
     if not actuation.held:
         spec["title"] = "Fall from the pose under gravity; nothing holds the joints"
         spec["stimulus"] = {"duration": "0.3 s", **stimulus}
-        found = _tried(check, spec, realization)
+        found = _observed_values(check, spec, realization)
         moved = _motion(found, realization)
         if not any(motion > _STILL for motion in moved.values()):
             raise NothingToProposeError("a fall under gravity, because gravity moves no joint")
@@ -104,7 +104,7 @@ def _under_gravity(
     else:
         spec["title"] = "Servos hold the pose under gravity"
     spec["stimulus"] = {"duration": "0.3 s" if actuation.loose else "3 s", **stimulus}
-    return {**spec, "tolerance": _bounds(_tried(check, spec, realization))}
+    return {**spec, "tolerance": _bounds(_observed_values(check, spec, realization))}
 
 
 def _beside_the_pose(
@@ -137,10 +137,12 @@ def _beside_the_pose(
             "displacement": displaced,
         },
     }
-    return {**spec, "tolerance": _bounds(_tried(check, spec, realization))}
+    return {**spec, "tolerance": _bounds(_observed_values(check, spec, realization))}
 
 
-def _tried(check: Check, spec: Mapping[str, Any], realization: Realization) -> Mapping[str, Any]:
+def _observed_values(
+    check: Check, spec: Mapping[str, Any], realization: Realization
+) -> Mapping[str, Any]:
     trial = proposals.draft(check, realization, spec)
     return check.observe(trial, realization, lambda _: None).values
 

@@ -153,7 +153,7 @@ def converted(
     series = dict(recording.series)
     command = series.get("command")
     if command is not None and _of_any_quantity(command):
-        mode = command_mode or _followed(command, series.get("state"))
+        mode = command_mode or _command_kind(command, series.get("state"))
         if mode is None:
             notes.append(
                 "the positions do not follow the commands: each command is written as position, "
@@ -195,7 +195,7 @@ def _of_any_quantity(series: JointSeries) -> bool:
     )
 
 
-def _followed(command: JointSeries, state: JointSeries | None) -> str | None:
+def _command_kind(command: JointSeries, state: JointSeries | None) -> str | None:
     """Return ``position`` if the positions of most joints follow the commands, else None."""
     if state is None or state.position is None or command.position is None:
         return None

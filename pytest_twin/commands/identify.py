@@ -74,7 +74,7 @@ def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sensor",
         metavar="NAME=TOPIC@FRAME",
-        type=mounted,
+        type=parse_sensor,
         action="append",
         default=[],
         help="a force-torque sensor (geometry_msgs/WrenchStamped) or an IMU (sensor_msgs/Imu) at a "
@@ -115,7 +115,7 @@ def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def mounted(text: str) -> dict[str, str]:
+def parse_sensor(text: str) -> dict[str, str]:
     """Parse ``NAME=TOPIC@FRAME`` of a command line."""
     name, _, rest = text.partition("=")
     topic, _, frame = rest.partition("@")

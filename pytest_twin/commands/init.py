@@ -157,7 +157,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             expected="a joint, a body with mass, or collision shapes of two bodies",
         )
     told = _notes(found["specs"])
-    for note in _condensed(seen["notes"], robot.parent):
+    for note in _condense(seen["notes"], robot.parent):
         show(f"note: {note}")
     specs = writing.write_specs(folder, found["specs"])
     recorded, failing, left_out, unwritten = _record(twin_file, specs)
@@ -200,7 +200,7 @@ def _some(goldens: list[str]) -> str:
     return f"{goldens[0]} and {len(goldens) - 1} more"
 
 
-def _condensed(notes: Iterable[str], folder: Path) -> list[str]:
+def _condense(notes: Iterable[str], folder: Path) -> list[str]:
     """Condense notes for the terminal: of several that differ only in names and lines, keep one.
 
     Repairs change the physics of a link, so all of them are kept.

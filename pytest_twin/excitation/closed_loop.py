@@ -74,7 +74,7 @@ class ClosedLoop:
     def responses(self, motions: Sequence[Motion]) -> list[Response]:
         """Return the response to each motion."""
         if self.modes is None:
-            return [self._followed(motion) for motion in motions]
+            return [self._ideal_response(motion) for motion in motions]
         rows = [self._row(motion, self._model) for motion in motions]
         return [
             Response(
@@ -149,7 +149,7 @@ class ClosedLoop:
             between_source="option",
         )
 
-    def _followed(self, motion: Motion) -> Response:
+    def _ideal_response(self, motion: Motion) -> Response:
         """Return the efforts of a robot that follows its commands exactly (inverse dynamics)."""
         model = copy.copy(self._model)
         # Other checks cover contacts and stops; here they would add forces.

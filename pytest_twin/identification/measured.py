@@ -112,14 +112,14 @@ def read_measured(
     found = []
     for recording in recordings_at(path, topics, options):
         refuse_final(recording.metadata, path, "an identification")
-        series = _named(recording, "state", realization, topics, options)
+        series = _commands_or_states(recording, "state", realization, topics, options)
         commanded, notes = _commanded(recording, series, realization, topics, options)
         whole = _in_model(_at_joints(series, commanded, recording, signals), realization)
         found += _stretches(replace(whole, notes=(*whole.notes, *notes)))
     return found
 
 
-def _named(
+def _commands_or_states(
     recording: Recording,
     role: str,
     realization: Realization,
@@ -161,7 +161,7 @@ def _commanded(
         return {}, []
     inputs = realization.structure.joint_inputs
     try:
-        commands = _named(recording, "command", realization, topics, options)
+        commands = _commands_or_states(recording, "command", realization, topics, options)
         commanded = choose_command_fields(commands, inputs, options, recording.path)
     except RecordingError as error:
         if not _measures(states):

@@ -94,14 +94,14 @@ def identify_files(
     if sensors:
         document = identify_sensors(
             realization, paths, tested, [NamedSensor(**one) for one in sensors],
-            {**stated, **topics}["state"], _made(Path(out) / REALIZATION),
+            {**stated, **topics}["state"], _new_folder(Path(out) / REALIZATION),
             lambda fraction: progress(0.1 + 0.9 * fraction),
         )  # fmt: skip
         return _finished(document, notes, name, realization, [Path(model), *paths, *tested])
     tossed = TossOptions(**(asked.tosses or {}))
     if are_tosses([*paths, *tested], tossed):
         document = identify_contact(
-            realization, paths, tested, tossed, _made(Path(out) / REALIZATION),
+            realization, paths, tested, tossed, _new_folder(Path(out) / REALIZATION),
             lambda fraction: progress(0.1 + 0.9 * fraction),
         )  # fmt: skip
         return _finished(document, notes, name, realization, [Path(model), *paths, *tested])
@@ -109,7 +109,7 @@ def identify_files(
         paths, tested, realization,
         {**stated, **topics}, chosen, signals,
     )  # fmt: skip
-    folder = _made(Path(out) / REALIZATION)
+    folder = _new_folder(Path(out) / REALIZATION)
     progress(0.3)
     if has_effort(measured):
         result = identify_effort(realization, measured, signals)
@@ -175,7 +175,7 @@ def _without_effort(error: RecordingError, recordings: Sequence[Measured]) -> Re
     )
 
 
-def _made(folder: Path) -> Path:
+def _new_folder(folder: Path) -> Path:
     folder.mkdir()
     return folder
 

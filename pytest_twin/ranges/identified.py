@@ -151,7 +151,7 @@ def _coordinate(
     known = [p for p in law.values() if p.name == parameter or not (parameter or p.choice)]
     stated = None
     if known and patched is not None:
-        stated = _stated(patched, effect, joint, known[0].name)
+        stated = _value_in_twin(patched, effect, joint, known[0].name)
     if stated is None:
         found.left_out.append(f"{name}: the twin's first realization does not have this effect")
         return None
@@ -247,7 +247,9 @@ def joint_coordinate(realization: Realization, joint: str, kind: str, unit: str)
     return Coordinate(f"{joint}.{kind}", unit, stated, 0.0, 0.0, joint=joint, field=FIELDS[kind])
 
 
-def _stated(patched: Patched, effect: str, joint: str | None, parameter: str) -> float | None:
+def _value_in_twin(
+    patched: Patched, effect: str, joint: str | None, parameter: str
+) -> float | None:
     """Return the value in the twin's realization, SI units."""
     for one in patched.effects:
         if one.effect == effect and one.joint == joint and parameter in one.values:

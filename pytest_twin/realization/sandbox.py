@@ -166,7 +166,7 @@ class Sandbox:
         try:
             child.send(json.dumps(request).encode())
         except OSError:
-            raise child.crashed(self._output, self.memory_bytes, bound) from None
+            raise child.crash_error(self._output, self.memory_bytes, bound) from None
         buffer = bytearray()
         with selectors.DefaultSelector() as selector:
             selector.register(child.answers, selectors.EVENT_READ)
@@ -188,7 +188,7 @@ class Sandbox:
                         continue
                     if not data:
                         self._drain(child)
-                        raise child.crashed(self._output, self.memory_bytes, bound)
+                        raise child.crash_error(self._output, self.memory_bytes, bound)
                     buffer += data
                 for answer in _complete_answers(buffer):
                     if "progress" in answer:
@@ -295,7 +295,7 @@ class _Child:
         while view:
             view = view[os.write(self.requests, view) :]
 
-    def crashed(self, output: bytes, memory_bytes: int, seconds: float) -> TwinError:
+    def crash_error(self, output: bytes, memory_bytes: int, seconds: float) -> TwinError:
         """Return an error that describes how the child ended."""
         try:
             status = self.process.wait(timeout=_END_SECONDS)

@@ -86,7 +86,7 @@ def words(document: Mapping[str, Any]) -> list[str]:
             lines.append(
                 f"    {joint:<{width}}  model {before}, patched model {after}, noise floor {floor}"
             )
-    lines += [f"  {line}" for line in _left(document)]
+    lines += [f"  {line}" for line in _unexplained_sentences(document)]
     if document["unexplained"]:
         lines.append(f"  {_WHAT_TO_DO}")
     lines += [f"  Note: {note}" for note in document["notes"]]
@@ -128,13 +128,13 @@ def render(view: DiagnosisView) -> str:
         style_hash=style.sha256,
         headline=headline(document),
         mood=_MOOD[document["verdict"]],
-        findings=[_shown(f, view) for f in document["findings"]],
+        findings=[_view_of_finding(f, view) for f in document["findings"]],
         small_title=SMALL,
         small=[
             {"sentence": finding_sentence(f), "why": f["why_small"]}
             for f in document.get("small_corrections", ())
         ],
-        left=_left(document),
+        left=_unexplained_sentences(document),
         what_to_do=_WHAT_TO_DO,
         figures=[(v.joint, svg_uri(f)) for v, f in zip(drawn, figures, strict=True)],
         figures_left_out=[v.joint for v in view.joints[MAX_FIGURES:]],
@@ -146,7 +146,7 @@ def render(view: DiagnosisView) -> str:
     )
 
 
-def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
+def _view_of_finding(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
     equation, source = view.laws[finding["effect"]]
     law = finding.get("law")
     return {
@@ -166,7 +166,7 @@ def _shown(finding: Mapping[str, Any], view: DiagnosisView) -> dict[str, Any]:
     }
 
 
-def _left(document: Mapping[str, Any]) -> list[str]:
+def _unexplained_sentences(document: Mapping[str, Any]) -> list[str]:
     return [
         f"Unexplained: {percent(u['fraction'])} of the squared error of joint {joint}; "
         f"mainly {u['where']}.{_modelled(u)}"

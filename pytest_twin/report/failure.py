@@ -27,7 +27,7 @@ def what(outcome: Outcome) -> str:
         return printable(f"{worst.name} of {worst.subject} used {use(worst)} of its tolerance")
     failed = [measure for measure in outcome.measures if not measure.passed]
     others = f" ({len(failed) - 1} more failed)" if len(failed) > 1 else ""
-    return printable(f"{_left(worst)}{others}")
+    return printable(f"{_excess_sentence(worst)}{others}")
 
 
 def failure_text(
@@ -113,7 +113,7 @@ def _when(measure: Measure) -> str:
     return measure.when.removeprefix("at ")
 
 
-def _left(worst: Measure) -> str:
+def _excess_sentence(worst: Measure) -> str:
     when = f" {worst.when}" if worst.when else ""
     if worst.margin != worst.margin:  # NaN
         return f"{worst.name} of {worst.subject} is not a number{when}"

@@ -124,7 +124,7 @@ def time_panels(
                 title=f"{quantity_name} of {subject}" if subject else name,
                 unit=unit,
                 now=line,
-                then=_then(stored, name),
+                then=_golden_line(stored, name),
                 against=bound.against if bound else _against(measures),
                 command=command,
                 worst=None if bound is None or bound.time is None else _worst(bound, bound.time),
@@ -142,7 +142,7 @@ def frequency_panels(
     panels = []
     for name, (unit, values) in now.columns.items():
         kind, _, subject = name.partition(":")
-        then = _then(stored, name)
+        then = _golden_line(stored, name)
         line = Line(now.x, values)
         if kind == "magnitude" and unit != "dB":
             line, unit = _decibel(line), f"dB re {unit}" if unit != "1" else "dB"
@@ -231,7 +231,7 @@ def _range(line: Line) -> float:
     return float(np.ptp(finite)) if finite.size else 0.0
 
 
-def _then(stored: Series | None, name: str) -> Line | None:
+def _golden_line(stored: Series | None, name: str) -> Line | None:
     if stored is None or name not in stored.columns:
         return None
     return Line(stored.x, stored.columns[name][1])

@@ -112,7 +112,7 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
                 for one in fit.variants
             ],
         },
-        "fit": _laid(fit, realization),
+        "fit": _model_changes(fit, realization),
         "correlated": _correlated(names, fit.covariance),
         "suspected": [],
         "without_effort": [],
@@ -205,7 +205,7 @@ def _without_effect(fit: ContactFit, body: str) -> list[dict[str, str]]:
     ]
 
 
-def _laid(fit: ContactFit, realization: Realization) -> dict[str, Any]:
+def _model_changes(fit: ContactFit, realization: Realization) -> dict[str, Any]:
     """Return the changes of the record to the model: attributes of named geoms and pairs."""
     model, body, values = realization.model, fit.contact.body, fit.values
     geoms = {_name(model, g): geom_patch(model, body, g, values) for g in body.geoms}

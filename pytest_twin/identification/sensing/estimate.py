@@ -213,7 +213,7 @@ def _flat(
     parts: list[FloatArray] = []
     freedom: list[float] = []
     for one, group in zip(found, groups, strict=True):
-        reached = _reached(one)
+        reached = _determined_channels(one)
         for row, channel in enumerate(group):
             keep = [*np.flatnonzero(reached[:-1]).tolist(), *([len(group)] if reached[-1] else [])]
             parts.append(one.covariance[row][np.ix_(keep, keep)])
@@ -233,7 +233,7 @@ def _flat(
     return names, np.array(values), units, covariance, np.array(freedom)
 
 
-def _reached(one: Linear) -> FloatArray:
+def _determined_channels(one: Linear) -> FloatArray:
     """(m + 1,) True for channels of the true signal, and the bias, that are determined."""
     reached = np.ones(one.matrix.shape[1] + 1, dtype=bool)
     for direction in one.undetermined:

@@ -17,7 +17,7 @@ from pytest_twin.identification.simulation.stage_effects import start, starts_of
 
 ITERATIONS = 8
 """Largest number of iterations of a fit."""
-_LOOK = 3
+_FIRST_ITERATIONS = 3
 """Number of iterations from each start; then only the best fit is continued."""
 _FITTED = 2
 """Number of effects that are fitted in a round, because one step does not always find the best."""
@@ -46,7 +46,7 @@ def fit_best_start(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis
     apart = [h for k, h in enumerate(starts) if all(not _same(h, g) for g in starts[:k])]
     weights = _weights(problem, apart)
     if len(apart) > 1:
-        tried = _fit(problem, apart, weights, _LOOK)
+        tried = _fit(problem, apart, weights, _FIRST_ITERATIONS)
         apart = [min(tried, key=lambda one: one.cost).hypothesis]
     (found,) = _fit(problem, apart, weights, ITERATIONS)
     return refitted(problem, with_possible_totals(problem, found.hypothesis))
@@ -98,19 +98,19 @@ def add_effects(
         modes: (joints,) command mode of each joint's drive.
     """
     present = {term.effect for term in base.terms}
-    left = [name for name in effects if name not in present and terms_at([name], modes)]
-    while left:
+    untried = [name for name in effects if name not in present and terms_at([name], modes)]
+    while untried:
         problem.refine_at(base)
-        looked = _looked(problem, base, {n: _added(base, n, modes) for n in left})
-        left = [name for name in left if name in looked]
-        if not left:
+        stepped = _try_one_step(problem, base, {n: _added(base, n, modes) for n in untried})
+        untried = [name for name in untried if name in stepped]
+        if not untried:
             break
-        foremost = sorted(left, key=lambda each: looked[each].cost)[:_FITTED]
+        best_of_step = sorted(untried, key=lambda each: stepped[each].cost)[:_FITTED]
         weights = _weights(problem, [base])
-        starts = [looked[each].hypothesis for each in foremost]
+        starts = [stepped[each].hypothesis for each in best_of_step]
         tried = _fit(problem, starts, weights, ITERATIONS)
         best = min(range(len(tried)), key=lambda k: tried[k].cost)
-        left.remove(foremost[best])
+        untried.remove(best_of_step[best])
         better = refitted(problem, with_possible_totals(problem, tried[best].hypothesis))
         merged = take_better_terms(problem, base, better)
         if set(merged.terms) != set(base.terms):
@@ -161,7 +161,7 @@ def _in_floors(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     return np.asarray(residual[:, : len(problem.joints)] / problem.floor)
 
 
-def _looked(
+def _try_one_step(
     problem: Problem, base: Hypothesis, starts: Mapping[str, Sequence[Hypothesis]]
 ) -> dict[str, Fitted]:
     """Effect -> the best fit after one step from its starts; only effects that reduce the error.

@@ -91,7 +91,9 @@ def identify_simulation(
         problem = prepared.problem
         modes = [problem.simulator.segments[0].mode_of(j) for j in range(len(problem.joints))]
         first = first_values(problem)
-        problem.position_weights = _balanced(problem, start(_drives(modes), problem.scales, first))
+        problem.position_weights = _segment_weights(
+            problem, start(_drives(modes), problem.scales, first)
+        )
         staged = StagedFit(given, used, prepared, modes, first)
         staged.run(progress)
         found, stage_of = staged.found, staged.stage_of
@@ -145,7 +147,7 @@ def _drives(modes: Sequence[str]) -> list[Term]:
     return list(dict.fromkeys([*terms_of("drive", modes), *nuisance_of("encoder", (), modes)]))
 
 
-def _balanced(problem: Problem, hypothesis: Hypothesis) -> dict[int, FloatArray]:
+def _segment_weights(problem: Problem, hypothesis: Hypothesis) -> dict[int, FloatArray]:
     """Segment -> (joints,) weights: one that is predicted far worse than most counts less.
 
     In it the robot did what no stage describes (a drive that was switched off, a hand). Its errors
