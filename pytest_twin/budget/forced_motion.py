@@ -10,24 +10,22 @@ positions (:mod:`pytest_twin.budget.shifts`).
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.categories import category_of_parameter
+from pytest_twin.budget.changed_replays import Change, ChangedReplays
 from pytest_twin.budget.identified import IdentifiedParameters
 from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, spread_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.calibration.tangent import TransformWithJacobian
-from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.replay import Replayed, Row, row_of
-from pytest_twin.replay_forced import replay_forced
+from pytest_twin.replay import Replayed
 from pytest_twin.trial import Trial
 
 DRAWS = 64
@@ -79,9 +77,9 @@ class _Motion:
         self, found: IdentifiedParameters, task: Task, realization: Realization, trial: Trial
     ) -> None:
         self.found, self.task, self.realization = found, task, realization
-        self.row: Row = row_of(realization, trial)
         self.joints = trial.joints
-        self.nominal = self._replay(self.row, lambda time: np.zeros(len(self.joints)))
+        self.replays = ChangedReplays(realization, trial)
+        self.nominal = self.replays.nominal
         encoders = Encoders.of(calibration_of(realization), self.joints)
         self.position = encoders.model_position(self.nominal.position)
         self.velocity = encoders.model_velocity(self.nominal.velocity)
@@ -106,26 +104,13 @@ class _Motion:
             alone[category] = _of_slopes(moving, on_chain[:, :, own] @ part)
         draws = normal_draws(root, DRAWS)
         shift, turn = np.zeros((2, len(self.nominal.time)))
-        for draw in draws:
-            at = self._frame(self._drawn(draw))
+        for position in self._drawn(draws):
+            at = self._frame(position)
             shift += np.sum((at.position - moving.position) ** 2, axis=1)
             turn += angles(at.rotation, moving.rotation) ** 2
         drawn = spread_of(shift / len(draws), turn / len(draws))
         joints = dict(zip(self.joints, rms.tolist(), strict=True))
         return SimulatedDisplacement(_of_slopes(moving, on_chain @ root), drawn, joints, alone)
-
-    def _replay(self, row: Row, force: Callable[[float], FloatArray]) -> Replayed:
-        done = replay_forced(row, lambda time, position, velocity: force(time))
-        if done.error is not None:
-            raise done.error
-        if not np.isfinite(done.position).all():
-            raise SimulationError(
-                "the replay has no position at some stamps",
-                path=self.row.source,
-                where=self.row.trial.name,
-                expected="a recording whose states and commands overlap",
-            )
-        return done
 
     def _effort(self) -> FloatArray:
         """(n, j, p) derivative of the joints' effort along the nominal motion."""
@@ -147,34 +132,21 @@ class _Motion:
                 effort[:, self.joints.index(joint)] = matrix[:, at]
         return effort
 
-    def _force(self, change: FloatArray) -> Callable[[float], FloatArray]:
-        series = -(self.effort @ change)
-        time = self.nominal.time
-
-        def force(now: float) -> FloatArray:
-            # The force is interpolated between stamps, because held values would act half a period
-            # late.
-            after = int(np.searchsorted(time, now, side="right"))
-            if after == 0 or after == len(time):
-                return np.asarray(series[min(after, len(time) - 1)])
-            share = (now - time[after - 1]) / (time[after] - time[after - 1])
-            return np.asarray((1.0 - share) * series[after - 1] + share * series[after])
-
-        return force
+    def _force(self, change: FloatArray) -> FloatArray:
+        """(n, j) force that is equivalent to a change of the parameters that act as forces."""
+        return np.asarray(-(self.effort @ change))
 
     def _responses(self) -> FloatArray:
         """(n, j, p) derivative of the positions by each parameter."""
-        found = np.zeros((*self.nominal.position.shape, len(self.found.names)))
-        deviations = np.sqrt(np.diag(self.found.covariance).clip(0.0))
-        for at, deviation in enumerate(deviations):
-            change = np.zeros(len(deviations))
-            change[at] = _STEP * deviation
-            if at >= self.forces:
-                change[at] = 1.0
-                found[:, :, at] = self._shifted(self.nominal, change)
-            elif deviation > 0.0:
-                done = self._replay(self.row, self._force(change[: self.forces]))
-                found[:, :, at] = (done.position - self.nominal.position) / change[at]
+        count = len(self.found.names)
+        found = np.zeros((*self.nominal.position.shape, count))
+        steps = _STEP * np.sqrt(np.diag(self.found.covariance).clip(0.0))[: self.forces]
+        varied = np.flatnonzero(steps)
+        changes = [Change(self._force(np.eye(self.forces)[at] * steps[at])) for at in varied]
+        for at, done in zip(varied, self.replays.changed(changes), strict=True):
+            found[:, :, at] = (done.position - self.nominal.position) / steps[at]
+        for shifting in range(self.forces, count):
+            found[:, :, shifting] = self._shifted(self.nominal, np.eye(count)[shifting])
         return found
 
     def _shifted(self, motion: Replayed, change: FloatArray) -> FloatArray:
@@ -186,23 +158,27 @@ class _Motion:
                 found[:, at] += size * shift.rate(motion.velocity[:, at], motion.effort[:, at])
         return found
 
-    def _drawn(self, draw: FloatArray) -> FloatArray:
-        """(n, j) positions for one draw; simulator parameters are changed in the simulator."""
-        model = copy.copy(self.row.model)
+    def _drawn(self, draws: FloatArray) -> Iterator[FloatArray]:
+        """(n, j) positions for each draw; simulator parameters are changed in the simulator."""
+        replayed = self.replays.changed([self._change(draw) for draw in draws])
+        for draw, done in zip(draws, replayed, strict=True):
+            yield np.asarray(done.position + self._shifted(done, draw))
+
+    def _change(self, draw: FloatArray) -> Change:
         rest = draw[: self.forces].copy()
+        fields: dict[str, FloatArray] = {}
         for at, column in enumerate(self.found.columns):
             own = self.found.regressor.columns[column]
             field = _IN_SIMULATOR.get(own.kind)
             if field is None or own.joint not in self.realization.joints:
                 continue
             dof = self.realization.joint_dof_index(own.joint)
-            values = getattr(model, field)
+            values = fields.setdefault(field, getattr(self.replays.model, field).copy())
             # The simulator accepts no negative friction; such a change is applied as a force.
             changed = values[dof] + draw[at]
             if changed >= 0.0:
                 values[dof], rest[at] = changed, 0.0
-        done = self._replay(replace(self.row, model=model), self._force(rest))
-        return np.asarray(done.position + self._shifted(done, draw))
+        return Change(self._force(rest), fields)
 
     def _on_chain(self) -> list[int]:
         return [self.joints.index(j) for j in self.task.chain.joints if j in self.joints]

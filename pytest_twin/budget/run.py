@@ -50,10 +50,6 @@ def budget(
     """Return the error budget of a loaded twin."""
     task = task_of(twin, realization)
     notes = list(task.notes)
-    if twin.first_realization.effects is not None:
-        notes.append(
-            "effects outside the model's MJCF are not simulated here: replays use the plain model"
-        )
     lines = _lines(twin, realization, task, notes, progress)
     unmodelled = unmodelled_lines(task, lines, twin)
     linear = total_of([line.linear for line in lines if line.linear is not None])

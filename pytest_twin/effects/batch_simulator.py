@@ -366,11 +366,12 @@ class BatchSimulator:
         steps = int(self.steps[rows].max())
         commands = self.commands(rows, effects, steps)
         hooks = hooks_between_steps(effects)
+        added = self._added_forces(rows, steps)
         with quiet():
             written = self.written(rows, effects)
-            if any(hooks.values()) or self.layout.bare.any():
+            if any(hooks.values()) or self.layout.bare.any() or added is not None:
                 self._set_initial_state(written, rows, effects, hooks)
-                motion = self._stepped(written, hooks, commands)
+                motion = self._stepped(written, hooks, commands, added)
             else:
                 motion = self._rolled_out(written, commands)
         failed = written.batch.warning[:, :, 1].any(axis=1)
@@ -378,6 +379,20 @@ class BatchSimulator:
             array[:, failed] = np.nan
         q, v, effort = (array.swapaxes(0, 1) for array in motion)
         return q, v, effort
+
+    def _added_forces(self, rows: NDArray[np.int64], steps: int) -> FloatArray | None:
+        """(steps, rows, joints) forces that segments add at each step; None if none does."""
+        segments = [self.segments[r] for r in rows]
+        if all(s.added_force is None for s in segments):
+            return None
+        out = np.zeros((steps, len(rows), len(self.joints)))
+        for i, segment in enumerate(segments):
+            if segment.added_force is not None:
+                stamps, forces = segment.added_force
+                time = segment.start + self.timestep * np.arange(steps)
+                for j, force in enumerate(forces.T):
+                    out[:, i, j] = np.interp(time, stamps, force)
+        return out
 
     def _motion(self, steps: int, rows: int) -> Motion:
         """Empty arrays; steps come first, so that all rows of a step are adjacent in memory."""
@@ -433,8 +448,10 @@ class BatchSimulator:
             shift = np.array([none if s is None else s for s in shifts])
             shift_motors(world, hooks["gear"], shift)
 
-    def _stepped(self, written: Rows, hooks: Hooks, commands: FloatArray) -> Motion:
-        """Motion of rows whose effects act between the steps of the engine."""
+    def _stepped(
+        self, written: Rows, hooks: Hooks, commands: FloatArray, added_forces: FloatArray | None
+    ) -> Motion:
+        """Motion of rows whose effects or added forces act between the steps of the engine."""
         batch, world, layout = written.batch, written.world, self.layout
         at_qpos, at_dof = as_slice(layout.qpos_index), as_slice(layout.dof_index)
         qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
@@ -454,7 +471,8 @@ class BatchSimulator:
         needs_drive = bool(hooks["drive"]) or any(
             e.reads_delivered_effort for e, _ in hooks["friction"]
         )
-        pushes = bool(hooks["force"] or hooks["drive"] or hooks["gear"] or by_hand)
+        is_forced = added_forces is not None
+        pushes = bool(hooks["force"] or hooks["drive"] or hooks["gear"] or by_hand or is_forced)
         apart = written.apart.any()
         has_own_bounds = False
 
@@ -468,6 +486,8 @@ class BatchSimulator:
             world.setpoint = commanded[k]
             if pushes:
                 pushed[:] = written.constant
+                if added_forces is not None:
+                    pushed[:] += added_forces[k]
                 world.applied = pushed
             if loaded:
                 world.friction_level = level

@@ -53,6 +53,8 @@ class Segment:
             servos hold the position in ``unrecorded``.
         modes: (joints,) command mode of each joint; empty if all have ``mode``.
         is_interpolated: whether commands are interpolated linearly between stamps instead of held.
+        added_force: (m,) times in s and (m, joints) forces in N*m or N that act on the joints in
+            addition to the model's; they are interpolated linearly.
         initial_position, initial_velocity: (joints,) initial state.
         history: for a start in motion: (m,) times and (m, joints) smoothed positions and velocities
             of the whole trial; else None.
@@ -84,6 +86,7 @@ class Segment:
     unrecorded: Unrecorded | None = None
     modes: tuple[CommandMode, ...] = ()
     is_interpolated: bool = False
+    added_force: tuple[FloatArray, FloatArray] | None = None
 
     def mode_of(self, joint: int) -> CommandMode:
         """Command mode of a joint."""

@@ -71,23 +71,65 @@ def replay_patched(
             they depend on.
         SimulationError: a simulation diverged.
     """
-    stepped, outside_mjcf = without_delays(realization), effects_outside_mjcf(realization, patched)
-    values = fixed_values(outside_mjcf, patched.joints, 1)
+    stepped = without_delays(realization)
     out = []
     for trial in trials:
-        missing = [j for j in patched.joints if j not in trial.joints]
-        if missing:
-            raise RecordingError(
-                "a joint of the diagnosed model is not in the recording",
-                path=trial.path,
-                value=", ".join(missing),
-                expected=", ".join(patched.joints),
-            )
-        cold = cold_fraction_of_trial(patched.cold_fractions, trial)
-        segment = whole_segment(
-            stepped, trial, patched.joints, cold, has_friction_creep=patched.has_friction_creep
+        segment = patched_segment(stepped, patched, trial)
+        (predicted,) = predict_segments(realization, patched, trial, [segment], threads=threads)
+        out.append(predicted)
+    return out
+
+
+def patched_segment(realization: Realization, patched: Patched, trial: Trial) -> Segment:
+    """The whole trial as a segment to simulate with the effects of a patched realization.
+
+    Args:
+        realization, patched: as for :func:`replay_patched`.
+        trial: the trial, of which only commands and initial state are used.
+
+    Raises:
+        RecordingError: as for :func:`replay_patched`.
+    """
+    missing = [j for j in patched.joints if j not in trial.joints]
+    if missing:
+        raise RecordingError(
+            "a joint of the diagnosed model is not in the recording",
+            path=trial.path,
+            value=", ".join(missing),
+            expected=", ".join(patched.joints),
         )
-        predicted = _predict(segment, patched, values, threads)
+    return whole_segment(
+        without_delays(realization),
+        trial,
+        patched.joints,
+        cold_fraction_of_trial(patched.cold_fractions, trial),
+        has_friction_creep=patched.has_friction_creep,
+    )
+
+
+def predict_segments(
+    realization: Realization,
+    patched: Patched,
+    trial: Trial,
+    segments: Sequence[Segment],
+    *,
+    threads: int = 0,
+) -> list[Predicted]:
+    """Predicted sensor readings of a trial for variants of its segment, at its stamps.
+
+    Args:
+        realization, patched: as for :func:`replay_patched`.
+        trial: the trial.
+        segments: variants of :func:`patched_segment`: with another model or with added forces.
+        threads: number of threads, 0 for all cores.
+
+    Raises:
+        SimulationError: a simulation diverged.
+    """
+    out = []
+    for segment, predicted in zip(
+        segments, _predict(realization, patched, segments, threads), strict=True
+    ):
         if not np.isfinite(predicted.position).all():
             raise SimulationError(
                 "the simulation diverged",
@@ -142,23 +184,27 @@ def describe_effects_outside_mjcf(patched: Patched) -> tuple[str, ...]:
     return (f"effects applied in addition to the MJCF: {text}",) if text else ()
 
 
-def _predict(segment: Segment, patched: Patched, values: EffectValues, threads: int) -> Predicted:
-    """Return the prediction as in the diagnosis.
+def _predict(
+    realization: Realization, patched: Patched, segments: Sequence[Segment], threads: int
+) -> list[Predicted]:
+    """Return the prediction of each segment as in the diagnosis.
 
     The integration error of the model's step is removed, unless the recordings come from a
     simulation with this error.
     """
+    count = len(segments)
+    values = fixed_values(effects_outside_mjcf(realization, patched), patched.joints, count)
 
-    def stepped(refine: int) -> Predicted:
-        simulator = BatchSimulator([segment], patched.joints, threads=threads, refine=refine)
-        return simulator.simulate(np.zeros(1, dtype=np.int64), values)[0]
+    def stepped(refine: int) -> list[Predicted]:
+        simulator = BatchSimulator(segments, patched.joints, threads=threads, refine=refine)
+        return simulator.simulate(np.arange(count), values)
 
     if patched.substeps:
         return stepped(patched.substeps)
-    coarse, fine = stepped(1), stepped(REFINE)
-    if not np.isfinite(fine.position).all():
-        return coarse
-    return corrected(coarse, step_error(coarse, fine))
+    return [
+        corrected(coarse, step_error(coarse, fine)) if np.isfinite(fine.position).all() else coarse
+        for coarse, fine in zip(stepped(1), stepped(REFINE), strict=True)
+    ]
 
 
 def _as_measured(
