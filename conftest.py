@@ -15,8 +15,12 @@ sys.dont_write_bytecode = False
 
 def pytest_configure(config: pytest.Config) -> None:
     """Workers of xdist share the cores out: forks of one would be in the way of the other."""
-    told = getattr(config, "workerinput", None)
-    if told is not None and hasattr(os, "sched_setaffinity"):
+    worker = getattr(config, "workerinput", None)
+    if worker is not None and hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
-        number = int(told["workerid"].removeprefix("gw"))
-        os.sched_setaffinity(0, cores[number :: told["workercount"]] or cores)
+        number = int(worker["workerid"].removeprefix("gw"))
+        os.sched_setaffinity(0, cores[number :: worker["workercount"]] or cores)
+    if worker is not None or not config.getoption("numprocesses", None):
+        # What a test starts gets no option of this run. It does not load the plugin of Hypothesis,
+        # whose summary imports all of Hypothesis: 0.4 s.
+        os.environ["PYTEST_ADDOPTS"] = "-p no:hypothesispytest"

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pytest_twin.calibration.observations import Observations, load_observations
 from pytest_twin.checks.base import (
     Check,
     Measure,
@@ -24,6 +23,7 @@ from pytest_twin.golden import Golden
 from pytest_twin.metrics.pose import orientation_error, position_error
 
 if TYPE_CHECKING:
+    from pytest_twin.calibration.observations import Observations
     from pytest_twin.realization import Realization
 
 
@@ -178,6 +178,9 @@ def _measurements(golden: Golden, realization: Realization) -> Observations:
             expected="a twin.yaml in a folder above the golden; pytest-twin init writes one",
         )
     frame, reference = golden.target["frame"], golden.target["measurements"]
+    # The import takes a third of a second, and `pytest-twin init` loads this class for its schema.
+    from pytest_twin.calibration.observations import load_observations
+
     found = load_observations(find_file(golden, "target.measurements", reference, twin))
     if found.flange is not None:
         there = np.isfinite(found.flange).all(axis=(1, 2))

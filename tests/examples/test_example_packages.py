@@ -102,7 +102,7 @@ class Shell:
     def run(self, *command: str) -> subprocess.CompletedProcess[str]:
         names = ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")
         home = dict.fromkeys(names, str(self.folder.parent / "home"))
-        without = {k: v for k, v in os.environ.items() if k not in ("CI", "PYTEST_ADDOPTS")}
+        without = {k: v for k, v in os.environ.items() if k != "CI"}
         return subprocess.run(
             command,
             cwd=self.folder,

@@ -131,7 +131,7 @@ def _environment(monkeypatch: pytest.MonkeyPatch, home: Path) -> None:
     """Use an empty home folder without keys, caches and CI variables."""
     for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME"):
         monkeypatch.setenv(name, str(home))
-    for name in ("CI", "TWIN_SIGNING_KEY", "PYTEST_ADDOPTS"):
+    for name in ("CI", "TWIN_SIGNING_KEY"):
         monkeypatch.delenv(name, raising=False)
 
 

@@ -35,7 +35,6 @@ def run(*command: str, cwd: Path, state: Path) -> subprocess.CompletedProcess[st
         "XDG_CONFIG_HOME": str(state / "config"),
         "XDG_STATE_HOME": str(state / "state"),
     }
-    environment.pop("PYTEST_ADDOPTS", None)
     return subprocess.run(
         [str(BIN / command[0]), *command[1:]],
         cwd=cwd,

@@ -44,7 +44,7 @@ class Workshop:
 
     def pytest(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Run pytest in the twin's folder in a new process."""
-        kept = {k: v for k, v in os.environ.items() if k not in ("CI", "PYTEST_ADDOPTS")}
+        kept = {k: v for k, v in os.environ.items() if k != "CI"}
         folders = ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")
         return subprocess.run(
             [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
