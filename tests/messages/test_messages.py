@@ -7,6 +7,7 @@ expected value. The rule is checked in the source of every error that the packag
 from __future__ import annotations
 
 import ast
+import functools
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -317,16 +318,27 @@ WITHOUT_EXPECTATION = {
 }
 
 
-def error_sites() -> Iterator[tuple[str, ast.Call]]:
+@functools.cache
+def calls_and_raises() -> list[tuple[Path, ast.Call | ast.Raise]]:
+    """All calls and ``raise`` statements of the package, each with its file."""
+    return [
+        (path, node)
+        for path in sorted(ROOT.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Call | ast.Raise)
+    ]
+
+
+@functools.cache
+def error_sites() -> list[tuple[str, ast.Call]]:
     """Calls in the package that make a typed error: ``folder/file.py:line`` and the call."""
-    for path in sorted(ROOT.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            named = isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-            if named and (node.func.id in (*TYPED, PLACED)):
-                yield f"{path.relative_to(ROOT).as_posix()}:{node.lineno}", node
-
-
-SITES = list(error_sites())
+    return [
+        (f"{path.relative_to(ROOT).as_posix()}:{node.lineno}", node)
+        for path, node in calls_and_raises()
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id in (*TYPED, PLACED)
+    ]
 
 
 def top_folder(site: str) -> str:
@@ -353,16 +365,16 @@ def texts(call: ast.Call) -> Iterator[str]:
 
 
 def test_the_rule_covers_the_errors_of_all_folders() -> None:
-    assert len(SITES) > 300
+    assert len(error_sites()) > 300
     assert {"formats", "release", "realization", "checks"} <= {
-        top_folder(site) for site, _ in SITES
+        top_folder(site) for site, _ in error_sites()
     }
 
 
 def test_no_error_message_ends_with_a_full_stop() -> None:
     ends = [
         site
-        for site, call in SITES
+        for site, call in error_sites()
         for text in (
             problem_of(call),
             *(k.value for k in call.keywords if k.arg == "expected"),
@@ -375,7 +387,7 @@ def test_no_error_message_ends_with_a_full_stop() -> None:
 def test_no_error_message_contains_a_vague_phrase() -> None:
     found = [
         (site, phrase)
-        for site, call in SITES
+        for site, call in error_sites()
         for text in texts(call)
         for phrase in NOT_PLAIN
         if phrase in text
@@ -386,7 +398,7 @@ def test_no_error_message_contains_a_vague_phrase() -> None:
 def test_errors_state_where_the_problem_is() -> None:
     without = [
         site
-        for site, call in SITES
+        for site, call in error_sites()
         if ast.unparse(call.func) != PLACED and not has_keyword(call, "path", "where")
     ]
     assert_no_more(without, WITHOUT_PLACE)
@@ -405,7 +417,7 @@ def includes_its_cause(call: ast.Call) -> bool:
 def test_errors_state_the_expected_value() -> None:
     without = {
         f"{site.split(':')[0]} {ast.unparse(call.func)}"
-        for site, call in SITES
+        for site, call in error_sites()
         if not has_keyword(call, "expected") and not includes_its_cause(call)
     }
     assert without == set(WITHOUT_EXPECTATION)
@@ -414,21 +426,20 @@ def test_errors_state_the_expected_value() -> None:
 def test_errors_of_model_elements_state_the_expected_value() -> None:
     """Model elements and twins make their own errors: ``raise node.error(...)``."""
     without, seen = [], 0
-    for path in sorted(ROOT.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            call = node.exc if isinstance(node, ast.Raise) else None
-            if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute)):
-                continue
-            if call.func.attr != "error":
-                continue
-            seen += 1
-            if not has_keyword(call, "expected") and not includes_its_cause(call):
-                without.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    for path, node in calls_and_raises():
+        call = node.exc if isinstance(node, ast.Raise) else None
+        if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute)):
+            continue
+        if call.func.attr != "error":
+            continue
+        seen += 1
+        if not has_keyword(call, "expected") and not includes_its_cause(call):
+            without.append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert seen > 50
     assert without == []
 
 
-def assert_no_more(error_sites: list[str], allowed: dict[str, int]) -> None:
-    counts = Counter(map(top_folder, error_sites))
+def assert_no_more(sites: list[str], allowed: dict[str, int]) -> None:
+    counts = Counter(map(top_folder, sites))
     more = {name: count for name, count in counts.items() if count > allowed.get(name, 0)}
-    assert more == {}, [site for site in error_sites if top_folder(site) in more]
+    assert more == {}, [site for site in sites if top_folder(site) in more]
