@@ -54,7 +54,8 @@ def test_the_drive_stage_bounds_the_back_emf_by_the_damping(
     found: tuple[Problem, Hypothesis],
 ) -> None:
     problem, drive = found
-    assert [term.effect for term in drive.terms] == ["torque_rolloff"]
+    # Other effects may compensate for a part of what the bound leaves.
+    assert ROLLOFF in drive.terms
     # The recordings alone would determine more than the whole damping.
     assert held_out_error(problem, rolloff(problem, BACK_EMF)) < held_out_error(problem, drive)
     assert back_emf_of(problem, drive) == pytest.approx(DAMPING, rel=1e-6)

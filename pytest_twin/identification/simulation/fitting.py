@@ -12,7 +12,10 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import at_zero
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.identification.paired import paired
-from pytest_twin.identification.simulation.passive_joints import back_emf_bounds
+from pytest_twin.identification.simulation.passive_joints import (
+    back_emf_bounds,
+    has_excessive_back_emf,
+)
 from pytest_twin.identification.simulation.stage_effects import start, starts_of, terms_at
 
 ITERATIONS = 8
@@ -64,17 +67,21 @@ def refitted(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATI
 
 
 def _fit(
-    problem: Problem,
-    starts: Sequence[Hypothesis],
-    weights: FloatArray,
-    iterations: int,
-    jacobians: Sequence[FloatArray] | None = None,
+    problem: Problem, starts: Sequence[Hypothesis], weights: FloatArray, iterations: int
 ) -> list[Fitted]:
-    """Fit with back-EMF of at most the damping that contains it; arguments as for ``fit``."""
-    return fit(
-        problem, starts, weights, problem.fit,
-        iterations=iterations, slopes=False, jacobians=jacobians, bounds=back_emf_bounds(problem),
+    """Fit, and fit again within bounds where a back-EMF exceeds the damping that contains it.
+
+    Bounds from the first step on would hold both together in a narrow valley of the error.
+    """
+    found = fit(problem, starts, weights, problem.fit, iterations=iterations, slopes=False)
+    beyond = [k for k, one in enumerate(found) if has_excessive_back_emf(problem, one.hypothesis)]
+    again = fit(
+        problem, [found[k].hypothesis for k in beyond], weights, problem.fit,
+        iterations=iterations, slopes=False, bounds=back_emf_bounds(problem),
     )  # fmt: skip
+    for k, bounded in zip(beyond, again, strict=True):
+        found[k] = bounded
+    return found
 
 
 def with_possible_totals(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
@@ -190,7 +197,9 @@ def _try_one_step(
         places, steps, problem.residuals(moved, problem.fit), strict=True
     ):
         slopes[row][..., k] = np.nan_to_num((residual[row] - left) / step)
-    tried = iter(_fit(problem, every, weights, 1, slopes))
+    tried = iter(
+        fit(problem, every, weights, problem.fit, iterations=1, slopes=False, jacobians=slopes)
+    )
     best = {
         name: min((next(tried) for _ in each), key=lambda one: one.cost)
         for name, each in starts.items()

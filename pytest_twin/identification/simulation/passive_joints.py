@@ -58,6 +58,11 @@ def impossible(problem: Problem, hypothesis: Hypothesis) -> dict[Term, str]:
     return {**found, **physical_totals.impossible(problem, hypothesis)}
 
 
+def has_excessive_back_emf(problem: Problem, hypothesis: Hypothesis) -> bool:
+    """Whether a back-EMF exceeds the damping of its joint."""
+    return any(one.exceeds for one in _back_emfs(problem, hypothesis))
+
+
 def back_emf_bounds(problem: Problem) -> Bounds:
     """Bounds of the laws, and of each back-EMF by the damping that contains it."""
 
