@@ -119,7 +119,9 @@ def _of_the_search(
             continue
         listed: Sequence[tuple[Term, float]] = selected.alternatives.get(term, [])
         nothing = 1.0 - confidence - sum(c for _, c in listed)
-        evidence = selected.evidence.get(term, {})
+        # Where no alternative was simulated, the shares are limited at both ends, and the evidence
+        # of the linearized motion is not used.
+        evidence = {} if term in selected.not_simulated else selected.evidence.get(term, {})
         for new, share in (*listed, (None, nothing)):
             added = () if new is None else (new,)
             there = (terms - {term}) | frozenset(added)

@@ -301,6 +301,21 @@ def test_an_unlikely_alternative_keeps_its_tempered_evidence() -> None:
     assert shared.confidence[COMMAND_DELAY] == pytest.approx(1.0 / (1.0 + odds))
 
 
+def test_evidence_of_the_linearized_motion_alone_does_not_lower_a_confidence() -> None:
+    problem = problem_of(SLIDER, "position", {})
+    comparison = ModelComparison(problem)
+    h = EMPTY.with_term(COMMAND_DELAY, grid(COMMAND_DELAY)[0][0])
+    (best,) = comparison.rivals([h], comparison.weights(comparison.nominal), 0)
+    known = SelectedModel(
+        best, comparison.nominal, {COMMAND_DELAY: 0.2}, {COMMAND_DELAY: [(DRAG, 0.8)]},
+        evidence={COMMAND_DELAY: {DRAG: 50.0}}, not_simulated=frozenset({COMMAND_DELAY}),
+    )  # fmt: skip
+    alone = ComparedSets(best, (), 1.0, 0.0)
+    assert share_confidence(known, alone).confidence[COMMAND_DELAY] == pytest.approx(0.2)
+    simulated = replace(known, not_simulated=frozenset())
+    assert share_confidence(simulated, alone).confidence[COMMAND_DELAY] < 1e-9
+
+
 def test_a_general_law_is_no_alternative_to_its_special_case() -> None:
     problem = problem_of(PENDULUM.format(drive=SERVO), "position", {})
     comparison = ModelComparison(problem)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,12 +12,17 @@ from two_pendulums import mjcf, record
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.first_order.beam_search import candidates
+from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.search import stepwise_selection
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView, linearize_around
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.settings import SELECTION
+from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.search.term_exchange import TermExchange, find_exchanges
 from pytest_twin.diagnosis.structure_search import search as search_module
 from pytest_twin.diagnosis.structure_search.proposals import (
     Proposal,
@@ -105,6 +111,32 @@ def test_when_time_runs_out_the_best_simulated_proposal_is_the_result(
     result = StructureSearch(problem_of(tmp_path, viscous=0.03)).run()
     assert [t.effect for t in result.model.hypothesis.terms] == ["viscous_friction"]
     assert not result.is_complete
+
+
+def test_without_time_for_exchanges_elastic_transmissions_are_no_alternatives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Along the measured motion, a transmission seems to explain nearly everything."""
+
+    def out_of_time(*arguments: object) -> bool:
+        raise OutOfTime
+
+    friction, gear = Term("viscous_friction", 0), Term("joint_elasticity", 0)
+
+    def with_gear(problem: Problem, best: ScoredModel, *more: Any) -> list[TermExchange]:
+        rigid = find_exchanges(problem, best, *more)
+        (start, _), *_ = grid(gear)
+        elastic = EMPTY.with_term(gear, start)
+        return [*rigid, TermExchange((friction,), gear, elastic, 500.0, is_doubtful=False)]
+
+    selection = StepwiseSelection(problem_of(tmp_path, viscous=0.03))
+    monkeypatch.setattr(selection, "exchange_terms", out_of_time)
+    monkeypatch.setattr(stepwise_selection, "find_exchanges", with_gear)
+    start = selection.comparison.score_without_fit(EMPTY.with_term(friction, np.array([1.0])))
+    selected = selection.run(selection.comparison.fit_to_convergence(start))
+    assert selected.not_simulated == {friction}
+    assert selected.confidence[friction] == SELECTION.linearized_most
+    assert gear not in [other for other, _ in selected.alternatives[friction]]
 
 
 def test_a_search_that_starts_with_a_wrong_effect_removes_it(tmp_path: Path) -> None:

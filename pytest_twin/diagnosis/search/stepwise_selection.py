@@ -176,9 +176,14 @@ class StepwiseSelection:
                 self.problem.refine_at(best.hypothesis)
                 linearized = linearize_around(self.problem, best)
                 price = self.comparison.penalty_per_effect
-                found = find_exchanges(
-                    self.problem, best, linearized, self.known_sensitivities, price
-                )
+                found = [
+                    x
+                    for x in find_exchanges(
+                        self.problem, best, linearized, self.known_sensitivities, price
+                    )
+                    # Only a simulation can compare an elastic transmission with other effects.
+                    if x.new is None or not x.new.law.is_elastic_transmission
+                ]
                 selected.weigh(self.evidence_of_exchanges(best, found, []))
         except OutOfTime:
             return
