@@ -54,19 +54,26 @@ def as_simulated_before(
 ) -> tuple[ModelSetup, Prepared, TrialSet]:
     """The problem with the substeps of a simulation, if the nominal model then explains all.
 
+    If the metadata of all recordings have ``source: simulation``, it is that of a simulation in any
+    case, with the model's own step where the nominal model does not tell. If they have ``source:
+    robot``, no simulation is searched for.
+
     Args:
         given: the model with its simulation settings.
         prepared, trials: the problem for recordings of a robot, and its trials.
         run: the running diagnosis.
 
     Returns:
-        Settings, problem and trials; unchanged if no simulation is detected.
+        Settings, problem and trials; unchanged if no simulation is declared or detected.
     """
+    sources = {t.source for t in (*trials.fit, *trials.held_out)}
+    if sources == {"robot"}:
+        return replace(given, is_of_robot=True), prepared, trials
     substeps = _substeps_of(prepared)
-    if not substeps:
+    if not substeps and sources != {"simulation"}:
         return given, prepared, trials
     run.budget.add(prepared.problem)
-    given = replace(given, substeps=substeps)
+    given = replace(given, substeps=substeps or 1)
     return given, *build_problem(given, trials, [])
 
 
@@ -84,7 +91,7 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
     """
     problem, best = found.prepared.problem, found.selected.best
     noise = _noise(found.prepared)
-    if any(t.law.is_elastic_transmission for t in best.hypothesis.terms):
+    if given.is_of_robot or any(t.law.is_elastic_transmission for t in best.hypothesis.terms):
         return None
     if found.verdict == "no_mismatch" or not _measured(problem, best.hypothesis):
         return None

@@ -66,7 +66,8 @@ def with_detected_timestep(
     positions = all(
         s.mode == "position" and not s.starts_in_motion for s in problem.simulator.segments
     )
-    if given.substeps or not start.terms or not positions or found.verdict != "explained":
+    known = given.substeps or given.is_of_robot
+    if known or not start.terms or not positions or found.verdict != "explained":
         return None
     robot = residuals_everywhere(problem, start)[:, : len(problem.joints)]
     noise = prepared.floor_parts[NOISE]

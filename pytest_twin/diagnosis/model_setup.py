@@ -29,6 +29,8 @@ class ModelSetup:
             constraint.
         substeps: if a simulation made the recordings: its steps for each step of the model; 0 for
             recordings of a robot.
+        is_of_robot: whether the metadata of all recordings name a robot as their source. No
+            simulation is then searched for.
         threads: threads of the simulation, 0 for all cores.
     """
 
@@ -37,6 +39,7 @@ class ModelSetup:
     cold_fractions: ColdFractions = field(default_factory=dict)
     has_friction_creep: bool = False
     substeps: int = 0
+    is_of_robot: bool = False
     threads: int = 0
 
     @classmethod

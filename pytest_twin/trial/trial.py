@@ -121,6 +121,17 @@ class Trial:
         return f"{self.path.name}{where}"
 
     @property
+    def source(self) -> Literal["robot", "simulation"] | None:
+        """What made the recording, by ``source`` in its metadata; None if that says neither."""
+        match self.metadata.get("source"):
+            case "robot":
+                return "robot"
+            case "simulation":
+                return "simulation"
+            case _:
+                return None
+
+    @property
     def conditions(self) -> Mapping[str, str]:
         """Conditions of the recording: its metadata without the role."""
         return {key: value for key, value in self.metadata.items() if key != "role"}

@@ -14,9 +14,10 @@ from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.integrator_detection import detect_integrator
+from pytest_twin.diagnosis.integrator_detection import as_simulated_before, detect_integrator
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import build_problem, conclude
@@ -45,7 +46,9 @@ ARM = """
 """
 
 
-def recorded(folder: Path, seed: int, role: str, *, substeps: int, damping: float) -> Path:
+def recorded(
+    folder: Path, seed: int, role: str, *, substeps: int, damping: float, **metadata: str
+) -> Path:
     """Record the arm in MuJoCo, with ``substeps`` steps in each time step of the model."""
     model = mujoco.MjModel.from_xml_string(ARM.format(step=STEP / substeps, damping=damping))
     data = mujoco.MjData(model)
@@ -70,15 +73,15 @@ def recorded(folder: Path, seed: int, role: str, *, substeps: int, damping: floa
         JointSeries("/joint_commands", names, stamps, stamps, sent[seen], None, None),
     ]
     path = folder / f"{role}{seed}.mcap"
-    write_recording(path, series, {"role": role})
+    write_recording(path, series, {"role": role, **metadata})
     return path
 
 
-def arm_case(folder: Path, substeps: int, added_damping: float) -> tuple:
+def arm_case(folder: Path, substeps: int, added_damping: float, **metadata: str) -> tuple:
     (folder / "model.xml").write_text(ARM.format(step=STEP, damping=0.3))
     loaded = load_model(folder / "model.xml")
     files = [
-        recorded(folder, seed, role, substeps=substeps, damping=0.3 + added_damping)
+        recorded(folder, seed, role, substeps=substeps, damping=0.3 + added_damping, **metadata)
         for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
     ]
     return loaded.realization, read_trials(files, (), loaded.topics, loaded.realization.structure)
@@ -99,6 +102,38 @@ def test_the_exact_model_has_no_mismatch_for_any_time_step_of_the_recorded_simul
     assert is_detected(found) is (substeps < 40)
     if substeps < 40:
         assert all(e.after < 1.2 * NOISE for e in found.errors.values())
+
+
+@pytest.mark.parametrize(
+    ("source", "substeps", "taken"),
+    [
+        ("simulation", 1, 1),
+        ("robot", 0, 0),
+        ("https://example.org/recordings", 0, 0),
+    ],
+)
+def test_metadata_may_say_what_made_the_recordings(
+    tmp_path: Path, source: str, substeps: int, taken: int
+) -> None:
+    """The hidden friction leaves a residual, from which no simulation is recognised before it."""
+    realization, trials = arm_case(tmp_path, 1, HIDDEN, source=source)
+    given = ModelSetup.of(realization, None, 1)
+    prepared, trials = build_problem(given, trials, [])
+    setup, there, _ = as_simulated_before(given, prepared, trials, Run())
+    assert setup.substeps == substeps
+    assert setup.is_of_robot is (source == "robot")
+    assert bool(there.problem.discretization_error) is not bool(taken)
+
+
+def test_a_declared_robot_is_never_taken_for_a_simulation(tmp_path: Path) -> None:
+    realization, trials = arm_case(tmp_path, 1, 0.0, source="robot")
+    given = ModelSetup.of(realization, None, 1)
+    prepared, trials = build_problem(given, trials, [])
+    setup, _, _ = as_simulated_before(given, prepared, trials, Run())
+    assert (setup.substeps, setup.is_of_robot) == (0, True)
+    undeclared = arm_case(tmp_path, 1, 0.0)[1]
+    setup, _, _ = as_simulated_before(given, prepared, undeclared, Run())
+    assert (setup.substeps, setup.is_of_robot) == (1, False)
 
 
 def test_a_hidden_effect_in_recordings_of_a_simulation_is_found_exactly(tmp_path: Path) -> None:
