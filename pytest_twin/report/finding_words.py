@@ -162,4 +162,9 @@ def _value_and_interval(
     text = f"{number(shown)}{'' if unit == '1' else f' {unit}'}{side}"
     if low == high:
         return text, ""
-    return text, f"{number(factor * low)} to {number(factor * high)}"
+    low, high = factor * low, factor * high
+    if relation and low < 0.0 < high:
+        return text, f"{number(-low)} below to {number(high)} above"
+    if relation:
+        low, high = sorted((abs(low), abs(high)))
+    return text, f"{number(low)} to {number(high)}"

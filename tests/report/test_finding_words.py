@@ -35,7 +35,12 @@ def finding(effect: str, joint: str | None = "elbow", **parameters: Any) -> dict
         (
             finding("viscous_friction", coefficient=(-0.5, "N*m*s/rad", -0.6, -0.4)),
             "The viscous friction of joint elbow is 0.5 N*m*s/rad below the model's (95 % interval "
-            "-0.6 to -0.4).",
+            "0.4 to 0.6).",
+        ),
+        (
+            finding("viscous_friction", coefficient=(-0.1, "N*m*s/rad", -0.3, 0.1)),
+            "The viscous friction of joint elbow is 0.1 N*m*s/rad below the model's (95 % interval "
+            "0.3 below to 0.1 above).",
         ),
         (
             finding("torque_constant", relative_error=(0.12, "1", 0.1, 0.14)),
