@@ -15,6 +15,8 @@ from pytest_twin.gate.source import changed_sources
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.twin import load_twin
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -20,6 +20,8 @@ from pytest_twin.cli import main
 from pytest_twin.errors import FormatError, LimitError, PathError
 from pytest_twin.formats.digest import file_sha256
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 SMALL = IntakeLimits(files=4, file_bytes=2000, total_bytes=5000, depth=3, name_bytes=40)
 
 

@@ -16,6 +16,8 @@ from pytest_twin.cli import main
 from pytest_twin.errors import TwinError
 from pytest_twin.report.audit import table
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 BROKEN = changed(
     (
         '<inertia ixx="0.0012" iyy="0.0156" izz="0.0156" ixy="0" ixz="0" iyz="0"/>',
