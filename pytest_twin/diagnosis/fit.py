@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis
-from pytest_twin.diagnosis.problem import Problem
 
 # Levenberg-Marquardt damping factors, relative to the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)
@@ -23,10 +23,17 @@ _COORDINATE_STEP = 1e-6
 # A parameter is not fitted if a change by its own size moves the prediction by less than this share
 # of the residual: its slope is rounding error. Example: the roll of a base with level axes only.
 _NEGLIGIBLE_CHANGE = 1e-4
-Bounds = Callable[[Hypothesis], tuple[FloatArray, FloatArray]]
-"""Lower and upper bounds of a hypothesis, (parameters,) each, in multiples of the scales."""
 # Shares of a parameter's reach that are tried in addition to the step along the slope.
 _REACHED = (-1.0, -0.25, 0.25, 1.0)
+
+
+class Residuals(Protocol):
+    """What a fit needs of a problem."""
+
+    def residuals(
+        self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
+    ) -> list[FloatArray]:
+        """(samples, signals) residual of each hypothesis on segments, as ``Problem`` has it."""
 
 
 @dataclass(slots=True)
@@ -53,8 +60,8 @@ class Fitted:
         return mean_square
 
 
-def fit(  # noqa: PLR0913
-    problem: Problem,
+def fit(
+    problem: Residuals,
     starts: Sequence[Hypothesis],
     weights: FloatArray,
     segments: NDArray[np.int64],
@@ -62,7 +69,6 @@ def fit(  # noqa: PLR0913
     iterations: int,
     slopes: bool = True,
     jacobians: Sequence[FloatArray] | None = None,
-    bounds: Bounds | None = None,
 ) -> list[Fitted]:
     """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
 
@@ -75,8 +81,6 @@ def fit(  # noqa: PLR0913
         slopes: whether the Jacobian at the optimum is needed.
         jacobians: an approximate Jacobian of each start. All steps then use it with Broyden's
             rank-one update (Math. Comp. 19, 1965), which needs no further simulation.
-        bounds: bounds that depend on other parameters, for the start and each step; those of the
-            laws if None.
 
     Returns:
         The optimum of each start, in the same order.
@@ -84,7 +88,7 @@ def fit(  # noqa: PLR0913
     Raises:
         OutOfTime: the time of the search is over.
     """
-    current = [_within(bounds, start) for start in starts]
+    current = list(starts)
     residual = problem.residuals(current, segments)
     cost = [weighted_cost(r, weights) for r in residual]
     known: list[FloatArray | None] = [None] * len(current) if jacobians is None else [*jacobians]
@@ -103,8 +107,7 @@ def fit(  # noqa: PLR0913
         for i in active:
             jac = known[i]
             assert jac is not None
-            proposed = proposals(current[i], residual[i], jac, weights, _DAMPINGS, bounds)
-            trials += [_within(bounds, one) for one in proposed]
+            trials += proposals(current[i], residual[i], jac, weights, _DAMPINGS)
             ends.append(len(trials))
         tried = problem.residuals(trials, segments)
         still = []
@@ -142,13 +145,6 @@ def fit(  # noqa: PLR0913
     return out
 
 
-def _within(bounds: Bounds | None, hypothesis: Hypothesis) -> Hypothesis:
-    """The hypothesis with its parameters clipped to bounds that depend on other parameters."""
-    if bounds is None:
-        return hypothesis
-    return hypothesis.with_theta(np.clip(hypothesis.theta, *bounds(hypothesis)))
-
-
 def _corrected(jacobian: FloatArray | None, step: FloatArray, change: FloatArray) -> FloatArray:
     """Broyden's rank-one update: the Jacobian then reproduces ``change`` for ``step``."""
     assert jacobian is not None
@@ -166,7 +162,7 @@ def weighted_cost(residual: FloatArray, weights: FloatArray) -> float:
 
 
 def _fill_jacobians(
-    problem: Problem,
+    problem: Residuals,
     current: Sequence[Hypothesis],
     residual: Sequence[FloatArray],
     segments: NDArray[np.int64],
@@ -218,7 +214,6 @@ def proposals(
     jacobian: FloatArray,
     weights: FloatArray,
     dampings: Sequence[float],
-    bounds: Bounds | None = None,
 ) -> list[Hypothesis]:
     """Candidates of one fit step: a damped step for each damping, and the distant steps.
 
@@ -228,9 +223,8 @@ def proposals(
         jacobian: (samples, signals, parameters).
         weights: (signals,) reciprocal standard deviations.
         dampings: relative to the diagonal of the normal matrix.
-        bounds: as for :func:`fit`.
     """
-    damped_steps = [propose(h, residual, jacobian, weights, d, bounds) for d in dampings]
+    damped_steps = [propose(h, residual, jacobian, weights, d) for d in dampings]
     return damped_steps + distant_steps(h)
 
 
@@ -252,19 +246,14 @@ def distant_steps(h: Hypothesis) -> list[Hypothesis]:
 
 
 def propose(
-    h: Hypothesis,
-    residual: FloatArray,
-    jacobian: FloatArray,
-    weights: FloatArray,
-    damping: float,
-    bounds: Bounds | None = None,
+    h: Hypothesis, residual: FloatArray, jacobian: FloatArray, weights: FloatArray, damping: float
 ) -> Hypothesis:
     """A damped Gauss-Newton step within the bounds, in the coordinates of each law.
 
     A parameter at a bound stays there if its step points outwards. The hypothesis is unchanged if
     the normal matrix overflows. Arguments are as in :func:`proposals`.
     """
-    lower, upper = h.bounds if bounds is None else bounds(h)
+    lower, upper = h.bounds
     slopes = (jacobian * weights[:, None]).reshape(-1, h.theta.size)
     a = slopes @ _chart(h)
     b = np.nan_to_num(residual * weights).ravel()

@@ -12,7 +12,7 @@ from test_identify_simulation import NOMINAL
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.identification.simulation.fitting import held_out_error
-from pytest_twin.identification.simulation.passive_joints import back_emf_bounds, impossible
+from pytest_twin.identification.simulation.passive_joints import impossible, with_largest_back_emf
 
 DAMPING = NOMINAL["damping"]
 ROLLOFF, DRAG = Term("torque_rolloff", 0), Term("viscous_friction", 0)
@@ -89,7 +89,7 @@ def test_a_back_emf_above_model_and_correction_is_impossible(
         f"its back-EMF of {1.2 * whole:.3g} would exceed the total damping of the joint, "
         f"{whole:.3g}",
     )
-    bounded = beyond.with_theta(np.clip(beyond.theta, *back_emf_bounds(problem)(beyond)))
+    bounded = with_largest_back_emf(problem, beyond)
     assert back_emf_of(problem, bounded) == pytest.approx(whole)
 
 

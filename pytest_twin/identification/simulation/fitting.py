@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,8 +14,9 @@ from pytest_twin.diagnosis.physical_totals import at_zero
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.identification.paired import paired
 from pytest_twin.identification.simulation.passive_joints import (
-    back_emf_bounds,
+    LargestBackEmf,
     has_excessive_back_emf,
+    with_largest_back_emf,
 )
 from pytest_twin.identification.simulation.stage_effects import start, starts_of, terms_at
 
@@ -69,18 +71,20 @@ def refitted(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATI
 def _fit(
     problem: Problem, starts: Sequence[Hypothesis], weights: FloatArray, iterations: int
 ) -> list[Fitted]:
-    """Fit, and fit again within bounds where a back-EMF exceeds the damping that contains it.
+    """Fit, and fit again with the largest back-EMF where it exceeds the damping of its joint.
 
-    Bounds from the first step on would hold both together in a narrow valley of the error.
+    In the second fit the back-EMF follows the damping: a bound that stays while the damping is
+    fitted would hold both.
     """
     found = fit(problem, starts, weights, problem.fit, iterations=iterations, slopes=False)
     beyond = [k for k, one in enumerate(found) if has_excessive_back_emf(problem, one.hypothesis)]
     again = fit(
-        problem, [found[k].hypothesis for k in beyond], weights, problem.fit,
-        iterations=iterations, slopes=False, bounds=back_emf_bounds(problem),
+        LargestBackEmf(problem), [found[k].hypothesis for k in beyond], weights, problem.fit,
+        iterations=iterations, slopes=False,
     )  # fmt: skip
-    for k, bounded in zip(beyond, again, strict=True):
-        found[k] = bounded
+    for k, one in zip(beyond, again, strict=True):
+        bounded = with_largest_back_emf(problem, one.hypothesis)
+        found[k] = replace(one, hypothesis=bounded)
     return found
 
 

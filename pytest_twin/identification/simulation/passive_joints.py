@@ -6,14 +6,14 @@ drive that is switched off or saturated has none, so it must not exceed the whol
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis import physical_totals
-from pytest_twin.diagnosis.fit import Bounds
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
@@ -63,16 +63,29 @@ def has_excessive_back_emf(problem: Problem, hypothesis: Hypothesis) -> bool:
     return any(one.exceeds for one in _back_emfs(problem, hypothesis))
 
 
-def back_emf_bounds(problem: Problem) -> Bounds:
-    """Bounds of the laws, and of each back-EMF by the damping that contains it."""
+def with_largest_back_emf(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis with each back-EMF equal to the damping that contains it."""
+    theta = hypothesis.theta.copy()
+    for one in _back_emfs(problem, hypothesis):
+        theta[one.at] = min(one.whole / one.scale, hypothesis.bounds[1][one.at])
+    return hypothesis.with_theta(theta)
 
-    def bounds(hypothesis: Hypothesis) -> tuple[FloatArray, FloatArray]:
-        lower, upper = hypothesis.bounds
-        for one in _back_emfs(problem, hypothesis):
-            upper[one.at] = np.clip(one.whole / one.scale, lower[one.at], upper[one.at])
-        return lower, upper
 
-    return bounds
+@dataclass(frozen=True, slots=True)
+class LargestBackEmf:
+    """A problem in which the back-EMF of each drive is the whole damping of its joint.
+
+    Where the damping is fitted too, the back-EMF follows it.
+    """
+
+    problem: Problem
+
+    def residuals(
+        self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
+    ) -> list[FloatArray]:
+        """(samples, signals) residual of each hypothesis with these back-EMFs."""
+        bounded = [with_largest_back_emf(self.problem, one) for one in hypotheses]
+        return self.problem.residuals(bounded, segments)
 
 
 def _back_emfs(problem: Problem, hypothesis: Hypothesis) -> Iterator[_BackEmf]:
