@@ -51,7 +51,7 @@ def model_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def simulated_toss(model: mujoco.MjModel, seed: int, samples: int = 90) -> np.ndarray:
+def simulated_toss(model: mujoco.MjModel, seed: int, samples: int = 60) -> np.ndarray:
     """Positions and velocities (samples, 13) of a simulated toss, with a very small time step."""
     rng = np.random.default_rng(seed)
     fine = mujoco.MjModel.from_xml_string(CUBE) if model is None else model
