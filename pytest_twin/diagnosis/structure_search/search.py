@@ -169,7 +169,7 @@ class StructureSearch:
         """
         scorer, settings = self.scorer, self.settings
         found = proposals(scorer, view, settings)
-        if self._is_blind(found, view):
+        if self._explains_nothing(found, view):
             seen = simulate_around(self.problem, view.around, settings.simulated_at_all_sizes)
             found += proposals(scorer, seen, settings)
         chosen = self._promising(found, incumbent)
@@ -191,7 +191,7 @@ class StructureSearch:
             return models, False
         return models, True
 
-    def _is_blind(self, found: Sequence[Proposal], view: LinearizedView) -> bool:
+    def _explains_nothing(self, found: Sequence[Proposal], view: LinearizedView) -> bool:
         """Whether the linearization explains nothing of a residual that stands out."""
         own = view.around.hypothesis
         if view.linear is None or own.terms:
