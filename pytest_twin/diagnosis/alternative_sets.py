@@ -76,6 +76,9 @@ def with_alternative_sets(
         )
         why = refused(problem, kept, recorded) if kept.terms else {}
     if selected.best.hypothesis.terms != final.terms:
+        if selected.not_simulated:
+            # As in the search that ended early: the rest may be an effect that it did not come to.
+            selected = replace(selected, not_simulated=frozenset(selected.best.hypothesis.terms))
         pruned = prune(problem, selected)
         removed = refused(problem, final, recorded)
         notes[:0] = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,29 @@ def test_exactly_the_hidden_effects_are_found_with_less_than_150_simulations(
     assert left.max() < 2.0
     accepted = [s for s in run.trace.steps if s.decision == "accepted"]
     assert bool(accepted) is bool(names)
+
+
+def test_a_small_effect_of_another_signal_is_accepted_beside_a_large_one(tmp_path: Path) -> None:
+    """Two signals stand for two joints: the second effect gains 2 % of all, but most of its own."""
+    problem = problem_of(tmp_path)
+    scorer = StructureSearch(problem).scorer
+    scorer.problem = SimpleNamespace(
+        signal_floor=np.array([1e-4, 1e-4]), fit=problem.fit, held_out=problem.held_out,
+        lengths=problem.lengths,
+    )  # fmt: skip
+    noise = np.random.default_rng(0).standard_normal((sum(problem.lengths(problem.fit)), 2))
+
+    def model(effects: int, *levels: float) -> Model:
+        terms = [Term("viscous_friction", 0), Term("command_delay", 0)][:effects]
+        h = EMPTY.with_terms({t: np.array([1.0]) for t in terms})
+        return Model(h, noise * np.array(levels), np.zeros((0, 2)))
+
+    scorer.nominal = model(0, 1.0, 2e-4)
+    one, same_joint = model(1, 1e-4, 2e-4), model(2, 0.9e-4, 2e-4)
+    assert scorer.is_better(model(2, 1e-4, 1e-4), one)
+    assert not scorer.is_better(same_joint, one)
+    # Of one and the same signal, the same gain is too little: a wrong effect can have it.
+    assert not scorer.is_better(model(2, 2e-4, 2e-4), model(1, 4e-4, 2e-4))
 
 
 def test_where_the_linearization_shows_nothing_candidates_are_simulated(

@@ -27,8 +27,8 @@ class StructureSearchSettings:
             linearization explains nothing of the residual. All others have one size.
         earns: penalized log-likelihood ratio that a larger model must gain. 5 are odds of 150 to 1,
             which are called very strong evidence (Kass, Raftery 1995).
-        share: share of the log-likelihood ratio between a model and the nominal model that each
-            additional effect must gain.
+        share: share of the log-likelihood ratio between a model and the nominal model that
+            additional effects must gain, in all signals together or in one of them.
     """
 
     rounds: int = 12
