@@ -77,7 +77,7 @@ def test_exactly_the_hidden_effects_are_found_with_less_than_150_simulations(
 
 
 def test_a_small_effect_of_another_signal_is_accepted_beside_a_large_one(tmp_path: Path) -> None:
-    """Two signals are those of two joints: the second effect gains 2 % of all, but most of its own."""
+    """Two signals, as of two joints: the second effect gains 7 % of all, but all of its own."""
     problem = problem_of(tmp_path)
     scorer = StructureSearch(problem).scorer
     scorer.problem = SimpleNamespace(
