@@ -33,7 +33,7 @@ def validation_names(roles: Roles) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    "count", [2, 5], ids=["no validation recording", "one validation recording"]
+    "count", [2, 4], ids=["no validation recording", "one validation recording"]
 )
 def test_a_search_without_the_test_recordings_on_disk_has_the_same_findings(
     tmp_path: Path, count: int
@@ -53,7 +53,7 @@ def test_a_search_without_the_test_recordings_on_disk_has_the_same_findings(
     absent = diagnosed()
     assert len(opened.tested.prepared.problem.held_out) == 1
     assert len(absent.tested.prepared.problem.held_out) == 0
-    assert len(opened.roles.validation) == (1 if count == 5 else 0)
+    assert len(opened.roles.validation) == (1 if count == 4 else 0)
     assert [(f.effect, f.joint) for f in absent.explained.findings] == [
         ("viscous_friction", "left")
     ]
