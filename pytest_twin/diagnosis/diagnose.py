@@ -143,7 +143,7 @@ class Diagnosis:
 
     def _modelled(self, joint: str) -> dict[str, float]:
         """Share of the unexplained error of a joint that laws without a name remove."""
-        removed = self.free.removed(joint)
+        removed = self.free.removed_share(joint)
         return {} if removed is None else {"unnamed_law_removes": round(removed, 5)}
 
     def _trials(self) -> dict[str, list[str]]:

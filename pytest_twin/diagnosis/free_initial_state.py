@@ -127,7 +127,7 @@ def free_initial_states(
     stretch = _stretch(simulator, hypothesis, scales)
     search = _InitialStateSearch(simulator, noise, hypothesis, scales, stretch)
     for deviations in _TRIED if search.shifts else ():
-        search.improved({i: deviations * stretch[i] for i in search.shifts}, _CLEARLY)
+        search.accept_better({i: deviations * stretch[i] for i in search.shifts}, _CLEARLY)
     active = list(search.shifts)
     for _ in range(_PLACINGS):
         steps = {i: search.found[i].motor_step for i in active}
@@ -136,7 +136,7 @@ def free_initial_states(
             break
         most = {i: _FAR * stretch[i] for i in active}
         tried = {i: np.clip(search.shifts[i] + steps[i], -most[i], most[i]) for i in active}
-        active = search.improved(tried, _NO_WORSE)
+        active = search.accept_better(tried, _NO_WORSE)
     free = {i: simulated.start for i, simulated in search.found.items()}
     return FreeInitialStates(free, search.shifts, search.stepped)
 
@@ -187,7 +187,7 @@ class _InitialStateSearch:
         self.found = self._simulated(dict.fromkeys(free, none))
         self.shifts = {i: none for i in self.found if stretch[i].any()}
 
-    def improved(self, tried: Mapping[int, FloatArray], share: float) -> list[int]:
+    def accept_better(self, tried: Mapping[int, FloatArray], share: float) -> list[int]:
         """Accept tried motor positions that reduce the misfit below a share of its value.
 
         Args:

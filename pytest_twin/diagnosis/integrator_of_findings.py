@@ -133,13 +133,13 @@ def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int
         return 0
     design = (slopes / noise[:, None]).reshape(len(error) * joints, -1)
 
-    def left(residual: FloatArray) -> float:
+    def misfit(residual: FloatArray) -> float:
         flat = (residual / noise).ravel()
         remaining = flat - design @ np.linalg.lstsq(design, flat, rcond=None)[0]
         return float(np.sum(np.log(np.mean(remaining.reshape(-1, joints) ** 2, axis=0))))
 
-    none = left(robot[inside])
-    each = {k: left(robot[inside] + error / k) for k in SUBSTEPS}
+    none = misfit(robot[inside])
+    each = {k: misfit(robot[inside] + error / k) for k in SUBSTEPS}
     best = min(each, key=lambda k: each[k])
     return best if each[best] < none else 0
 
@@ -157,7 +157,7 @@ def _forces_of_the_step(
         stepped, refitted: the problem without it, and the findings fitted to it.
     """
 
-    def left(problem: Problem, hypothesis: Hypothesis) -> list[FloatArray]:
+    def deviations(problem: Problem, hypothesis: Hypothesis) -> list[FloatArray]:
         """(steps, joints) RMS deviations: at the stamp, a step earlier, a step later."""
         rows = problem.everywhere
         values = effect_values([hypothesis] * len(rows), len(problem.joints), problem.scales)
@@ -169,7 +169,7 @@ def _forces_of_the_step(
 
     if any(s.effort is None for s in robot.simulator.segments):
         return False
-    ways = zip(left(stepped, refitted), left(robot, found), strict=True)
+    ways = zip(deviations(stepped, refitted), deviations(robot, found), strict=True)
     return all((a[_EARLIER] < _FAR_CLOSER * b.min(axis=0)).all() for a, b in ways)
 
 

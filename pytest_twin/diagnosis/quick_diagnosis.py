@@ -384,18 +384,18 @@ def _candidates(
     if not chosen:
         return []
     first = seen[chosen[0][0]].term
-    chosen += [(at,) for at, response in enumerate(seen) if _confused(first, response.term)]
+    chosen += [(at,) for at, response in enumerate(seen) if _are_confused(first, response.term)]
     # An effect of the robot may be the same effect at each of its joints.
     for robot in [seen[at].term for (at,) in chosen if seen[at].term.joint < 0]:
         alike: dict[str, list[int]] = {}
         for at, response in enumerate(seen):
-            if response.term.joint >= 0 and _confused(robot, response.term):
+            if response.term.joint >= 0 and _are_confused(robot, response.term):
                 alike.setdefault(response.term.effect, []).append(at)
         chosen += [tuple(joints) for joints in alike.values() if len(joints) > 1]
     return [lens.structure(c).starts for c in dict.fromkeys(chosen)]
 
 
-def _confused(one: Term, other: Term) -> bool:
+def _are_confused(one: Term, other: Term) -> bool:
     """Whether the catalogue lists two effects as confused, and they share a joint or the robot."""
     same = one.joint == other.joint or min(one.joint, other.joint) < 0
     return same and (other.effect in one.law.confused_with or one.effect in other.law.confused_with)

@@ -107,7 +107,7 @@ def _chosen(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
     whole = sum(seconds.values())
     chosen: set[Path] = set()
 
-    def taken(p: Path) -> float:
+    def used_share(p: Path) -> float:
         """Share of the recorded time of a condition that is already used for validation."""
         alike = [q for q in paths if kind[q] == kind[p]]
         return sum(seconds[q] for q in alike if q in chosen) / sum(seconds[q] for q in alike)
@@ -124,7 +124,12 @@ def _chosen(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
         ]  # fmt: skip
         if not possible:
             break
-        chosen.add(min(possible, key=lambda p: (taken(p), _uncovered(p, to_fit, ranges), str(p))))
+        chosen.add(
+            min(
+                possible,
+                key=lambda p: (used_share(p), _own_share(p, to_fit, ranges), str(p)),
+            )
+        )
     # An effect that acts under one condition only (cold, one payload) must be validated there.
     return chosen if covers_all() else set()
 
@@ -143,7 +148,7 @@ def _ranges(trials: Sequence[Trial]) -> dict[str, FloatArray]:
     return found
 
 
-def _uncovered(
+def _own_share(
     path: Path, left: Sequence[Path], ranges: dict[Path, dict[str, FloatArray]]
 ) -> float:
     """Share of the position and velocity ranges that only ``path`` covers, summed over joints."""

@@ -10,7 +10,7 @@ from pytest_twin.diagnosis.budget import RESERVED, Budget
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.trace import Decision, Step, Trace, named
+from pytest_twin.diagnosis.trace import Decision, Step, Trace, effect_names
 
 Result = TypeVar("Result")
 
@@ -83,9 +83,9 @@ class Run:
             Step(
                 self.trace.stage,
                 move,
-                named(joints, proposed.hypothesis.terms),
+                effect_names(joints, proposed.hypothesis.terms),
                 proposed.score,
-                named(joints, best.hypothesis.terms),
+                effect_names(joints, best.hypothesis.terms),
                 best.score,
                 decision,
                 reason,

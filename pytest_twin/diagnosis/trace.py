@@ -94,6 +94,6 @@ class Trace:
         return {"steps": [s.to_json() for s in self.steps], "left_out": self.left_out}
 
 
-def named(joints: Sequence[str], terms: Sequence[Term]) -> tuple[str, ...]:
+def effect_names(joints: Sequence[str], terms: Sequence[Term]) -> tuple[str, ...]:
     """Names of effects with their joints, for example ``viscous_friction at elbow``."""
     return tuple(t.effect if t.joint < 0 else f"{t.effect} at {joints[t.joint]}" for t in terms)

@@ -97,7 +97,7 @@ def fit_between(
     fits = fit_joints(space, [period * MEAN_DELAY[b] for b in ways])
     lengths = problem.lengths(groups[0])
     left = {
-        between: _left(_as_stepped(fit, space, group), space, lengths, owner)
+        between: _cross_validated_residual(_as_stepped(fit, space, group), space, lengths, owner)
         for between, fit, group in zip(ways, fits, groups, strict=True)
     }
     answer = decide(left, lengths, owner, noise, period)
@@ -152,7 +152,7 @@ def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> J
     return best
 
 
-def _left(
+def _cross_validated_residual(
     fit: JointFit, space: Parameters, lengths: Sequence[int], owner: Sequence[int]
 ) -> AssumptionResiduals:
     """Cross-validated residual of a fit.

@@ -125,7 +125,7 @@ def law(log: Signals, lag: float = 0.0, dead_zone: float = 0.0) -> Law:
     for older in np.linspace(-EFFORTS.reach, EFFORTS.reach, 2 * EFFORTS.parts + 1) * period:
         then = [np.interp(log.time - older, log.grid, c) for c in columns]
         table = np.stack([*then, np.ones(len(log.time))], axis=1)
-        tried.append((_left(log.effort[inner], table[inner]), float(older)))
+        tried.append((_residual_rms(log.effort[inner], table[inner]), float(older)))
     # Between two steps of a held command all ages fit equally well; the smallest one is reported.
     alike = EFFORTS.alike * max(min(tried)[0], _NEGLIGIBLE * float(np.std(log.effort)))
     left, older = min((t for t in tried if t[0] <= alike), key=lambda each: abs(each[1]))
@@ -220,7 +220,7 @@ def _older(laws: Sequence[Law], period: float) -> float:
     return min(late, key=abs, default=0.0)
 
 
-def _left(effort: FloatArray, columns: FloatArray) -> float:
+def _residual_rms(effort: FloatArray, columns: FloatArray) -> float:
     """RMS residual of a law with fitted gains; a second fit leaves out samples next to jumps."""
     weights, *_ = np.linalg.lstsq(columns, effort, rcond=None)
     off = effort - columns @ weights

@@ -94,12 +94,12 @@ def _rms(residual: FloatArray) -> FloatArray:
 def _with_interpolation(trials: TrialSet, between: CommandBetween) -> TrialSet:
     """The trials with an interpolation of commands, unless it is declared."""
 
-    def changed(trial: Trial) -> Trial:
+    def with_interpolation(trial: Trial) -> Trial:
         if trial.between_source != "assumed":
             return trial
         return replace(trial, command_between=between, between_source="data")
 
-    fit, held_out = (tuple(map(changed, role)) for role in (trials.fit, trials.held_out))
+    fit, held_out = (tuple(map(with_interpolation, role)) for role in (trials.fit, trials.held_out))
     return replace(trials, fit=fit, held_out=held_out)
 
 

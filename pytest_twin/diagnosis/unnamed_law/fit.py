@@ -25,9 +25,9 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.unnamed_law.covariates import Covariate
 from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, Rival
 from pytest_twin.diagnosis.unnamed_law.regression import log_ratio, standard_error
-from pytest_twin.diagnosis.unnamed_law.selection import Chosen, Data, ranked, with_second
+from pytest_twin.diagnosis.unnamed_law.selection import Chosen, Data, rank_tables, with_second
 from pytest_twin.diagnosis.unnamed_law.shape import Curve, resembles
-from pytest_twin.diagnosis.unnamed_law.simulated import Fitted, fitted
+from pytest_twin.diagnosis.unnamed_law.simulated import Fitted, fit_tables
 from pytest_twin.diagnosis.verdict import UNSEEN
 
 WORTH = 0.5
@@ -138,7 +138,7 @@ def _at_joint(
     """
     if not np.isfinite(data.residual).all():
         return "the simulation with the findings diverges in places"
-    ranking = ranked(data)
+    ranking = rank_tables(data)
     if not ranking:
         return "nothing that a force may depend on varies in the recordings"
     chosen = with_second(data, ranking)
@@ -150,7 +150,7 @@ def _at_joint(
             f"error ({100 * WORTH:.0f} % required). A push in time or a random torque looks like "
             "this"
         )
-    after = fitted(problem, hypothesis, chosen, data)
+    after = fit_tables(problem, hypothesis, chosen, data)
     if after is None:
         return "the simulation diverges with it"
     share, clear = _removed(after.before, after.errors)

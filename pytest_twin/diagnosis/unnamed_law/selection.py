@@ -106,7 +106,7 @@ class Chosen:
         return self.regression.fitted(self.strength)
 
 
-def judged(data: Data, tables: Sequence[Covariate], responses: FloatArray) -> Chosen:
+def choose_strength(data: Data, tables: Sequence[Covariate], responses: FloatArray) -> Chosen:
     """Tables with the strongest penalty whose error is within one standard error of the best."""
     regression = data.regression(tables, responses, data.residual)
     errors = [regression.left_out_errors(s) for s in STRENGTHS]
@@ -114,18 +114,18 @@ def judged(data: Data, tables: Sequence[Covariate], responses: FloatArray) -> Ch
     return Chosen(tuple(tables), responses, regression, STRENGTHS[k], errors[k])
 
 
-def ranked(data: Data) -> list[Chosen]:
+def rank_tables(data: Data) -> list[Chosen]:
     """A table over each variable, the best first; over a narrow range if the force is local."""
     singles = []
     for covariate in covariates(data.linear, data.joint):
         responses = data.responses(covariate)
         if np.isfinite(responses).all() and responses.any():
-            singles.append(judged(data, [covariate], responses))
+            singles.append(choose_strength(data, [covariate], responses))
     order = sorted(singles, key=_error)
     for one in order[:_BEST]:
-        narrow = _narrowed(one.tables[0], one.coefficients)
+        narrow = _narrow_range(one.tables[0], one.coefficients)
         if narrow is not None:
-            other = judged(data, [narrow], data.responses(narrow))
+            other = choose_strength(data, [narrow], data.responses(narrow))
             if _error(other) < _error(one):
                 singles[singles.index(one)] = other
     return _simplest_first(singles)
@@ -140,7 +140,7 @@ def with_second(data: Data, singles: Sequence[Chosen]) -> Chosen:
     pairs = []
     for a, b in itertools.product(forces, frictions):
         both = np.concatenate([a.responses, b.responses], axis=1)
-        pairs.append(judged(data, [*a.tables, *b.tables], both))
+        pairs.append(choose_strength(data, [*a.tables, *b.tables], both))
     for pair in _simplest_first(pairs)[:1]:
         less = best.errors - pair.errors
         worth = max(_SECOND * best.errors.sum(), _SECOND_OF_ALL * best.regression.square.sum())
@@ -165,7 +165,7 @@ def _simplest_first(chosen: Sequence[Chosen]) -> list[Chosen]:
     return order
 
 
-def _narrowed(covariate: Covariate, values: FloatArray) -> Covariate | None:
+def _narrow_range(covariate: Covariate, values: FloatArray) -> Covariate | None:
     """The variable with knots only where the force acts; None if it acts over most of the range."""
     mass = values**2 * covariate.occupancy
     total = float(mass.sum())

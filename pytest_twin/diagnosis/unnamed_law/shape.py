@@ -66,10 +66,10 @@ def in_words(curve: Curve) -> str:
         pair = _towards_or_away(curve, *stretches)
         if pair:
             return pair
-    return ", ".join(_said(curve, s, unit, force) for s in stretches)
+    return ", ".join(_force_words(curve, s, unit, force) for s in stretches)
 
 
-def _said(curve: Curve, inside: slice, unit: str, force: str) -> str:
+def _force_words(curve: Curve, inside: slice, unit: str, force: str) -> str:
     values, knots = curve.values[inside], curve.knots[inside]
     peak = float(values[np.argmax(np.abs(values))])
     low, high = float(knots[0]), float(knots[-1])

@@ -72,7 +72,9 @@ def with_tables(
     return out
 
 
-def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data) -> Fitted | None:
+def fit_tables(
+    problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data
+) -> Fitted | None:
     """Fit tables by simulation; None if no simulation with them, or no derivative, is finite.
 
     Args:
@@ -88,7 +90,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data)
     def at(c: FloatArray) -> Hypothesis:
         return with_tables(problem, hypothesis, data.joint, chosen.tables, c)
 
-    def left(c: FloatArray) -> FloatArray:
+    def mean_residual(c: FloatArray) -> FloatArray:
         return linear.bins.mean(problem.residuals([at(c)], linear.segments)[0])
 
     def objective(residual: FloatArray, c: FloatArray) -> float:
@@ -96,7 +98,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data)
 
     # If the whole force is too large for the linearization, a part of it is a better start.
     for share in (1.0, 0.5, 0.25):
-        residual = left(share * values)
+        residual = mean_residual(share * values)
         if np.isfinite(best := objective(residual, share * values)):
             values = share * values
             break
@@ -112,7 +114,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data)
         step = local.fitted(chosen.strength) - values
         for _ in range(_HALVINGS):
             tried = values + step
-            there = left(tried)
+            there = mean_residual(tried)
             size = objective(there, tried)
             if size < best:
                 break

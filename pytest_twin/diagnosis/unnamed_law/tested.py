@@ -49,7 +49,7 @@ class TestedLaws:
         """The laws as findings of ``diagnosis.json``; they follow the catalogue's effects."""
         return [law_json(law, gain) for law, gain in self.laws]
 
-    def removed(self, joint: str) -> float | None:
+    def removed_share(self, joint: str) -> float | None:
         """Share of the squared test error that the laws at a joint remove; None without a law."""
         gains = [gain for law, gain in self.laws if law.joint == joint]
         return max(gains, default=None)
