@@ -163,6 +163,19 @@ def test_without_time_for_exchanges_elastic_transmissions_are_no_alternatives(
     assert gear not in [other for other, _ in selected.alternatives[friction]]
 
 
+def test_a_search_without_time_keeps_the_effects_that_it_starts_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def out_of_time(*arguments: object) -> tuple[Model, np.ndarray]:
+        raise OutOfTime
+
+    monkeypatch.setattr(search_module, "fit_by_simulation", out_of_time)
+    start = EMPTY.with_term(Term("viscous_friction", 0), np.array([1.0]))
+    result = StructureSearch(problem_of(tmp_path, viscous=0.03)).run(start)
+    assert result.model.hypothesis == start
+    assert not result.is_complete
+
+
 def test_a_search_that_starts_with_a_wrong_effect_removes_it(tmp_path: Path) -> None:
     problem = problem_of(tmp_path, viscous=0.03)
     search = StructureSearch(problem)

@@ -100,12 +100,14 @@ class StructureSearch:
         Args:
             start: hypothesis from which the search starts; the nominal model by default.
         """
-        nominal = self.scorer.nominal
-        result = Result(nominal, np.zeros((*nominal.residual.shape, 0)))
+        result = self._without_fit(self.scorer.nominal)
         try:
             if start.terms:
+                # What an earlier search found is the result if no time is left to fit it here.
+                with self.diagnosis_run.budget.reserved():
+                    result = self._without_fit(self.scorer.at(start))
                 model, jacobian = fit_by_simulation(
-                    self.scorer, self.scorer.at(start), self.settings.refinements
+                    self.scorer, result.model, self.settings.refinements
                 )
                 result = Result(model, jacobian)
             for _ in range(self.settings.rounds):
@@ -119,6 +121,10 @@ class StructureSearch:
             with self.diagnosis_run.budget.reserved():
                 self.problem.refine_at(result.model.hypothesis)
         return result
+
+    @staticmethod
+    def _without_fit(model: Model) -> Result:
+        return Result(model, np.zeros((*model.residual.shape, 0)))
 
     def _improved(self, result: Result) -> Result | None:
         """The result of one round; None if no proposal passes the acceptance test.
@@ -147,7 +153,7 @@ class StructureSearch:
             refined_incumbent = scorer.at(incumbent.hypothesis)
         except OutOfTime:
             # The winner passed the test by simulation; only its last fit is missing.
-            return Result(winner, np.zeros((*winner.residual.shape, 0)))
+            return self._without_fit(winner)
         scorer.problem.refine_at(better.hypothesis)
         if not scorer.is_better(better, refined_incumbent):
             gain = scorer.gain(better, refined_incumbent)
