@@ -95,6 +95,8 @@ def test_a_small_effect_of_another_signal_is_accepted_beside_a_large_one(tmp_pat
     one, same_joint = model(1, 1e-4, 2e-4), model(2, 0.9e-4, 2e-4)
     assert scorer.is_better(model(2, 1e-4, 1e-4), one)
     assert not scorer.is_better(same_joint, one)
+    # A model that diverges gives way to a larger one that does not.
+    assert scorer.is_better(model(2, 1e-4, 2e-4), model(1, np.nan, 2e-4))
     # Of one and the same signal, the same gain is too little: a wrong effect can have it.
     assert not scorer.is_better(model(2, 2e-4, 2e-4), model(1, 4e-4, 2e-4))
 

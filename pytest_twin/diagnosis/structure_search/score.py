@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
+from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.first_order.beam_search import effect_penalty, parameter_penalty
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
@@ -91,24 +91,17 @@ class Scorer:
         Returns:
             Minus infinity if ``model`` diverges, infinity if only ``over`` diverges.
         """
-        problem, floor = self.problem, self.problem.signal_floor
         if not np.isfinite(model.mean_square).all():
             return -np.inf
         if not np.isfinite(over.mean_square).all():
             return np.inf
         better = min(model, over, key=self._misfit)
-        count = effective_samples(better.residual, problem.lengths(problem.fit))
-        ratio = log_likelihood(model.residual, floor, count)
-        ratio -= log_likelihood(over.residual, floor, count)
+        count = effective_samples(better.residual, self.problem.lengths(self.problem.fit))
+        ratio = float(self.gain_by_signal(model, over).sum())
         ratio -= parameter_penalty(count) * (model.hypothesis.free - over.hypothesis.free)
-        ratio -= self.penalty_per_effect * (
+        return ratio - self.penalty_per_effect * (
             len(model.hypothesis.terms) - len(over.hypothesis.terms)
         )
-        if len(better.validation):
-            held = effective_samples(better.validation, problem.lengths(problem.held_out))
-            ratio += log_likelihood(model.validation, floor, held)
-            ratio -= log_likelihood(over.validation, floor, held)
-        return ratio
 
     def is_better(self, model: Model, than: Model) -> bool:
         """Whether ``model`` replaces ``than``: the acceptance test.
@@ -153,9 +146,10 @@ class Scorer:
         ):
             if len(best):
                 count = effective_samples(best, problem.lengths(segments))
-                squares = (np.maximum(np.mean(r**2, axis=0), floor**2) for r in (other, one))
-                out += 0.5 * count * np.subtract(*map(np.log, squares))
-        return np.nan_to_num(out, nan=-np.inf, posinf=np.inf)
+                squares = (np.mean(r**2, axis=0) for r in (other, one))
+                known = (np.maximum(np.nan_to_num(s, nan=np.inf), floor**2) for s in squares)
+                out += 0.5 * count * np.subtract(*map(np.log, known))
+        return np.nan_to_num(out, nan=-np.inf, posinf=np.inf, neginf=-np.inf)
 
     def _misfit(self, model: Model) -> float:
         """Sum over signals of the logarithm of the mean square, which is at least that of noise."""
