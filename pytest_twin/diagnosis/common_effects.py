@@ -1,7 +1,7 @@
 """One cause that acts at every joint alike: the same effect at all joints with the same values.
 
 The catalogue has it as one effect for each joint. A bus that is late delays the commands of all
-joints by the same time. That is one cause with one parameter, as a late encoder bus is.
+joints by the same time. That is one cause with one parameter, like a delay of all readings.
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.simplification import mean_start, values_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +50,10 @@ def at_every_joint(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]
     for term in hypothesis.terms:
         for effect in term.law.confused_with if term.joint < 0 and len(joints) > 1 else ():
             each = [Term(effect, j) for j in joints]
-            if possible.issuperset(each) and not set(each) & set(hypothesis.terms):
-                values = _values(problem, hypothesis, term)
-                if values.keys() == {(p.name, p.quantity) for p in each[0].parameters}:
-                    starts = {t: _start(problem, t, values) for t in each}
-                    out.append(hypothesis.without(term).with_terms(starts))
+            is_new = possible.issuperset(each) and not set(each) & set(hypothesis.terms)
+            if is_new and _quantities(term) == _quantities(each[0]):
+                starts = {t: mean_start(problem, hypothesis, [term], t) for t in each}
+                out.append(hypothesis.without(term).with_terms(starts))
     return out
 
 
@@ -81,25 +79,12 @@ def _common(problem: Problem, hypothesis: Hypothesis) -> list[list[Term]]:
     for effect in dict.fromkeys(t.effect for t in hypothesis.terms if t.joint >= 0):
         each = [t for t in hypothesis.terms if t.effect == effect]
         if count > 1 and len(each) == count:
-            values = [list(_values(problem, hypothesis, t).values()) for t in each]
+            values = [list(values_of(problem, hypothesis, t).values()) for t in each]
             if np.allclose(values, values[0], rtol=1e-9, atol=0.0):
                 out.append(each)
     return out
 
 
-def _values(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[tuple[str, str], float]:
-    """(name, quantity) of each parameter of a term -> its value, SI units."""
-    theta = hypothesis.theta[hypothesis.slice_of(term)]
-    return {
-        (p.name, p.quantity): float(x) * problem.scales.value(p, term.joint)
-        for p, x in zip(term.parameters, theta, strict=True)
-    }
-
-
-def _start(problem: Problem, term: Term, values: dict[tuple[str, str], float]) -> FloatArray:
-    """Scaled parameters of a term with given values, within their bounds."""
-    (start, _), *_ = grid(term)
-    for k, p in enumerate(term.parameters):
-        scale = problem.scales.value(p, term.joint)
-        start[k] = np.clip(values[p.name, p.quantity] / scale, p.lower, p.upper)
-    return start
+def _quantities(term: Term) -> set[tuple[str, str]]:
+    """Name and quantity of each parameter of a term."""
+    return {(p.name, p.quantity) for p in term.parameters}

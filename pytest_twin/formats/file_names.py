@@ -27,10 +27,9 @@ _DEVICE = re.compile(r"(?:con|prn|aux|nul|conin\$|conout\$|com[0-9]|lpt[0-9])(?:
 def portable_names(names: Iterable[str]) -> dict[str, str]:
     """Return name -> file name without suffix.
 
-    No two names get the same file name, even on systems that ignore case. For names that differ
-    only in capital letters, such as ``FFJ3`` and ``ffj3``, the file name ends with a part of the
-    name's SHA-256. The file name of any other name does not depend on the other names or their
-    order.
+    All file names are different, also on systems for which ``FFJ3`` and ``ffj3`` are the same
+    file. Such names get a part of their SHA-256 at the end. The file name of any other name does
+    not depend on the other names or their order.
     """
     digits = dict.fromkeys(names, 0)
     for name in digits:

@@ -55,7 +55,7 @@ from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
 _IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *BETWEEN_STEPS)
-_CLOSEST = 16
+CLOSEST = 16
 """Number of candidates that are simulated at every starting size, if the robot has contact."""
 
 
@@ -134,7 +134,7 @@ def simulated_sensitivities(
     segments: NDArray[np.int64],
     hypothesis: Hypothesis,
     residual: FloatArray,
-    closest: int = _CLOSEST,
+    closest: int = CLOSEST,
 ) -> list[Sensitivity]:
     """Sensitivities by simulation: every candidate at one size, the best ones at all sizes.
 

@@ -15,6 +15,7 @@ from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.harmonic_search import search_harmonics
 from pytest_twin.diagnosis.first_order.limit_refinement import refine_limits
 from pytest_twin.diagnosis.first_order.sensitivities import (
+    CLOSEST,
     Linear,
     Sensitivity,
     linearize,
@@ -73,15 +74,8 @@ def linearize_for_additions(problem: Problem, best: ScoredModel) -> LinearizedVi
     )
     if not joints:
         return linearized
-    left = bins(problem, problem.fit).mean(best.fitted.residual)
     near = [t for t in terms if t.joint in joints]
-    found = simulated_sensitivities(problem, near, problem.fit, best.hypothesis, left)
-    candidate_sensitivities = CandidateSensitivities(
-        [*linearized.candidate_sensitivities.responses, *_identifiable(problem, found)]
-    )
-    return LinearizedView(
-        best, None, residual_view(problem, best, left), candidate_sensitivities, frozenset(terms)
-    )
+    return _simulated_view(problem, best, near, linearized.candidate_sensitivities.responses)
 
 
 def _behind_gears(problem: Problem, best: ScoredModel, linear: Linear) -> set[int]:
@@ -119,12 +113,23 @@ def simulate_around(problem: Problem, best: ScoredModel, closest: int) -> Linear
         best: the fit.
         closest: number of candidates that are simulated at all sizes.
     """
+    return _simulated_view(problem, best, _other_candidates(problem, best), (), closest)
+
+
+def _simulated_view(
+    problem: Problem,
+    best: ScoredModel,
+    terms: Sequence[Term],
+    known: Sequence[Sensitivity],
+    closest: int = CLOSEST,
+) -> LinearizedView:
+    """The view around a fit with sensitivities to ``terms`` by simulation, and known ones."""
     left = bins(problem, problem.fit).mean(best.fitted.residual)
-    terms = _other_candidates(problem, best)
     found = simulated_sensitivities(problem, terms, problem.fit, best.hypothesis, left, closest)
     return LinearizedView(
         best, None, residual_view(problem, best, left),
-        CandidateSensitivities(_identifiable(problem, found)), frozenset(terms),
+        CandidateSensitivities([*known, *_identifiable(problem, found)]),
+        frozenset(_other_candidates(problem, best)),
     )  # fmt: skip
 
 

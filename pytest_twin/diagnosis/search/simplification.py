@@ -48,15 +48,17 @@ def merge_joints(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
         for effect in new.law.confused_with:
             each = [t for t in hypothesis.terms if t.effect == effect and t.joint >= 0]
             if len(each) > 1:
-                start = _mean(problem, hypothesis, each, new)
+                start = mean_start(problem, hypothesis, each, new)
                 out.append(hypothesis.without(*each).with_term(new, start))
     return out
 
 
-def _mean(problem: Problem, hypothesis: Hypothesis, each: Sequence[Term], new: Term) -> FloatArray:
+def mean_start(
+    problem: Problem, hypothesis: Hypothesis, each: Sequence[Term], new: Term
+) -> FloatArray:
     """Start of the term ``new``: the mean of equally named parameters of the terms ``each``."""
     (start, _), *_ = grid(new)
-    each_has = [_values(problem, hypothesis, t) for t in each]
+    each_has = [values_of(problem, hypothesis, t) for t in each]
     for k, p in enumerate(new.parameters):
         alike = [values[p.name] for values in each_has if p.name in values]
         if alike:
@@ -65,7 +67,7 @@ def _mean(problem: Problem, hypothesis: Hypothesis, each: Sequence[Term], new: T
     return start
 
 
-def _values(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[str, float]:
+def values_of(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[str, float]:
     """Parameters of a term by name, SI units."""
     theta = hypothesis.theta[hypothesis.slice_of(term)]
     return {
@@ -100,7 +102,7 @@ def split_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 def _special_cases(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[Term, FloatArray]:
     """Special case of a term that the hypothesis lacks -> its scaled parameters."""
     out = {}
-    for effect, special in term.law.special_cases(_values(problem, hypothesis, term)).items():
+    for effect, special in term.law.special_cases(values_of(problem, hypothesis, term)).items():
         new = Term(effect, term.joint)
         if new not in hypothesis.terms:
             own = [special[p.name] / problem.scales.value(p, term.joint) for p in new.parameters]
@@ -160,7 +162,7 @@ def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
 def _as_equivalents(problem: Problem, hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
     """Hypotheses with a term replaced by each form of each equivalent effect that they lack."""
     layout, model = problem.simulator.layout, problem.simulator.segments[0].model
-    values = _values(problem, hypothesis, term)
+    values = values_of(problem, hypothesis, term)
     out: list[Hypothesis] = []
     for effect, own in term.law.equivalents(values, layout, model, term.joint).items():
         new = Term(effect, -1 if catalogue()[effect].scope == "robot" else term.joint)
