@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from pytest_twin.diagnosis.equivalent_sets import compare_sets
 from pytest_twin.diagnosis.evidence import log_likelihood
+from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import allowed_without, refused
 from pytest_twin.diagnosis.run import Run, Scored
@@ -17,15 +18,11 @@ from pytest_twin.diagnosis.shared_confidence import share_confidence
 
 OTHER_SETS = "other sets of effects instead of the final one"
 """Name of the comparison, for the reader."""
-_UNCOMPARED = 0.8
-"""Largest confidence of an effect if its set was not compared with others, or if the search ended
-early and a residual remains. In three of ten recordings of real machines, a wrong effect had 92 to
-100 % without the comparison."""
 
 
 def with_limited_confidence(found: SearchResult) -> SearchResult:
     """The result with confidences of at most 80 %, because a search or comparison is missing."""
-    confidence = {t: min(c, _UNCOMPARED) for t, c in found.selected.confidence.items()}
+    confidence = {t: min(c, FINDINGS.most_uncompared) for t, c in found.selected.confidence.items()}
     return replace(found, selected=replace(found.selected, confidence=confidence))
 
 

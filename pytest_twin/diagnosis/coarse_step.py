@@ -5,16 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
 from pytest_twin.diagnosis.prepare import discretization
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.verdict import JointError
-
-_STANDS, _OF_IT = 2.0, 3.0
-"""Smallest residual in noise floors, and smallest ratio of integration error to residual, for a
-note."""
-_OF_ALL = 0.5
-"""Ratio of integration error to the nominal model's error above which the integration error may be
-the cause of a finding."""
 
 
 def integration_errors(
@@ -31,7 +25,7 @@ def integration_errors(
         joint: float(rms)
         for joint, rms in zip(problem.joints, discretization(problem), strict=True)
         if joint in errors
-        and errors[joint].after > _STANDS * errors[joint].floor
+        and errors[joint].after > INTEGRATOR.note_floors * errors[joint].floor
         and rms > times * errors[joint].after
     }
 
@@ -53,7 +47,7 @@ def notes_on_coarse_step(
         return []
     problem.refine_at(hypothesis)
     own = dict(zip(problem.joints, discretization(problem).tolist(), strict=True))
-    large = integration_errors(problem, errors, _OF_IT)
+    large = integration_errors(problem, errors, INTEGRATOR.note_ratio)
     found_at = {problem.joints[t.joint] for t in hypothesis.terms if t.joint >= 0}
     step = 1e3 * problem.simulator.timestep
     lines = []
@@ -63,7 +57,7 @@ def notes_on_coarse_step(
                 f"{own[joint] / error.after:.0f} times the residual; residual and values may come "
                 "from it"
             )
-        elif joint in found_at and own[joint] > _OF_ALL * error.before:
+        elif joint in found_at and own[joint] > INTEGRATOR.cause_share * error.before:
             words = (
                 f"compared with {error.before:.2g} {error.unit} of the model's error; the findings "
                 "at this joint may come from it"

@@ -17,6 +17,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
+from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.diagnosis.windows import start_width
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.active_effects import EffectValues
@@ -27,8 +28,6 @@ from pytest_twin.effects.segment import Segment
 _STEP = 1e-4
 # Initial motor positions that are tried, and their limit, in standard deviations of the prior.
 _TRIED, _FAR = (-2.0, -1.0, 1.0, 2.0), 3.0
-# A tried position is accepted below this share of a segment's misfit.
-_CLEARLY = 0.95
 # Largest number of Gauss-Newton steps, the smallest step in standard deviations, and the share of
 # the misfit below which a step is accepted.
 _PLACINGS, _SETTLED, _NO_WORSE = 6, 0.005, 1.01
@@ -127,7 +126,9 @@ def free_initial_states(
     stretch = _stretch(simulator, hypothesis, scales)
     search = _InitialStateSearch(simulator, noise, hypothesis, scales, stretch)
     for deviations in _TRIED if search.shifts else ():
-        search.accept_better({i: deviations * stretch[i] for i in search.shifts}, _CLEARLY)
+        search.accept_better(
+            {i: deviations * stretch[i] for i in search.shifts}, WINDOWS.motor_misfit
+        )
     active = list(search.shifts)
     for _ in range(_PLACINGS):
         steps = {i: search.found[i].motor_step for i in active}

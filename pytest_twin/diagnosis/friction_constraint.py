@@ -14,6 +14,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
+from pytest_twin.diagnosis.integrator_settings import FRICTION_CONSTRAINT
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
@@ -37,9 +38,6 @@ CREEPS = (
     "dry friction creeps under load in these recordings, as in MuJoCo's default friction "
     "constraint; with friction that holds at rest the residual is larger"
 )
-# Greatest share of the residual above the noise floor with the other friction constraint if that is
-# right: with fitted effects, and with the nominal model.
-_LEFT, _UNFITTED = 0.5, 0.8
 
 
 def build_problem_as_friction_acts(
@@ -62,8 +60,10 @@ def build_problem_as_friction_acts(
     if not has_dry_friction(problem, EMPTY):
         return given, prepared, kept
     left = residuals_everywhere(problem, EMPTY)
-    near = VERDICT.stands_out < _greatest(problem, left) < VERDICT.left_floors
-    if near and _leaves_less(problem, _residuals_with_other_constraint(problem, EMPTY), left):
+    if not VERDICT.stands_out < _greatest(problem, left) < VERDICT.left_floors:
+        return given, prepared, kept
+    other = _residuals_with_other_constraint(problem, EMPTY)
+    if _leaves_less(problem, other, left, FRICTION_CONSTRAINT.left):
         given = replace(given, has_friction_creep=not given.has_friction_creep)
         prepared, _ = build_problem(given, kept, [])
     return given, prepared, kept
@@ -102,7 +102,8 @@ def search_as_friction_acts(
         if other is None:
             other = build_problem(stepped, trials, [])
             run.budget.add(other[0].problem)
-        return _leaves_less(problem, residuals_everywhere(other[0].problem, best.hypothesis), left)
+        rest = residuals_everywhere(other[0].problem, best.hypothesis)
+        return _leaves_less(problem, rest, left, FRICTION_CONSTRAINT.left)
 
     selection = StepwiseSelection(problem, run, leave=other_constraint_is_better)
     selected = from_start(selection, start)
@@ -133,7 +134,10 @@ def refit_as_friction_acts(
     if not has_dry_friction(before, start) or _greatest(before, found.after) <= VERDICT.stands_out:
         return given, found
     if not _leaves_less(
-        before, _residuals_with_other_constraint(before, start), found.after, _UNFITTED
+        before,
+        _residuals_with_other_constraint(before, start),
+        found.after,
+        FRICTION_CONSTRAINT.left_unfitted,
     ):
         return given, found
     stepped = replace(given, has_friction_creep=not given.has_friction_creep)
@@ -146,9 +150,8 @@ def refit_as_friction_acts(
         if start.terms
         else comparison.nominal
     )
-    if not _leaves_less(
-        before, residuals_everywhere(prepared.problem, rival.hypothesis), found.after
-    ):
+    rest = residuals_everywhere(prepared.problem, rival.hypothesis)
+    if not _leaves_less(before, rest, found.after, FRICTION_CONSTRAINT.left):
         return given, found
     return stepped, conclude(prepared, trials, selection, selection.run(rival))
 
@@ -186,9 +189,7 @@ def _greatest(problem: Problem, left: FloatArray) -> float:
     return float(np.sqrt(_squares(problem, left).max()))
 
 
-def _leaves_less(
-    problem: Problem, left: FloatArray, than: FloatArray, share: float = _LEFT
-) -> bool:
+def _leaves_less(problem: Problem, left: FloatArray, than: FloatArray, share: float) -> bool:
     """Whether the squared residual above the noise floor is at most ``share`` of that of ``than``.
 
     Both are summed over joints.

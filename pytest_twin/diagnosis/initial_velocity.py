@@ -7,15 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
-
-# Duration in s of the beginning of a recording over which both initial velocities are compared.
-_BEGINNING = 0.25
-# The estimated velocity is used if its misfit is below this share of the misfit from rest. Model
-# errors are part of both.
-_CLEARLY = 0.2
 
 
 def with_initial_velocity(
@@ -40,7 +35,7 @@ def with_initial_velocity(
     if not moving:
         return out
     tried = [
-        s.part(s.time <= s.time[0] + _BEGINNING)
+        s.part(s.time <= s.time[0] + WINDOWS.beginning)
         for i, other in moving.items()
         for s in (segments[i], other)
     ]
@@ -52,6 +47,6 @@ def with_initial_velocity(
         for s, p in zip(tried, found, strict=True)
     ]
     for k, (i, other) in enumerate(moving.items()):
-        if misfit[2 * k + 1] < _CLEARLY * misfit[2 * k]:
+        if misfit[2 * k + 1] < WINDOWS.velocity_misfit * misfit[2 * k]:
             out[i] = other
     return out

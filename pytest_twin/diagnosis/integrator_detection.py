@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.sensitivities import grid, linearize
 from pytest_twin.diagnosis.friction_constraint import has_dry_friction, with_other_constraint
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import (
     NOISE,
@@ -40,11 +41,6 @@ from pytest_twin.effects.segment import Predicted
 SUBSTEPS = (1, 2, 4, 5)
 """Substeps for each step of the model that are compared. With more of them the discretization error
 is below the noise floor."""
-# Greatest share of the residual above the noise if recordings were simulated, and of the linearized
-# residual for a search to be worth its time.
-_LEFT, _FAR_LESS = 0.5, 0.25
-# The discretization error is of first order up to this share of a joint's travel.
-_SMALL = 0.05
 # Smallest noise and travel of a joint, rad or m.
 _LEAST = 1e-9
 
@@ -109,7 +105,7 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
             above = np.maximum(span.left(part, noise) - 1.0, 0.0).sum()
             ways[has_friction_creep, k] = float(above)
     has_friction_creep, substeps = min(ways, key=lambda way: ways[way])
-    most = _FAR_LESS * float(np.maximum(before - 1.0, 0.0).sum())
+    most = INTEGRATOR.left_linearized * float(np.maximum(before - 1.0, 0.0).sum())
     if seen and ways[has_friction_creep, substeps] <= most:
         return replace(given, has_friction_creep=has_friction_creep, substeps=substeps)
     # A linearization around a wrong effect is not conclusive: the discretization error may still be
@@ -135,7 +131,7 @@ def explains_more(stepped: SearchResult, found: SearchResult) -> bool:
         # A further effect would explain the recordings as well without an integration error.
         return False
     less = [e.after / max(found.errors[j].after, 1e-12) for j, e in stepped.errors.items()]
-    return max(less) <= 1.0 and min(less) <= _LEFT
+    return max(less) <= 1.0 and min(less) <= INTEGRATOR.left
 
 
 def describe_integrator(prepared: Prepared) -> str:
@@ -161,7 +157,7 @@ def _substeps_of(prepared: Prepared) -> int:
     only_noise = bool((left[best] < VERDICT.stands_out**2).all())
     above = [float(np.maximum(x - 1.0, 0.0).sum()) for x in (left[best], before)]
     seen = bool((before > VERDICT.stands_out**2).any())
-    return best if only_noise and seen and above[0] <= _LEFT * above[1] else 0
+    return best if only_noise and seen and above[0] <= INTEGRATOR.left * above[1] else 0
 
 
 def _noise(prepared: Prepared) -> FloatArray:
@@ -182,7 +178,7 @@ def _error_stays_small(problem: Problem) -> bool:
     If it grows (an oscillating servo, a falling arm), it is not of first order in whole recordings.
     """
     travel = np.array([np.ptp(s.position, axis=0) for s in problem.simulator.segments])
-    size = _SMALL * np.sqrt(np.mean(travel**2, axis=0))
+    size = INTEGRATOR.first_order_share * np.sqrt(np.mean(travel**2, axis=0))
     return bool((discretization(problem) <= np.maximum(size, _LEAST)).all())
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.hypothesis import Hypothesis, effect_values
+from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import NOISE
 from pytest_twin.diagnosis.problem import Problem
@@ -31,21 +32,8 @@ from pytest_twin.diagnosis.trials import TrialSet
 
 SUBSTEPS = (1, 2, 4, 5)
 """Substeps for each step of the model that are compared."""
-_NATS = 5.0
-"""Smallest log-likelihood ratio over all recordings for a simulation: odds of 150 to 1. Three
-recordings of 4 s at 100 Hz, made by MuJoCo at 2 ms, reach 13 if the integration error is 20 % of
-the noise; two reach 10."""
-_NOISE_ALONE = 1.2
-"""Largest RMS residual that counts as noise only, in standard deviations of the encoder noise. The
-noise is estimated from neighbouring samples, to within a tenth: 0.18 mrad where 0.2 were added."""
 _EARLIER = 1
 """Index of the previous step among the neighbouring steps of an effort."""
-_FAR_CLOSER = 0.5
-"""Largest ratio of the effort residual of a simulation to that of a robot for which the recording
-comes from a simulation."""
-_SEEN = 0.2
-"""Smallest RMS integration error that is tested, in standard deviations of the encoder noise. A
-smaller one is not detectable with a thousand samples."""
 
 
 def with_detected_timestep(
@@ -88,7 +76,11 @@ def with_detected_timestep(
         )
         # If the efforts show a simulation, the positions must only not contradict it.
         ratio = _log_likelihood_ratios(there.problem, left, robot)
-        told = min(ratio) > -_NATS and sum(ratio) > 0.0 if known else _by_positions(ratio)
+        told = (
+            min(ratio) > -INTEGRATOR.least_evidence and sum(ratio) > 0.0
+            if known
+            else _by_positions(ratio)
+        )
         if not told or not _noise_alone(left, noise):
             continue
         other = conclude(there, used, selection, selection.run(rival))
@@ -129,7 +121,10 @@ def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int
     joints = len(problem.joints)
     slopes = fitted.jacobian[:, :joints]
     error = np.concatenate([problem.discretization_error[int(s)].position for s in rows])
-    if len(slopes) != len(error) or (np.sqrt(np.mean(error**2, axis=0)) < _SEEN * noise).all():
+    if (
+        len(slopes) != len(error)
+        or (np.sqrt(np.mean(error**2, axis=0)) < INTEGRATOR.seen * noise).all()
+    ):
         return 0
     design = (slopes / noise[:, None]).reshape(len(error) * joints, -1)
 
@@ -170,19 +165,19 @@ def _forces_of_the_step(
     if any(s.effort is None for s in robot.simulator.segments):
         return False
     ways = zip(deviations(stepped, refitted), deviations(robot, found), strict=True)
-    return all((a[_EARLIER] < _FAR_CLOSER * b.min(axis=0)).all() for a, b in ways)
+    return all((a[_EARLIER] < INTEGRATOR.effort_closer * b.min(axis=0)).all() for a, b in ways)
 
 
 def _noise_alone(left: FloatArray, noise: FloatArray) -> bool:
     """Whether only noise remains at every joint."""
     if not np.isfinite(left).all():
         return False
-    return bool((np.sqrt(np.mean(left**2, axis=0)) <= _NOISE_ALONE * noise).all())
+    return bool((np.sqrt(np.mean(left**2, axis=0)) <= INTEGRATOR.noise_alone * noise).all())
 
 
 def _by_positions(ratio: Sequence[float]) -> bool:
     """Whether every recording is predicted better, and all together significantly."""
-    return sum(ratio) >= _NATS and min(ratio) > 0.0
+    return sum(ratio) >= INTEGRATOR.least_evidence and min(ratio) > 0.0
 
 
 def _log_likelihood_ratios(problem: Problem, left: FloatArray, robot: FloatArray) -> list[float]:

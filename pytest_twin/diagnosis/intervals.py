@@ -13,6 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.interval_settings import INTERVALS
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import SMOOTH_STEP
 from pytest_twin.formats.record_fields import Z95
@@ -24,13 +25,6 @@ its parameters to those of the best structure, in multiples of their scales."""
 
 # Quantile of a two-sided 95 % interval.
 _LEVEL = 0.975
-# Smallest number of clusters for a jackknife, and number of parts that fewer recordings are cut
-# into.
-_FEWEST, _PARTS = 3, 6
-# Largest share of the information on a parameter that one cluster may have.
-_MOST_LEVERAGE = 0.9
-# A combination of parameters is assumed to be at most ten times as accurate as each of them.
-_LEAST_VARIANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +57,7 @@ class Spread:
         """
         scaled = offset / np.maximum(self.half_width[which], 1e-300)
         values, vectors = np.linalg.eigh(self.correlation[np.ix_(which, which)])
-        square = np.sum((vectors.T @ scaled) ** 2 / np.maximum(values, _LEAST_VARIANCE))
+        square = np.sum((vectors.T @ scaled) ** 2 / np.maximum(values, INTERVALS.least_variance))
         one, together = (float(stats.chi2.ppf(2.0 * _LEVEL - 1.0, n)) for n in (1, len(which)))
         return float(np.sqrt(square * one / together))
 
@@ -117,7 +111,11 @@ def parameter_spread(
     owner = clusters([problem.simulator.segments[s].trial for s in problem.fit], lengths)
     information = _by_cluster(jac, weight, owner)
     left_out = jackknife(_sums(scores, owner), information)
-    if not in_parts and len({problem.simulator.segments[s].trial for s in problem.fit}) < _FEWEST:
+    if (
+        not in_parts
+        and len({problem.simulator.segments[s].trial for s in problem.fit})
+        < INTERVALS.fewest_clusters
+    ):
         left_out = np.zeros_like(left_out)
     half = np.maximum(quantile * deviation, np.sqrt(np.diag(left_out)))
     together = upper_covariance(quantile**2 * upper_covariance(wide, sandwich), left_out)
@@ -150,7 +148,7 @@ def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
         information: (clusters, parameters, parameters) curvatures.
     """
     count, size = scores.shape
-    if count < _FEWEST:
+    if count < INTERVALS.fewest_clusters:
         return np.zeros((size, size))
     whole = information.sum(axis=0)
     scale = np.sqrt(np.diag(whole))
@@ -162,7 +160,7 @@ def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
     for k in range(count):
         shares, axes = np.linalg.eigh(root.T @ information[k] @ root)
         # A parameter that only one cluster determines cannot be fitted without it.
-        without = 1.0 / (1.0 - np.minimum(shares, _MOST_LEVERAGE))
+        without = 1.0 / (1.0 - np.minimum(shares, INTERVALS.most_leverage))
         moved[k] = root @ (axes * without) @ axes.T @ root.T @ -scores[k]
     deviation = moved - moved.mean(axis=0)
     covariance = (count - 1.0) / count * deviation.T @ deviation
@@ -180,9 +178,9 @@ def clusters(trials: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]
     """
     owner = np.repeat(np.asarray(trials, dtype=np.int64), lengths)
     known, numbers = np.unique(owner, return_inverse=True)
-    if len(known) >= _FEWEST:
+    if len(known) >= INTERVALS.fewest_clusters:
         return np.asarray(numbers, dtype=np.int64)
-    parts = -(-_PARTS // max(len(known), 1))
+    parts = -(-INTERVALS.parts // max(len(known), 1))
     out = np.empty(len(owner), dtype=np.int64)
     for k in range(len(known)):
         own = np.flatnonzero(numbers == k)

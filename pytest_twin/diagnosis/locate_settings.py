@@ -28,6 +28,8 @@ class LocateSettings:
         fewest_samples: of a segment of a spectrum.
         most_values: values of a metadata key that are regimes. More values are names of recordings
             or temperatures.
+        cause: a joint is a cause from this share of the largest signal-to-noise ratio of missing
+            forces. The others only move because of it.
     """
 
     window: float = 0.1
@@ -43,6 +45,7 @@ class LocateSettings:
     spectrum: float = 4.0
     fewest_samples: int = 16
     most_values: int = 6
+    cause: float = 0.4
 
 
 LOCATE = LocateSettings()

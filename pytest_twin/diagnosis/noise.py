@@ -8,22 +8,12 @@ import numpy as np
 from scipy.optimize import nnls
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.noise_settings import NOISE_ESTIMATE
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.segment import Predicted, Segment
 
-# Samples to which a cubic is fitted, its coefficients, and the degrees of freedom.
-_NEIGHBOURS, _CUBIC = 15, 4
-_FREE = _NEIGHBOURS - _CUBIC
-# Samples and coefficients of polynomials of degree seven, which follow fast motion at low sampling
-# rates, and the distance of their windows in samples.
-_FEW, _SEVENTH, _APART = 12, 8, 4
-# Groups of windows with similar speed.
-_SPEEDS = 12
-# Effort noise is estimated from this share of the samples, those with the smallest discretization
-# error.
-_QUIET = 0.3
-# Smallest resolution of an effort sensor, as a share of its largest reading: a 13-bit converter.
-_FINEST_EFFORT = 1e-4
+# Coefficients of a cubic, and of a polynomial of degree seven.
+_CUBIC, _SEVENTH = 4, 8
 
 
 def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
@@ -43,7 +33,7 @@ def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
     third = np.median(np.abs(np.diff(position, n=3, axis=0)), axis=0)
     # The median of quantized values is uncertain by half a quantization step.
     spread = 1.4826 * (third + 0.5 * step) / np.sqrt(20.0)
-    if len(position) >= 2 * _NEIGHBOURS:
+    if len(position) >= 2 * NOISE_ESTIMATE.neighbours:
         spread = np.minimum(spread, _off_cubics(time, position))
         spread = np.minimum(spread, _off_seventh_degree(time, position))
     noise: FloatArray = np.maximum(spread, step / np.sqrt(12.0))
@@ -61,19 +51,21 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
         time: (n,) s.
         position: (n, joints) rad or m.
     """
-    if len(time) < _SPEEDS * _NEIGHBOURS:
+    if len(time) < NOISE_ESTIMATE.speed_groups * NOISE_ESTIMATE.neighbours:
         return 0.0
     square, speed = _cubics(time, position)
-    median = _median_square(_FREE)
+    median = _median_square(NOISE_ESTIMATE.neighbours - _CUBIC)
     jitter = []
     for s, v in zip(square.T, speed.T, strict=True):
-        bins = np.array_split(np.argsort(np.abs(v)), _SPEEDS)
+        bins = np.array_split(np.argsort(np.abs(v)), NOISE_ESTIMATE.speed_groups)
         level = np.array([np.median(s[b]) for b in bins]) / median
         if not level.all():
             # The encoder reads the same count in some windows.
             continue
         fast = np.array([np.mean(v[b] ** 2) for b in bins])
-        (_, slope), _ = nnls(np.stack([1.0 / level, fast / level], axis=1), np.ones(_SPEEDS))
+        (_, slope), _ = nnls(
+            np.stack([1.0 / level, fast / level], axis=1), np.ones(NOISE_ESTIMATE.speed_groups)
+        )
         jitter.append(np.sqrt(slope))
     return float(np.median(jitter)) if jitter else 0.0
 
@@ -81,14 +73,18 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
 def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
     """(joints,) standard deviation of samples from local cubics."""
     square, _ = _cubics(time, position)
-    spread: FloatArray = np.sqrt(np.median(square, axis=0) / _FREE)
+    spread: FloatArray = np.sqrt(np.median(square, axis=0) / NOISE_ESTIMATE.neighbours - _CUBIC)
     return spread
 
 
 def _off_seventh_degree(time: FloatArray, position: FloatArray) -> FloatArray:
     """(joints,) standard deviation of samples from local polynomials of degree seven."""
-    square, _ = _polynomials(time, position, _FEW, _SEVENTH, _APART)
-    spread: FloatArray = np.sqrt(np.median(square, axis=0) / _median_square(_FEW - _SEVENTH))
+    square, _ = _polynomials(
+        time, position, NOISE_ESTIMATE.few_neighbours, _SEVENTH, NOISE_ESTIMATE.apart
+    )
+    spread: FloatArray = np.sqrt(
+        np.median(square, axis=0) / _median_square(NOISE_ESTIMATE.few_neighbours - _SEVENTH)
+    )
     return spread
 
 
@@ -99,7 +95,9 @@ def _median_square(freedom: int) -> float:
 
 def _cubics(time: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Sums of squared deviations from local cubics, and velocities, (windows, joints) each."""
-    return _polynomials(time, position, _NEIGHBOURS, _CUBIC, _NEIGHBOURS)
+    return _polynomials(
+        time, position, NOISE_ESTIMATE.neighbours, _CUBIC, NOISE_ESTIMATE.neighbours
+    )
 
 
 def _polynomials(
@@ -178,7 +176,7 @@ def timing_noise(segments: Sequence[Segment], owner: Sequence[int]) -> FloatArra
         time = np.concatenate([s.time for s in of_trial])
         position = np.concatenate([s.position for s in of_trial])
         usual = np.zeros(position.shape[1])
-        if len(time) >= 2 * _NEIGHBOURS:
+        if len(time) >= 2 * NOISE_ESTIMATE.neighbours:
             usual = np.sqrt(np.mean(_cubics(time, position)[1] ** 2, axis=0))
         each.append(timing_jitter(time, position) * usual)
     worst: FloatArray = np.max(each, axis=0)
@@ -215,7 +213,7 @@ def finest_effort(segments: Sequence[Segment]) -> FloatArray:
     largest = np.max(
         [np.abs(s.effort).max(axis=0) for s in segments if s.effort is not None], axis=0
     )
-    finest: FloatArray = _FINEST_EFFORT * largest
+    finest: FloatArray = NOISE_ESTIMATE.finest_effort * largest
     return finest
 
 
@@ -242,7 +240,7 @@ def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[
         )
         windows = np.lib.stride_tricks.sliding_window_view(np.concatenate(step_error), 4, axis=0)
         largest = np.max(windows, axis=-1)
-        quiet = largest <= np.quantile(largest, _QUIET, axis=0)
+        quiet = largest <= np.quantile(largest, NOISE_ESTIMATE.quiet_share, axis=0)
         found = np.zeros(len(problem.joints))
         for j in range(third.shape[1]):
             a, b = third[quiet[:, j], j], modelled_third[quiet[:, j], j]

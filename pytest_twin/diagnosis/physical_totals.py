@@ -11,16 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.correction_settings import CORRECTIONS
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
-
-# A total may be below zero by this share of the model's value, the accuracy of a correction that
-# removes all of it (1.7 % if damping of 0.1 N m s/rad was removed from simulated recordings).
-_TOLERANCE = 0.05
-# It may also be below zero by this share of the typical size of the correction, such as the drive's
-# RMS effort. This accuracy matters if the model's value is zero.
-_OF_TYPICAL = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +43,9 @@ class Total:
     @property
     def is_impossible(self) -> bool:
         """Whether the total is below zero by more than the accuracy of corrections."""
-        return self.value < -max(_TOLERANCE * self.own, _OF_TYPICAL * self.typical, 0.0)
+        return self.value < -max(
+            CORRECTIONS.below_zero * self.own, CORRECTIONS.below_zero_of_typical * self.typical, 0.0
+        )
 
 
 _ADDED = {"damping": "viscous friction", "inertia": "armature", "stiffness": "spring stiffness"}

@@ -14,17 +14,8 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.trial_settings import RANGES
 from pytest_twin.effects.base import Parameter
-
-# Largest identifiable time constant, in multiples of the longest recording. A transient with three
-# times its duration is 28 % complete; of a longer one only the initial slope is visible.
-_LONGEST = 3.0
-# A joint moves above this share of its largest speed.
-_MOVES = 0.05
-# The distance between samples is this quantile of the distances while the joint moves.
-_FINE = 0.25
-# Smallest number of samples that a range of speeds must contain.
-_FEWEST = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +55,10 @@ class RecordedRange:
         position = np.concatenate([s.position for s in segments])
         fine = np.zeros(joints)
         for j in range(joints):
-            moving = speed[:, j] > _MOVES * speed[:, j].max()
-            fine[j] = np.quantile(step[moving, j], _FINE) if moving.any() else 0.0
+            moving = speed[:, j] > RANGES.moving_share * speed[:, j].max()
+            fine[j] = (
+                np.quantile(step[moving, j], RANGES.distance_quantile) if moving.any() else 0.0
+            )
         return cls(
             max(last.values()),
             tuple(np.sort(speed[:, j]) for j in range(joints)),
@@ -83,14 +76,14 @@ class RecordedRange:
         name = parameter.name.replace("_", " ")
         if parameter.quantity == "time":
             by_temperature = term.law.needs_temperature and self.has_different_temperatures
-            if value > _LONGEST * self.duration and not by_temperature:
+            if value > RANGES.longest_constant * self.duration and not by_temperature:
                 return f"a {name} of {value:.3g} s, in recordings of at most {self.duration:.3g} s"
         elif parameter.quantity == "velocity":
             fastest = float(self.speeds[j][-1])
             if value > fastest:
                 return f"a {name} of {value:.3g}, above the greatest speed ({fastest:.3g})"
             below = np.searchsorted(self.speeds[j], value)
-            if len(self.speeds[j]) - below < _FEWEST:
+            if len(self.speeds[j]) - below < RANGES.fewest_samples:
                 return f"a {name} of {value:.3g}, below which nearly all samples lie"
         elif parameter.quantity == "wavenumber":
             if value * self.step[j] > np.pi:

@@ -13,15 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.trial_settings import ROLES
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.trial import Trial
 
-_FEWEST = 4
-"""Smallest number of recordings to fit of which some are used for validation. Three recordings
-often have different motions (steps, slow reversals, a multisine); the fit needs each of them."""
-_LEAST_SHARE, _MOST_SHARE = 0.2, 1.0 / 3.0
-"""Smallest and largest share of the recorded time for validation: the usual fifth to third (Hastie,
-Tibshirani, Friedman 2009, sec. 7.2)."""
 _QUANTILES = (0.02, 0.98)
 """Quantiles that bound the range of a motion; values outside may be outliers."""
 _CONDITIONS = ("controller", "payload", "temperature")
@@ -65,7 +60,7 @@ def roles_of(read: TrialSet) -> Roles:
         read: the trials to fit, and the held-out ones, which become test trials.
     """
     paths = sorted(dict.fromkeys(t.path for t in read.fit), key=str)
-    if len(paths) < _FEWEST:
+    if len(paths) < ROLES.fewest_recordings:
         return Roles(read.fit, (), read.held_out, _of_few(len(paths)), read)
     chosen = _chosen(paths, read.fit)
     if not chosen:
@@ -85,8 +80,8 @@ def _of_few(count: int) -> str:
     which = "one recording" if count == 1 else f"{count} recordings"
     return (
         f"{which} to fit, too few to set one aside for validation: effects are accepted by an "
-        f"information criterion on the fitted recordings; with {_FEWEST} or more recordings some "
-        "are used for validation"
+        "information criterion on the fitted recordings; with "
+        f"{ROLES.fewest_recordings} or more recordings some are used for validation"
     )
 
 
@@ -115,12 +110,12 @@ def _chosen(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
     def covers_all() -> bool:
         return {kind[p] for p in chosen} == set(kind.values())
 
-    while sum(seconds[p] for p in chosen) < _LEAST_SHARE * whole or not covers_all():
+    while sum(seconds[p] for p in chosen) < ROLES.least_share * whole or not covers_all():
         to_fit = [p for p in paths if p not in chosen]
         possible = [
             p for p in to_fit
             if sum(kind[q] == kind[p] for q in to_fit) > 1
-            and sum(seconds[q] for q in (*chosen, p)) <= _MOST_SHARE * whole
+            and sum(seconds[q] for q in (*chosen, p)) <= ROLES.most_share * whole
         ]  # fmt: skip
         if not possible:
             break

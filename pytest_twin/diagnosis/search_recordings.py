@@ -34,10 +34,10 @@ from pytest_twin.diagnosis.search_result import (
 )
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.window_length import (
-    SHORTEST,
     model_follows_recordings,
     typical_window_length,
 )
+from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
@@ -279,7 +279,7 @@ def search_shorter_windows(found: SearchResult, given: ModelSetup, run: Run) -> 
         window *= 0.5
         cut, kept = build_problem(given, found.trials, [], window=window)
         near = model_follows_recordings(cut.problem, residuals_everywhere(cut.problem, EMPTY))
-        if near or window <= 2.0 * SHORTEST:
+        if near or window <= 2.0 * WINDOWS.shortest:
             break
     run.begin(f"windows of {window:g} s", cut.problem)
     start = search(

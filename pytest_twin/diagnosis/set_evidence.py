@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.evidence import (
     log_likelihood,
     tempered_samples,
 )
+from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.first_order.beam_search import parameter_penalty
 from pytest_twin.diagnosis.first_order.linearized_fit import linearized_slopes
 from pytest_twin.diagnosis.first_order.sensitivities import Linear
@@ -27,9 +28,6 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
-
-# A parameter is idle if it changes the prediction by less than this number of noise floors.
-_IDLE = 0.5
 
 
 def misfit(residual: FloatArray, floor: FloatArray) -> float:
@@ -95,7 +93,7 @@ def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]
                 mean = 0.5 * (slope[:, :, start + k] + slopes[neutral[t, k]][:, :, start + k])
                 off = abs(float(h.theta[start + k]) - float(t.parameters[k].neutral or 0.0))
                 change = off * np.sqrt(np.mean(mean**2, axis=0)) / problem.signal_floor
-                idle += bool((change < _IDLE).all())
+                idle += bool((change < FINDINGS.idle).all())
             count += min(idle, max(len(own) - 1, 0))
         out.append(count)
     return out

@@ -10,10 +10,9 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.equivalent_sets import ComparedSets
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.interval_settings import INTERVALS
 from pytest_twin.diagnosis.search.scored_model import Alternative, SelectedModel
 
-# Structures with smaller odds do not widen the intervals of parameters.
-_NEARLY = 0.01
 # Shares up to this value are rounding errors, so their logarithm is not used.
 _ROUNDING = 1e-12
 
@@ -57,7 +56,7 @@ def share_confidence(selected: SelectedModel, compared: ComparedSets) -> Selecte
     near = [
         (odds[s.terms], _offsets(s.rival.hypothesis, own))
         for s in compared.sets
-        if odds[s.terms] >= _NEARLY
+        if odds[s.terms] >= INTERVALS.least_odds
     ]
     return replace(
         selected, best=compared.best, confidence=confidence, alternatives={}, sets=sets, near=near

@@ -9,24 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.correction_settings import CORRECTIONS
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import totals
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.pruning_rules import longest_shift
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
-# A change of a prediction is of no consequence below this share of the nominal model's error: 1 %
-# of the squared error.
-_OF_MISMATCH = 0.1
-# A shift in time is of no consequence below this share of the sampling interval, the resolution of
-# the stamps.
-_OF_SAMPLE = 0.25
-# Usual relative accuracy of friction, armature and spring stiffness (Janot et al. 2019 repeat
-# identifications within 5 to 10 %).
-_OF_OWN = 0.1
-# Usual relative accuracy of gains and motor constants in data sheets, and of masses and inertias in
-# CAD models.
-_OF_GAIN, _OF_BODY = 0.02, 0.03
 _USUAL = "it is within the accuracy to which such parameters are usually known"
 
 
@@ -48,7 +37,8 @@ def small_corrections(
     floor = problem.floor
     mismatch = np.sqrt(np.maximum(before**2 - floor**2, 0.0))
     limit = np.maximum(
-        _OF_MISMATCH * mismatch, np.where(mismatch > VERDICT.at_floor * floor, 0.0, floor)
+        CORRECTIONS.of_mismatch * mismatch,
+        np.where(mismatch > VERDICT.at_floor * floor, 0.0, floor),
     )
     out: dict[Term, str] = {}
     for term in hypothesis.terms:
@@ -62,7 +52,9 @@ def small_corrections(
         and row.any() and (row <= limit).all()
     ]  # fmt: skip
     if len(slight) < len(others):
-        why = f"it changes predictions by less than {_OF_MISMATCH:g} of the model's error"
+        why = (
+            f"it changes predictions by less than {CORRECTIONS.of_mismatch:g} of the model's error"
+        )
         out.update(dict.fromkeys(slight, why))
     return out
 
@@ -73,8 +65,8 @@ def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
     if shift > 0.0:
         intervals = [np.median(np.diff(s.time)) for s in problem.simulator.segments]
         interval = float(np.median(intervals))
-        if shift < _OF_SAMPLE * interval:
-            return f"it is less than {_OF_SAMPLE:g} of the time between samples"
+        if shift < CORRECTIONS.of_sample * interval:
+            return f"it is less than {CORRECTIONS.of_sample:g} of the time between samples"
         return ""
     theta = hypothesis.theta[hypothesis.slice_of(term)]
     has = term.law.has(theta)
@@ -90,11 +82,11 @@ def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
         p = term.parameters[k]
         value = abs(float(theta[k]) * problem.scales.value(p, term.joint))
         if start + k in own:
-            within = value <= _OF_OWN * own[start + k]
+            within = value <= CORRECTIONS.of_own * own[start + k]
         elif p.relation == "relative" and term.law.family == "rigid_body":
-            within = value <= _OF_BODY
+            within = value <= CORRECTIONS.of_body
         elif p.relation == "relative" and term.law.family == "actuation":
-            within = value <= _OF_GAIN
+            within = value <= CORRECTIONS.of_gain
         else:
             within = False
         if not within:

@@ -16,12 +16,8 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.effects.friction import CoulombFriction, PreslidingHysteresis
-
-# Uncertain presliding distance, as a share of the smallest one in the catalogue.
-_DISTANCE = 0.05
-# Uncertainty of the friction level, as a share of it.
-_LEVEL = 0.05
 
 
 def stiction_weights(problem: Problem) -> dict[int, FloatArray]:
@@ -35,7 +31,10 @@ def stiction_weights(problem: Problem) -> dict[int, FloatArray]:
     if not levels.any():
         return {}
     hypotheses = [EMPTY, _yielding(problem, levels)]
-    hypotheses += [_with_more(problem, share * levels) for share in (_LEVEL, -_LEVEL)]
+    hypotheses += [
+        _with_more(problem, share * levels)
+        for share in (WINDOWS.stiction_level, -WINDOWS.stiction_level)
+    ]
     nominal, yielding, more, less = problem.errors(hypotheses, problem.everywhere)
     second_difference = more + less - 2.0 * nominal
     change = np.hypot(
@@ -68,7 +67,7 @@ def _yielding(problem: Problem, levels: FloatArray) -> Hypothesis:
         term = Term(PreslidingHysteresis.id, int(joint))
         level, distance = term.parameters
         size = levels[joint] / problem.scales.value(level, int(joint))
-        found = found.with_term(term, np.array([size, _DISTANCE * distance.lower]))
+        found = found.with_term(term, np.array([size, WINDOWS.stiction_distance * distance.lower]))
     return found
 
 

@@ -9,38 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.dependency import Structure
+from pytest_twin.diagnosis.trial_settings import TRIALS
 from pytest_twin.errors import RecordingError, TwinError
 from pytest_twin.formats.recording import Recording
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.trial import Trial, make_trials, recordings_at
 from pytest_twin.trial.one_base import on_one_base
 from pytest_twin.trial.roles import refuse_final
-
-# One of this many recordings is held out if neither the user nor the metadata chooses.
-_ONE_HELD_OUT_OF = 4
-# Smallest correlation of states with commands at which their ratio can be one of units; relative
-# deviation of the ratio from that of a unit; smallest ratio of encoder counts.
-_FOLLOWS = 0.9
-_LIKE = 0.15
-_COUNTS = 100.0
-# Distance to one end of its range, rad or m, within which a joint is held by its mechanical stop.
-_AT_STOP = 0.05
-# Share of a recording with a constant position under a moving command from which an encoder counts
-# as stuck.
-_STUCK_SHARE = 0.6
-# Dry friction holds a joint against a limited tracking error. If the error varies this many times
-# as much as during motion, the joint would have moved, so its encoder is stuck. An encoder that has
-# moved less than _TRAVEL, rad or m, is not known to work.
-_HELD_SWEEP = 2.0
-_TRAVEL = 0.2
-# Travel of a hinge, rad, from which a note asks for its unit.
-_FAR = 8.0 * np.pi
-# Smallest number of states with different stamps from which sensor noise can be estimated.
-_FEWEST = 8
-# Shortest part of a recording, s: a shorter one shows little apart from its initial state.
-_SHORTEST_PART = 1.0
-# Share of messages with exactly the largest speed from which a velocity counts as clipped.
-_CLIPPED = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +157,7 @@ def _by_count(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
             "one recording only: nothing is held out, and confidence is at most 80 %; make a "
             "second recording",
         )
-    count = max(1, len(paths) // _ONE_HELD_OUT_OF)
+    count = max(1, len(paths) // TRIALS.one_held_out_of)
     at = np.linspace(len(paths) - 1, 0, count + 1).round().astype(int)[:count]
     chosen = {paths[i] for i in at}
     aside = [t for t in trials if t.path in chosen]
@@ -269,7 +244,7 @@ def _unseen(trials: list[Trial], notes: list[str]) -> tuple[list[Trial], frozens
         return {
             j
             for j, seconds in still.items()
-            if seconds > _STUCK_SHARE * trial.duration and not _friction_could_hold(trial, j)
+            if seconds > TRIALS.stuck_share * trial.duration and not _friction_could_hold(trial, j)
         }
 
     bad = [t for t in trials if stuck(t)]
@@ -350,12 +325,12 @@ def _friction_could_hold(trial: Trial, joint: str) -> bool:
     if trial.mode_of(joint) != "position":
         return False
     position = trial.position[:, trial.joints.index(joint)]
-    if float(np.ptp(position)) < _TRAVEL:
+    if float(np.ptp(position)) < TRIALS.least_travel:
         return False
     sent = trial.commands_before(trial.time)[:, trial.command_joints.index(joint)]
     error = sent - position
     still = trial.marked(joint, ("stuck",))
-    return float(np.ptp(error[still])) <= _HELD_SWEEP * float(np.ptp(error[~still]))
+    return float(np.ptp(error[still])) <= TRIALS.held_sweep * float(np.ptp(error[~still]))
 
 
 def _refuse_too_few(trial: Trial) -> None:
@@ -364,22 +339,22 @@ def _refuse_too_few(trial: Trial) -> None:
     Raises:
         RecordingError: the trial is too short.
     """
-    if trial.parts > 1 and trial.duration < _SHORTEST_PART:
+    if trial.parts > 1 and trial.duration < TRIALS.shortest_part:
         raise RecordingError(
             "a part between gaps is too short for a diagnosis",
             path=trial.path,
             where=f"from {trial.offset:.4g} s",
             value=f"{trial.duration:.3g}",
             unit="s",
-            expected=f"at least {_SHORTEST_PART:g} s",
+            expected=f"at least {TRIALS.shortest_part:g} s",
         )
     count = len(np.unique(trial.time))
-    if count < _FEWEST:
+    if count < TRIALS.fewest_samples:
         raise RecordingError(
             "too few states for a diagnosis",
             path=trial.path,
             value=str(count),
-            expected=f"at least {_FEWEST}, each at a different time",
+            expected=f"at least {TRIALS.fewest_samples}, each at a different time",
         )
 
 
@@ -389,7 +364,9 @@ def _held_by_its_stop(trial: Trial, joint: str, structure: Structure) -> bool:
     if ends is None:
         return False
     position = trial.position[:, trial.joints.index(joint)]
-    return bool((position < ends[0] + _AT_STOP).all() or (position > ends[1] - _AT_STOP).all())
+    return bool(
+        (position < ends[0] + TRIALS.at_stop).all() or (position > ends[1] - TRIALS.at_stop).all()
+    )
 
 
 def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
@@ -410,18 +387,18 @@ def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
         )
         power = float(sent @ sent)
         both = np.sqrt(power * float(seen @ seen))
-        if both <= 0.0 or float(sent @ seen) / both < _FOLLOWS:
+        if both <= 0.0 or float(sent @ seen) / both < TRIALS.follows:
             continue
         ratio = float(sent @ seen) / power
         for factor, name in ((np.degrees(1.0), "degrees"), (np.radians(1.0), "radians")):
-            if abs(np.log(ratio / factor)) < _LIKE:
+            if abs(np.log(ratio / factor)) < TRIALS.unit_deviation:
                 raise RecordingError(
                     f"states move {ratio:.3g} times as far as commands: they seem to be in {name}",
                     path=trial.path,
                     where=f"joint '{joint}'",
                     expected="states and commands in rad (m for a sliding joint)",
                 )
-        if ratio > _COUNTS or ratio < 1.0 / _COUNTS:
+        if ratio > TRIALS.least_counts or ratio < 1.0 / TRIALS.least_counts:
             raise RecordingError(
                 f"states move {ratio:.3g} times as far as commands: they seem to be in encoder "
                 "counts",
@@ -440,7 +417,7 @@ def _clipped(trial: Trial) -> list[str]:
         speed = np.abs(trial.velocity[:, column])
         top = float(np.nanmax(speed, initial=0.0))
         share = float(np.mean(speed == top))
-        if top > 0.0 and share > _CLIPPED:
+        if top > 0.0 and share > TRIALS.clipped_share:
             lines.append(
                 f"{trial.path.name}: the velocity of {joint} is at its maximum of {top:.4g} in "
                 f"{100 * share:.0f} % of the messages and seems to be clipped; the diagnosis uses "
@@ -455,7 +432,11 @@ def _far(trials: Sequence[Trial], structure: Structure) -> list[str]:
     for trial in trials:
         for column, joint in enumerate(trial.joints):
             travel = float(np.ptp(trial.position[:, column]))
-            if structure.joint_type.get(joint) == "hinge" and travel > _FAR and joint not in lines:
+            if (
+                structure.joint_type.get(joint) == "hinge"
+                and travel > TRIALS.far_travel
+                and joint not in lines
+            ):
                 lines[joint] = (
                     f"{trial.path.name}: {joint} moves through {travel:.3g} rad "
                     f"({travel / (2.0 * np.pi):.2g} turns); if states and commands are in degrees "

@@ -14,13 +14,10 @@ from pytest_twin.diagnosis.locate import (
     motions,
     place_of,
 )
+from pytest_twin.diagnosis.locate_settings import LOCATE
 from pytest_twin.diagnosis.prepare import NOISE, Prepared
 from pytest_twin.diagnosis.search_result import SearchResult, residuals_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
-
-# A joint is a cause from this share of the largest signal-to-noise ratio of missing forces; the
-# others only move because of it.
-_CAUSE = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +63,7 @@ def unexplained(
             where = replace(where, summary=f"{where.summary}; {band}")
         found[joint] = UnexplainedResidual(errors[joint].fraction, where)
 
-    clear = max(_CAUSE * float(strength.max(initial=0.0)), 1e-9)
+    clear = max(LOCATE.cause * float(strength.max(initial=0.0)), 1e-9)
     for j in sorted(map(int, np.flatnonzero(strength >= clear)), key=lambda j: -strength[j]):
         if problem.joints[j] in errors and errors[problem.joints[j]].fraction > 0.0:
             add(j, np.maximum((force.force[:, j] / force.noise[j]) ** 2 - 1.0, 0.0))

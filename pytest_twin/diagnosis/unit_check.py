@@ -13,27 +13,19 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.trial_settings import UNIT_CHECK
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.errors import RecordingError, SpecError
 from pytest_twin.realization import Realization
 from pytest_twin.replay import Replayed, replay
 from pytest_twin.trial import Trial
 
-# Smallest travel in rad of every moving hinge for a test of the unit.
-_FAR = 2.0 * np.pi
-# Smallest travel in rad of a moving hinge.
-_MOVES = 1e-6
-# Smallest number of such hinges by command mode. A single wheel under a servo may turn many times,
-# and a model with a weak servo follows any small motion.
+# Smallest number of hinges that move far, by command mode. A single wheel under a servo may turn
+# many times, and a model with a weak servo follows any small motion.
 _FEWEST = {"position": 2, "velocity": 2, "effort": 1}
 # The replay ends when a hinge has moved this part of its range, plus some s: under effort commands
 # small errors grow.
-_PART, _ON = {"position": 0.5, "velocity": 0.5, "effort": 0.05}, 0.3
-# RMS error relative to the RMS motion: at least this in rad in some recording (a servo follows slow
-# motion in any unit), at most this in the other unit, and at most this ratio of the two.
-_FAILS, _FOLLOWS, _CLOSER = 0.5, 0.3, 0.25
-# Degrees are far more common than counts: counts need an error smaller by this factor.
-_COUNTS_CLOSER = 0.5
+_PART = {"position": 0.5, "velocity": 0.5, "effort": 0.05}
 # Unit of the reading -> rad.
 _UNITS = {
     "degrees": np.radians(1.0),
@@ -84,7 +76,7 @@ def _hinges(realization: Realization, trial: Trial) -> list[int]:
 
 def _turns_far(trial: Trial, hinges: Sequence[int]) -> bool:
     travel = np.ptp(trial.position[:, hinges], axis=0)
-    far = travel[travel > _MOVES] > _FAR
+    far = travel[travel > UNIT_CHECK.moves] > UNIT_CHECK.least_travel
     return bool(far.sum() >= _FEWEST[trial.hardest_mode] and far.all())
 
 
@@ -103,9 +95,9 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
     )
     in_rad, others = off[:, 0], off[:, 1:]
     least = np.median(others, axis=0)
-    best = int(np.argmin(least * [_COUNTS_CLOSER, *[1.0] * (len(least) - 1)]))
-    closer = np.mean(others[:, best] <= _CLOSER * in_rad) > 0.5
-    if in_rad.max() < _FAILS or least[best] > _FOLLOWS or not closer:
+    best = int(np.argmin(least * [UNIT_CHECK.counts_closer, *[1.0] * (len(least) - 1)]))
+    closer = np.mean(others[:, best] <= UNIT_CHECK.closer * in_rad) > 0.5
+    if in_rad.max() < UNIT_CHECK.fails or least[best] > UNIT_CHECK.follows or not closer:
         return None
     return list(_UNITS)[best]
 
@@ -117,7 +109,7 @@ def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
     """
     position = trial.position[:, hinges]
     moved = np.abs(position - position[0]) > _PART[trial.hardest_mode] * np.ptp(position, axis=0)
-    until = float(trial.time[moved.any(axis=1).argmax()]) + _ON
+    until = float(trial.time[moved.any(axis=1).argmax()]) + UNIT_CHECK.seconds_on
     return trial.until(until)
 
 

@@ -11,11 +11,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.problem import Problem
-
-# Largest RMS error of a joint, as a share of its RMS travel in a window.
-_NEAR = 0.25
-SHORTEST = 0.1
-"""Shortest useful window, s; the initial state is estimated from samples around its start."""
+from pytest_twin.diagnosis.window_settings import WINDOWS
 
 
 def typical_window_length(problem: Problem) -> float:
@@ -34,4 +30,4 @@ def model_follows_recordings(problem: Problem, left: FloatArray) -> bool:
     joints = len(problem.joints)
     travel = np.array([np.ptp(s.position, axis=0) for s in segments])
     mean_square = np.mean(left[:, :joints] ** 2, axis=0)
-    return bool((mean_square <= _NEAR**2 * np.mean(travel**2, axis=0)).all())
+    return bool((mean_square <= WINDOWS.near**2 * np.mean(travel**2, axis=0)).all())

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hidden_state import HiddenState
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
+from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.effects.contact_geoms import ContactGeoms, is_far_from_surfaces
 from pytest_twin.effects.memory_warmup import LEAD
 from pytest_twin.effects.segment import Segment
@@ -29,13 +30,6 @@ from pytest_twin.trial import Trial
 
 WINDOW = 0.5
 """Length of windows, s; halved if the discretization error of a window is too large."""
-# Samples from which the initial state of a window is estimated, and the fewest in a window.
-_START_SAMPLES, _FEWEST_SAMPLES = 12, 8
-# A first command that is at most this late, in s, is assumed to hold from the start.
-_LATE = 0.05
-# A window does not begin where the mean squared deviation from a smooth motion exceeds this
-# multiple of its typical value: a command jumps there.
-_ROUGH = 4.0
 # Median of the square of a standard normal variable.
 _MEDIAN_SQUARE = 0.455
 
@@ -153,7 +147,11 @@ def _first_commanded(recorded: Segment) -> int:
     """
     time, since = recorded.time, recorded.command_time[0]
     first = int(np.searchsorted(time, since))
-    return first if since > time[0] + _LATE and len(time) - first >= _FEWEST_SAMPLES else 0
+    return (
+        first
+        if since > time[0] + WINDOWS.late and len(time) - first >= WINDOWS.fewest_samples
+        else 0
+    )
 
 
 def _around(
@@ -211,7 +209,9 @@ def _windows(
             (float(start), (time >= start) & (time <= end))
             for start, end in itertools.pairwise(edges)
         ]
-        spans += [(start, inside) for start, inside in every if inside.sum() >= _FEWEST_SAMPLES]
+        spans += [
+            (start, inside) for start, inside in every if inside.sum() >= WINDOWS.fewest_samples
+        ]
     if whole and not spans:
         spans = [(float(time[clear][0]), clear)]
     states = [smooth_state(time, position, start, width) for start, _ in spans]
@@ -246,12 +246,12 @@ def edges_of(time: FloatArray, off: FloatArray, window: float) -> FloatArray:
     edges = np.linspace(time[0], time[-1], count + 1)
     usual = np.maximum(np.median(off**2, axis=0), 1e-30) / _MEDIAN_SQUARE
     rough = (off**2 / usual).max(axis=1)
-    level = np.convolve(rough, np.ones(_START_SAMPLES) / _START_SAMPLES, mode="same")
+    level = np.convolve(rough, np.ones(WINDOWS.start_samples) / WINDOWS.start_samples, mode="same")
     for k in range(1, count):
         near = np.flatnonzero(np.abs(time - edges[k]) <= window / 4.0)
         near = near[np.argsort(np.abs(time[near] - edges[k]))]
-        if len(near) and level[near[0]] > _ROUGH:
-            smooth = near[level[near] <= _ROUGH]
+        if len(near) and level[near[0]] > WINDOWS.rough:
+            smooth = near[level[near] <= WINDOWS.rough]
             edges[k] = time[smooth[0] if len(smooth) else near[np.argmin(level[near])]]
     return edges
 
@@ -293,4 +293,4 @@ def _model(realization: Realization, trial: Trial) -> mujoco.MjModel:
 
 def start_width(time: FloatArray) -> float:
     """Duration in s of the samples from which the initial state of a window is estimated."""
-    return _START_SAMPLES * float(np.median(np.diff(time)))
+    return WINDOWS.start_samples * float(np.median(np.diff(time)))

@@ -36,8 +36,9 @@ from pytest_twin.diagnosis.search_result import (
 )
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.unnamed_law import simulated
-from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
+from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, free_laws
 from pytest_twin.diagnosis.unnamed_law.regression import Regression
+from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.diagnosis.unnamed_law.tested import laws_left, on_test
 from pytest_twin.effects.segment import Predicted
 from pytest_twin.effects.unnamed_law import KNOTS, POSITION, UnnamedLaw
@@ -153,7 +154,7 @@ def test_a_force_that_depends_on_time_is_refused(tmp_path: Path, hidden: Hidden)
     assert not laws.laws
     (note,) = laws.notes
     assert "A push in time or a random torque looks like this" in note
-    assert f"({100 * WORTH:.0f} % required)" in note
+    assert f"({100 * FREE_LAWS.removes:.0f} % required)" in note
 
 
 def test_no_law_is_found_if_the_linearized_motion_diverges(

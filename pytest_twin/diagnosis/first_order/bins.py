@@ -8,12 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
 from pytest_twin.diagnosis.problem import Problem
-
-_BIN, _COARSEST = 0.02, 0.05
-"""Smallest and largest width of a bin, s."""
-# Number of values (bins times signals) above which bins are made wider.
-_MOST_BINNED = 12_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +34,13 @@ class Bins:
 
 
 def bins(problem: Problem, segments: NDArray[np.int64]) -> Bins:
-    """Bins of ``_BIN`` s, wider if there are many signals; each has at least one sample."""
+    """Bins of the usual width, wider if there are many signals. Each has at least one sample."""
     edges, counts, lengths, at = [], [], [], 0
     times = [problem.simulator.segments[s].time for s in segments]
     seconds = sum(float(t[-1] - t[0]) for t in times) * len(problem.signal_floor)
-    width = float(np.clip(seconds / _MOST_BINNED, _BIN, _COARSEST))
+    width = float(
+        np.clip(seconds / FIRST_ORDER.most_binned, FIRST_ORDER.bin, FIRST_ORDER.widest_bin)
+    )
     for time in times:
         stride = max(1, round(width / float(np.median(np.diff(time)))))
         first = np.arange(0, len(time), stride)

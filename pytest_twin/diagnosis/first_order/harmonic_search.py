@@ -21,14 +21,13 @@ from pytest_twin.diagnosis.first_order.beam_search import (
     ResidualView,
 )
 from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity
+from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.base import Parameter
 
 _AT_ONCE = 32
 """Number of waves in a batch."""
-_SHORTEST = 0.05
-"""Smallest travel in rad or m that determines the spacing of wavenumbers."""
 
 
 def search_harmonics(
@@ -46,7 +45,7 @@ def search_harmonics(
     worst = int(residual.argmax())
     if residual[worst] < VERDICT.stands_out:
         return []
-    spacing = np.pi / max(_travel(linear, worst), _SHORTEST)
+    spacing = np.pi / max(_travel(linear, worst), FIRST_ORDER.least_travel)
     out = []
     for term in terms:
         wave = _wavenumber(term)

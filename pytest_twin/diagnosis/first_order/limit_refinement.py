@@ -17,10 +17,9 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 )
 from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
 from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity
+from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 
-_FAR = 10.0
-"""Residual in noise floors above which the limits of a joint are fitted."""
 # Iterations of each fit.
 _ROUNDS = 3
 
@@ -40,7 +39,7 @@ def refine_limits(
         best: the present hypothesis.
     """
     joints = len(linear.problem.joints)
-    far = np.sqrt(view.mean_square)[:joints] > _FAR * view.floor[:joints]
+    far = np.sqrt(view.mean_square)[:joints] > FIRST_ORDER.limits_from * view.floor[:joints]
     if not far.any():
         return []
     equations = NormalEquations(view, candidate_sensitivities)

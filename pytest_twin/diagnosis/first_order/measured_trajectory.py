@@ -14,18 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.diagnosis.verdict import UNSEEN
-
-_GRID = 0.005
-"""Largest interval in s between samples of the motion."""
-# Width in s of the window in which the residual is smoothed.
-_SMOOTH = 0.1
-# Shares of the typical velocity: a joint is at rest below the first; dry friction changes its sign
-# over the second.
-_AT_REST, _SLIP = 0.02, 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +82,7 @@ def measured_trajectory(
     simulator = problem.simulator
     joints = len(problem.joints)
     q, v, predictions = problem.trajectories_with_readings(hypothesis, segments)
-    steps = max(1, int(_GRID / simulator.timestep + 1e-9))
+    steps = max(1, int(FIRST_ORDER.grid / simulator.timestep + 1e-9))
     q, v = q[:, ::steps], v[:, ::steps]
     samples = q.shape[1]
     interval = steps * simulator.timestep
@@ -102,12 +95,12 @@ def measured_trajectory(
         error = np.nan_to_num(simulator.segments[s].position - predicted.position)
         # A stuck encoder measures no motion; the joint is assumed to move as predicted.
         error[:, stuck] = 0.0
-        for order, d in enumerate(derivatives(stamps, error, _SMOOTH)):
+        for order, d in enumerate(derivatives(stamps, error, FIRST_ORDER.smooth)):
             for j in range(joints):
                 shift[order, i, :, j] = np.interp(time[i], stamps, d[:, j])
     a = np.gradient(v, interval, axis=1) if samples > 1 else np.zeros_like(v)
     typical = problem.scales.of["velocity"]
-    rest = _AT_REST * typical
+    rest = FIRST_ORDER.at_rest * typical
     at_rest = (np.abs(v) < rest) & (np.abs(v + shift[1]) < rest)
     return MeasuredTrajectory(
         segments=segments,
@@ -122,5 +115,5 @@ def measured_trajectory(
         reading=tuple(p.position for p in predictions),
         effort=tuple(p.effort for p in predictions),
         at_rest=at_rest,
-        slip_velocity=_SLIP * typical,
+        slip_velocity=FIRST_ORDER.slip * typical,
     )

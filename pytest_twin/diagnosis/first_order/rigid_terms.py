@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
+from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
 from pytest_twin.effects.base import Effect, ModelFields, Values
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.rigid_body import InertialParameters, Payload
@@ -19,8 +20,6 @@ from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 from pytest_twin.realization.quiet import quiet
 
-_EVERY = 0.02
-"""Interval in s between samples of rigid-body terms, which vary as slowly as the motion."""
 # Finite-difference step of positions (rad or m) and velocities (rad/s or m/s).
 _NUDGE = 1e-4
 _PLACES = np.array(
@@ -58,7 +57,7 @@ class Rigid:
 
 def coarse(trajectory: MeasuredTrajectory) -> NDArray[np.int64]:
     """Indices of the samples at which rigid-body terms are evaluated."""
-    every = max(1, round(_EVERY / trajectory.interval))
+    every = max(1, round(FIRST_ORDER.rigid_interval / trajectory.interval))
     samples = trajectory.position.shape[1]
     return np.unique(np.append(np.arange(0, samples, every), samples - 1))
 

@@ -25,18 +25,13 @@ from pytest_twin.diagnosis.recorded.command_between import (
     without_own_recording,
 )
 from pytest_twin.diagnosis.recorded.joint_fit import DELAY, JointFit, Parameters, fit_joints
+from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
 from pytest_twin.diagnosis.recorded.step_times import step_intervals
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
 
-_SECONDS, _MOST = 2.5, 3
-"""Duration in s of each recording that is used, from shortly before its first change of command,
-and number of recordings. They separate a shift of 2 ms from none at the noise of an encoder, at a
-tenth of the cost of all data."""
-_BEFORE = 0.2
-"""Time before the first motion that is fitted too, s."""
 _CLEARLY = float(np.log(2.0))
 """Reduction of the logarithm of the RMS residual, summed over joints, from which the step of a
 simulation is assumed: a factor of 2 at one joint. A smaller reduction does not matter here."""
@@ -116,7 +111,9 @@ def _liveliest(trials: Sequence[Trial]) -> list[Trial]:
     def moved(trial: Trial) -> float:
         return float(np.abs(np.diff(trial.command, axis=0)).sum() / max(trial.duration, 1e-3))
 
-    most = sorted(range(len(trials)), key=lambda i: moved(trials[i]), reverse=True)[:_MOST]
+    most = sorted(range(len(trials)), key=lambda i: moved(trials[i]), reverse=True)[
+        : INTERPOLATION.most_recordings
+    ]
     return [_beginning(trials[i]) for i in sorted(most)]
 
 
@@ -124,7 +121,10 @@ def _beginning(trial: Trial) -> Trial:
     """The beginning of a recording until some seconds after its first change of command."""
     changes = np.flatnonzero(np.diff(trial.command, axis=0).any(axis=1))
     first = float(trial.command_time[changes[0]]) if len(changes) else 0.0
-    return replace(trial.until(max(first - _BEFORE, 0.0) + _SECONDS), effort=None)
+    return replace(
+        trial.until(max(first - INTERPOLATION.seconds_before, 0.0) + INTERPOLATION.seconds),
+        effort=None,
+    )
 
 
 def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> JointFit:

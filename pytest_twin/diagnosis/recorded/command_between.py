@@ -18,33 +18,11 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
+from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 
 MEAN_DELAY: Mapping[CommandBetween, float] = {"held": 0.5, "interpolated": 0.0, "ramped": 1.0}
 """Mean delay of a setpoint behind the straight line through its stamps, in command periods."""
-_NATS = 10.0
-"""Log-likelihood ratio over all recordings from which an alternative is ruled out: odds of 22,000
-to 1. It uses the effective sample size, which is small for a residual of missing physics. Between 5
-and 20 no case of the tests changes."""
-_SHARE = 0.7
-"""Largest ratio of the mean squared residuals of the answer and of an alternative, at the joint
-with the smallest ratio. A smaller difference may come from physics that is not modelled."""
-_FAR_LESS = 0.25
-"""The same if the residual of the answer exceeds :data:`_NEAR` times the noise, or if the fit of
-the alternative has not converged."""
-_NEAR = 3.0
-"""Largest residual, in multiples of the noise, of a fit that explains the recording."""
-_LIKE = 1.25
-"""Ratio of RMS residuals up to which two assumptions explain a recording equally well."""
-BY_MODEL = 0.9
-"""Confidence if only the model decides, because it needs no correction or fewer effects."""
-_APART = 4.0
-"""Smallest ratio of the nominal RMS residuals of an alternative and of the answer for this.
-Ordinary servos add delays that no model has. One of them hides the difference by chance with a
-probability of about the reciprocal."""
-_CLOSER = 2.0
-"""Ratio of the RMS residuals of the nominal model, at one joint or multiplied over joints, from
-which an open question is left at the assumption that is closer to the model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +87,8 @@ def decide(
     """Choose between assumptions by their residuals.
 
     An alternative is ruled out if three conditions hold: the log-likelihood ratio over all
-    recordings is at least :data:`_NATS`, it is positive for each recording, and the ratio of mean
-    squared residuals is at most :data:`_SHARE` at some joint.
+    recordings is at least ``ruled_out``, it is positive for each recording, and the ratio of mean
+    squared residuals is at most ``less`` at some joint.
 
     Args:
         left: assumption -> its residuals.
@@ -145,7 +123,7 @@ def decide(
     plain = _by_the_model(usable, possible, rms, noise)
     if plain is not None:
         words += f"; the model itself needs no correction if commands are {plain}"
-        return Between(Fact(plain, BY_MODEL, "data", words), (plain,), period)
+        return Between(Fact(plain, INTERPOLATION.most_by_model, "data", words), (plain,), period)
     return Between(
         unknown(f"{words}: {' and '.join(sorted(possible))} explain the positions equally well"),
         tuple(possible), period, _closer_to_the_model(usable, possible, noise),
@@ -203,10 +181,16 @@ def _ruled_out(
     square = [np.maximum(np.mean(x.residual**2, axis=0), noise**2) for x in (best, other)]
     share = square[0] / square[1]
     joint = int(np.argmin(share))
-    near = bool(np.sqrt(square[0][joint]) <= _NEAR * noise[joint])
+    near = bool(np.sqrt(square[0][joint]) <= INTERPOLATION.near * noise[joint])
     halfway = later > 0.0 and best.delay[joint] > 0.5 * later
-    most = _SHARE if near and other.has_converged and not halfway else _FAR_LESS
-    return bool(ratio.sum() >= _NATS and (ratio > 0.0).all() and share[joint] <= most)
+    most = (
+        INTERPOLATION.less
+        if near and other.has_converged and not halfway
+        else INTERPOLATION.far_less
+    )
+    return bool(
+        ratio.sum() >= INTERPOLATION.ruled_out and (ratio > 0.0).all() and share[joint] <= most
+    )
 
 
 def _by_the_model(
@@ -221,10 +205,17 @@ def _by_the_model(
     model error decides for the others. It has to be far from explained under the alternatives.
     """
     least = np.min([rms[b] for b in possible], axis=0)
-    alike = {b: (left[b].nominal <= _LIKE * least) & (least <= _NEAR * noise) for b in possible}
+    alike = {
+        b: (left[b].nominal <= INTERPOLATION.alike * least) & (least <= INTERPOLATION.near * noise)
+        for b in possible
+    }
     alone = np.sum(list(alike.values()), axis=0) == 1
     second = np.sort([left[b].nominal for b in possible], axis=0)[1]
-    told = [b for b in possible if (alike[b] & alone & (second >= _APART * left[b].nominal)).any()]
+    told = [
+        b
+        for b in possible
+        if (alike[b] & alone & (second >= INTERPOLATION.model_apart * left[b].nominal)).any()
+    ]
     return told[0] if len(told) == 1 else None
 
 
@@ -247,7 +238,7 @@ def _closer_to_the_model(
     held, moving = (
         float(np.sum(np.log(np.maximum(left[b].nominal, noise)))) for b in ("held", "interpolated")
     )
-    return "interpolated" if held - moving > np.log(_CLOSER) else "held"
+    return "interpolated" if held - moving > np.log(INTERPOLATION.model_closer) else "held"
 
 
 def _in_words(rms: Mapping[CommandBetween, FloatArray], noise: FloatArray) -> str:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
 from pytest_twin.diagnosis.recorded.command_between import Between
+from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
 from pytest_twin.effects.actuation import ActuatorLag
 from pytest_twin.effects.timing import CommandDelay, SensorDelay
 
@@ -19,8 +20,6 @@ _TIMES = {
     ActuatorLag.id: "time_constant",
 }
 """Effect -> its parameter that depends on the interpolation of the commands, a time."""
-_DOUBTED = 0.5
-"""Largest confidence of an effect that the interpolation of the commands may explain alone."""
 _TEST = (
     "state in the metadata or in twin.yaml what commands do between their stamps "
     "(command_between), or log the controller's own setpoint at its own rate"
@@ -50,4 +49,6 @@ def _doubted(finding: Finding, less: float, more: float) -> Finding:
     if time.low + less > 0.0:
         return finding
     # A ramped setpoint without any delay explains the recordings equally well.
-    return replace(finding, confidence=min(finding.confidence, _DOUBTED), next_test=_TEST)
+    return replace(
+        finding, confidence=min(finding.confidence, INTERPOLATION.most_doubted), next_test=_TEST
+    )

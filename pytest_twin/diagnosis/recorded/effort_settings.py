@@ -27,6 +27,10 @@ class EffortSettings:
             smaller than the accuracy of drives.
         smooth: samples over which positions and velocities are smoothed.
         fine: points of the fine grid in each sample period.
+        most_recordings: number of recordings that are examined, those with the largest variance of
+            the efforts.
+        explained_motion: largest RMS residual of a fit, in encoder noises, whose drive is used to
+            explain the efforts.
     """
 
     fewest_samples: int = 50
@@ -41,6 +45,8 @@ class EffortSettings:
     equal: float = 0.005
     smooth: int = 7
     fine: int = 20
+    most_recordings: int = 3
+    explained_motion: float = 4.0
 
 
 EFFORTS = EffortSettings()

@@ -18,6 +18,7 @@ from scipy.optimize import lsq_linear
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem, corrected
+from pytest_twin.diagnosis.recorded.settings import JOINT_FIT
 from pytest_twin.effects.actuation import ActuatorLag, ControllerGain, DeadZone
 from pytest_twin.effects.friction import CoulombFriction, ViscousFriction
 from pytest_twin.effects.rigid_body import Armature
@@ -41,16 +42,8 @@ PRIORS: dict[tuple[str, str], float] = {
 the parameter (s, 1, rad, or the joint's typical damping, effort, inertia or stiffness). The priors
 are wide, so they only determine parameters that the recordings do not."""
 DELAY = list(PRIORS).index((CommandDelay.id, "delay"))
-_ITERATIONS = 6
-"""Largest number of Levenberg-Marquardt iterations."""
 # Levenberg-Marquardt dampings that are tried, as shares of the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)
-# Smallest gain of the log-posterior for each joint before a fit has converged.
-_GAIN = 1.0
-# RMS residuals, in encoder noises, up to which only noise remains, and from which far more does.
-_AT_NOISE, _FAR = 1.1, 3.0
-# Number of correlated samples that count as one independent sample, while the residual is smooth.
-SMOOTH_SAMPLES = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +96,7 @@ def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
     while True:
         best = max(range(len(states)), key=lambda i: states[i].score)
         slopes = space.slopes(best, states[best])
-        if space.iterations >= _ITERATIONS or _settled(states, space.noise):
+        if space.iterations >= JOINT_FIT.iterations or _settled(states, space.noise):
             break
         tried = []
         for i, state in enumerate(states):
@@ -119,7 +112,9 @@ def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
         for i, state in enumerate(states):
             mine = [f for f, (at, _) in zip(found, tried, strict=True) if at == i]
             better = max(mine, key=lambda f: f.score)
-            better.has_converged = better.score < state.score + _GAIN * space.shape[1]
+            better.has_converged = (
+                better.score < state.score + JOINT_FIT.least_gain * space.shape[1]
+            )
             state.has_converged = True
             states[i] = better if better.score > state.score else state
     return [
@@ -135,8 +130,8 @@ def _settled(states: Sequence[_State], noise: FloatArray) -> bool:
     that of another fit at the noise level.
     """
     levels = [np.sqrt(np.mean(s.residual**2, axis=0)) / noise for s in states]
-    fits = [bool((level <= _AT_NOISE).all()) for level in levels]
-    far = [any(fits) and bool((level >= _FAR).any()) for level in levels]
+    fits = [bool((level <= JOINT_FIT.at_noise).all()) for level in levels]
+    far = [any(fits) and bool((level >= JOINT_FIT.far).any()) for level in levels]
     return all(s.has_converged or f or o for s, f, o in zip(states, fits, far, strict=True))
 
 
@@ -198,7 +193,7 @@ class Parameters:
             return _State(theta, residual, -np.inf)
         square = np.mean(residual**2, axis=0) + 0.01 * self.noise**2
         held_back = float(np.sum((theta / self.prior[:, None]) ** 2))
-        count = len(residual) / SMOOTH_SAMPLES
+        count = len(residual) / JOINT_FIT.smooth_samples
         score = -0.5 * (count * float(np.sum(np.log(square))) + held_back)
         return _State(theta, residual, score)
 

@@ -17,15 +17,11 @@ from pytest_twin.diagnosis.recorded.effort import (
     pooled,
     signals,
 )
+from pytest_twin.diagnosis.recorded.effort_settings import EFFORTS
 from pytest_twin.diagnosis.recorded.fact import Fact
 from pytest_twin.effects.actuation import ActuatorLag, DeadZone
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
-
-_MOST = 3
-"""Number of recordings that are examined, those with the largest variance of the efforts."""
-_EXPLAINED = 4.0
-"""Largest RMS residual of a fit, in encoder noises, whose drive is used to explain the efforts."""
 
 _COMMAND_ITSELF = Fact(
     "demanded",
@@ -53,10 +49,12 @@ def logged_efforts(trials: Sequence[Trial], fitted: BetweenFit) -> dict[str, Fac
         liveliest = sorted(
             (t for t in trials if _has_efforts(t, joint)), key=lambda t: -_spread(t, joint)
         )
-        if liveliest and all(_repeats_command(t, joint) for t in liveliest[:_MOST]):
+        if liveliest and all(
+            _repeats_command(t, joint) for t in liveliest[: EFFORTS.most_recordings]
+        ):
             found[joint] = _COMMAND_ITSELF
             continue
-        for trial in liveliest[:_MOST]:
+        for trial in liveliest[: EFFORTS.most_recordings]:
             for between in _ways(trial):
                 log = _log(trial, joint, between)
                 if log is not None:
@@ -110,7 +108,7 @@ def _drive(fitted: BetweenFit, column: int) -> tuple[float, float]:
     """Lag in s and dead zone in rad or m of the fitted drive; both 0 if the fit is poor."""
     fit, space = fitted.fit, fitted.space
     left = float(np.sqrt(np.mean(fit.residual[:, column] ** 2)))
-    if left > _EXPLAINED * space.noise[column]:
+    if left > EFFORTS.explained_motion * space.noise[column]:
         return 0.0, 0.0
     lag, dead_zone = (space.value(fit.theta, e, column) for e in (ActuatorLag.id, DeadZone.id))
     return lag, dead_zone

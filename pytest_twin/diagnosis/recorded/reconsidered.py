@@ -14,6 +14,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
@@ -22,9 +23,6 @@ from pytest_twin.diagnosis.search_result import SearchResult, build_problem, con
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
-
-_AS_WELL = 1.1
-"""Ratio of RMS errors up to which fewer effects explain a joint equally well."""
 
 
 def with_fewer_effects(
@@ -82,7 +80,7 @@ def explains_as_much(residual: FloatArray, before: FloatArray, floor: FloatArray
         residual, before: (samples, signals).
         floor: (signals,) noise floor, below which residuals are equal.
     """
-    return bool((_rms(residual) <= np.maximum(_AS_WELL * _rms(before), floor)).all())
+    return bool((_rms(residual) <= np.maximum(INTERPOLATION.as_well * _rms(before), floor)).all())
 
 
 def _rms(residual: FloatArray) -> FloatArray:
@@ -113,6 +111,6 @@ def _fewer(other: SearchResult, found: SearchResult) -> bool:
     if not explains_as_much(now, before, found.prepared.problem.signal_floor):
         return False
     return all(
-        e.after <= max(_AS_WELL * found.errors[joint].after, e.floor)
+        e.after <= max(INTERPOLATION.as_well * found.errors[joint].after, e.floor)
         for joint, e in other.errors.items()
     )

@@ -12,9 +12,10 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded.between_fit import BetweenFit, fit_between
-from pytest_twin.diagnosis.recorded.command_between import BY_MODEL, Between
+from pytest_twin.diagnosis.recorded.command_between import Between
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
 from pytest_twin.diagnosis.recorded.logged_efforts import logged_efforts
+from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
 from pytest_twin.diagnosis.recorded.step_times import StepTimes, step_intervals, with_steps_at
 from pytest_twin.diagnosis.recorded.velocity import velocity_fact
 from pytest_twin.diagnosis.trials import TrialSet
@@ -22,8 +23,6 @@ from pytest_twin.errors import TwinError
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
 
-_SAME_PERIOD = 1.2
-"""Ratio of command periods up to which recordings are treated as from one controller."""
 _NOT_OF_THE_STATE = ("differenced", "filtered", "late")
 
 
@@ -144,7 +143,7 @@ class RecordedSignals:
     def decided(self, open_: Between, between: CommandBetween) -> RecordedSignals:
         """The same with the undetermined answer ``open_`` decided by the number of effects."""
         words = f"{open_.fact.evidence}; fewer effects explain them if commands are {between}"
-        fact = Fact(between, BY_MODEL, "data", words)
+        fact = Fact(between, INTERPOLATION.most_by_model, "data", words)
         known = Between(fact, (between,), open_.period)
         return replace(self, between=tuple(known if b is open_ else b for b in self.between))
 
@@ -261,7 +260,7 @@ def _period(trial: Trial) -> float:
 
 
 def _alike(one: float, other: float) -> bool:
-    return max(one, other) <= _SAME_PERIOD * min(one, other)
+    return max(one, other) <= INTERPOLATION.same_period * min(one, other)
 
 
 def _no_state(fact: Fact) -> bool:

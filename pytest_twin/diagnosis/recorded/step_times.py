@@ -17,17 +17,13 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded.joint_fit import SMOOTH_SAMPLES, JointFit, Parameters
+from pytest_twin.diagnosis.recorded.joint_fit import JointFit, Parameters
+from pytest_twin.diagnosis.recorded.settings import INTERPOLATION, JOINT_FIT
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.errors import TwinError
 from pytest_twin.trial import Trial
 
-_JUMP, _OF_ALL = 5.0, 0.1
-"""A command steps if it changes in one period by this many times the change in the period before
-and after, and by this share of its range."""
-_LONGEST = 0.4
-"""Time after a step in s from which its time is fitted; ordinary drives settle within it."""
 _SPREAD = 1.0 / np.sqrt(12.0)
 """Standard deviation of a time about which nothing is known, in periods."""
 _INSIDE = 0.02
@@ -102,7 +98,7 @@ def step_intervals(command: FloatArray) -> NDArray[np.int64]:
     changes in one period, and rests again.
     """
     change = np.abs(np.diff(command, axis=0))
-    is_large = change > _OF_ALL * np.ptp(command, axis=0)
+    is_large = change > INTERPOLATION.jump_of_range * np.ptp(command, axis=0)
     return np.flatnonzero((_is_jump(command) & is_large).any(axis=1))
 
 
@@ -113,7 +109,7 @@ def _is_jump(command: FloatArray) -> NDArray[np.bool_]:
     """
     change = np.abs(np.diff(command, axis=0))
     found = np.zeros(change.shape, dtype=bool)
-    found[1:-1] = change[1:-1] > _JUMP * np.maximum(change[:-2], change[2:])
+    found[1:-1] = change[1:-1] > INTERPOLATION.jump * np.maximum(change[:-2], change[2:])
     return found
 
 
@@ -136,7 +132,7 @@ def fitted_shares(
     weight = np.where(size > 0.0, 1.0 / np.maximum(size, 1e-300), 0.0)
     out = np.full(len(starts), 0.5)
     for i, (start, after) in enumerate(zip(starts, [*starts[1:], np.inf], strict=True)):
-        inside = (time >= start) & (time < min(after, start + _LONGEST))
+        inside = (time >= start) & (time < min(after, start + INTERPOLATION.settles))
         slope = (change[inside] * weight).ravel()
         square = float(slope @ slope)
         if square <= 0.0:
@@ -144,7 +140,7 @@ def fitted_shares(
         target = -(early[inside] * weight).ravel()
         share = float(slope @ target) / square
         left = target - share * slope
-        variance = SMOOTH_SAMPLES * float(left @ left) / max(len(left) - 1, 1) / square
+        variance = JOINT_FIT.smooth_samples * float(left @ left) / max(len(left) - 1, 1) / square
         trust = _SPREAD**2 / (_SPREAD**2 + variance)
         out[i] = np.clip(0.5 + trust * (share - 0.5), 0.0, 1.0)
     return out

@@ -14,21 +14,9 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.noise import sensor_noise
 from pytest_twin.diagnosis.recorded.fact import Fact, unknown
+from pytest_twin.diagnosis.recorded.settings import RECORDED_VELOCITY
 
 Kind = Literal["sensor", "differenced", "filtered"]
-_FEWEST = 50
-"""Smallest number of samples from which the origin of a velocity is determined."""
-# Largest deviation of a velocity from differences of the positions, as a share of the noise of
-# these differences. The velocity of an independent sensor deviates by the whole noise.
-_DERIVED = 0.2
-# Smallest weight of the previous velocity that shows a low-pass filter.
-_FILTERS = 0.05
-# Largest deviation from an even sample period, as a share of it; number of differences in which
-# each sample takes part.
-_EVEN, _SHARED = 0.2, 3.0
-# Smallest age of a velocity that is reported, in standard errors and in sample periods. A motion
-# whose acceleration jumps at the samples seems up to a sixth of a period old.
-_SURELY, _LEAST_SHARE = 5.0, 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +48,7 @@ def velocity_signal(
     Returns:
         None if the recording is too short or the joint does not move.
     """
-    if len(time) < _FEWEST or not np.ptp(position) or not np.ptp(velocity):
+    if len(time) < RECORDED_VELOCITY.fewest_samples or not np.ptp(position) or not np.ptp(velocity):
         return None
     return _derived(time, position, velocity) or _independent(time, position, velocity)
 
@@ -72,18 +60,18 @@ def _derived(time: FloatArray, position: FloatArray, velocity: FloatArray) -> Ve
     noise = float(sensor_noise(time, position[:, None])[0])
     own = np.sqrt(2.0) * noise / period
     central = np.gradient(position, time)[1:-1]
-    if _rms(velocity[1:-1] - central) < _DERIVED * own / 2.0:
+    if _rms(velocity[1:-1] - central) < RECORDED_VELOCITY.derived * own / 2.0:
         return VelocitySignal("differenced", 0.0, 0.0, np.inf)
     columns = np.stack([velocity[:-1], slope], axis=1)
     weights, *_ = np.linalg.lstsq(columns, velocity[1:], rcond=None)
     keep, share = (float(w) for w in weights)
     if share <= 0.0 or not keep < 1.0:
         return None
-    if _rms(velocity[1:] - columns @ weights) > _DERIVED * share * own:
+    if _rms(velocity[1:] - columns @ weights) > RECORDED_VELOCITY.derived * share * own:
         return None
     keep = max(keep, 0.0)
     lag = period * (0.5 + keep / (1.0 - keep))
-    if keep < _FILTERS:
+    if keep < RECORDED_VELOCITY.filters:
         return VelocitySignal("differenced", lag, 0.0, np.inf)
     return VelocitySignal("filtered", lag, 0.0, float(-np.log(keep) / (2.0 * np.pi * period)))
 
@@ -94,7 +82,7 @@ def _independent(time: FloatArray, position: FloatArray, velocity: FloatArray) -
     The mean velocity over two periods, by Simpson's rule, is compared with the position difference.
     """
     period = float(np.median(np.diff(time)))
-    even = np.abs(np.diff(time) - period) < _EVEN * period
+    even = np.abs(np.diff(time) - period) < RECORDED_VELOCITY.even * period
     mean = (velocity[:-2] + 4.0 * velocity[1:-1] + velocity[2:]) / 6.0
     span = time[2:] - time[:-2]
     moved = (position[2:] - position[:-2]) / span
@@ -105,7 +93,7 @@ def _independent(time: FloatArray, position: FloatArray, velocity: FloatArray) -
     weights, *_ = np.linalg.lstsq(columns, off, rcond=None)
     rest = off - columns @ weights
     # Each sample takes part in several differences, so their errors are correlated.
-    variance = _SHARED * float(rest @ rest) / max(len(rest) - 2, 1)
+    variance = RECORDED_VELOCITY.shared * float(rest @ rest) / max(len(rest) - 2, 1)
     covariance = variance * np.linalg.pinv(columns.T @ columns)
     return VelocitySignal("sensor", float(weights[0]), float(np.sqrt(covariance[0, 0])), np.inf)
 
@@ -131,7 +119,9 @@ def velocity_fact(time: FloatArray, position: FloatArray, velocity: FloatArray) 
             f"filter of {found.bandwidth:.3g} Hz, {1e3 * found.lag:.3g} ms old",
             lag | {"bandwidth": (found.bandwidth, "Hz")},
         )  # fmt: skip
-    late = abs(found.lag) > max(_SURELY * found.lag_error, _LEAST_SHARE * period)
+    late = abs(found.lag) > max(
+        RECORDED_VELOCITY.surely * found.lag_error, RECORDED_VELOCITY.least_age * period
+    )
     if late:
         side = "older" if found.lag > 0.0 else "younger"
         return Fact(

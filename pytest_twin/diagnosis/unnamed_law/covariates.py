@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.first_order.sensor_readings import Column
+from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects.unnamed_law import (
     COLD_FRACTION,
     COMMAND,
@@ -26,17 +27,6 @@ from pytest_twin.effects.unnamed_law import (
     Variable,
     since_reversal,
 )
-
-STILL = 0.02
-"""Share of a joint's RMS speed below which its direction does not change."""
-# Share of samples above the last knot, for the time since a reversal, which has a long tail.
-_TAIL = 0.01
-# Linear extrapolation of a table at each end, as a share of the range of the data. With it, the
-# force of a cable was predicted to 0.1 % in recordings that went 0.09 rad further.
-_BEYOND = 0.1
-# Smallest number of temperatures for a table over temperature; two only determine a line, which is
-# an effect of the catalogue.
-_FEWEST_TEMPERATURES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +96,7 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
     segments = [simulator.segments[s] for s in trajectory.segments]
     inside = trajectory.time <= np.array([s.time[-1] for s in segments])[:, None]
     position, velocity = trajectory.position[..., joint], trajectory.velocity[..., joint]
-    still = STILL * float(linear.problem.scales.of["velocity"][joint])
+    still = FREE_LAWS.still * float(linear.problem.scales.of["velocity"][joint])
     cold = np.array([s.cold_fraction for s in segments])
     against = -np.tanh(velocity / trajectory.slip_velocity[joint])
     force, friction = np.ones_like(position), UnnamedFriction.id
@@ -125,7 +115,7 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
             s.setpoint.at(t)[:, joint] for s, t in zip(segments, trajectory.time, strict=True)
         ])  # fmt: skip
         found.append((UnnamedLaw.id, COMMAND, command, force))
-    if len(set(cold)) >= _FEWEST_TEMPERATURES:
+    if len(set(cold)) >= FREE_LAWS.fewest_temperatures:
         of_samples = np.repeat(cold[:, None], position.shape[1], axis=1)
         found.append((UnnamedThermalFriction.id, COLD_FRACTION, of_samples, against))
     out = []
@@ -134,9 +124,9 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
             continue
         low, high = float(at[inside].min()), float(at[inside].max())
         if variable is SINCE_REVERSAL:
-            high = float(np.quantile(at[inside], 1.0 - _TAIL))
+            high = float(np.quantile(at[inside], 1.0 - FREE_LAWS.tail))
         if high - low > 1e-6 * max(abs(low), abs(high), 1e-6):
-            more = _BEYOND * (high - low)
+            more = FREE_LAWS.beyond * (high - low)
             low = low - more if variable in (POSITION, VELOCITY, COMMAND) else max(low - more, 0.0)
             high += more
             out.append(Covariate(effect, variable, at, sign, inside, low, high, (low, high)))

@@ -26,22 +26,10 @@ from pytest_twin.diagnosis.unnamed_law.covariates import Covariate
 from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, Rival
 from pytest_twin.diagnosis.unnamed_law.regression import log_ratio, standard_error
 from pytest_twin.diagnosis.unnamed_law.selection import Chosen, Data, rank_tables, with_second
+from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.diagnosis.unnamed_law.shape import Curve, resembles
 from pytest_twin.diagnosis.unnamed_law.simulated import Fitted, fit_tables
 from pytest_twin.diagnosis.verdict import UNSEEN
-
-WORTH = 0.5
-"""Share of the squared error of left-out recordings that a law must remove, in the linearized
-motion and by simulation. In the tests and blind cases, functions of the state reach 0.97 to 0.999,
-a push at the same time in all recordings 0.2, random torques and a shaker 0.1."""
-_FEWEST = 2
-"""Smallest number of recordings for cross-validation."""
-_MOST_JOINTS = 2
-"""Largest number of joints at which laws are fitted."""
-# Largest confidence in a variable, because the force may depend on one that is not recorded.
-_AT_MOST = 0.95
-_LIKELY = 1e-3
-"""Confidence of the least likely alternative that is listed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +72,14 @@ def free_laws(
             "small consequences",
         ))  # fmt: skip
     recording = np.array([prepared.segment_trial[s] for s in segments])
-    if len(set(recording.tolist())) < _FEWEST:
+    if len(set(recording.tolist())) < FREE_LAWS.fewest_recordings:
         return FreeLaws((), hypothesis, (
-            f"no free law was fitted: it takes {_FEWEST} recordings to tell a function of the "
-            "state from a push in time",
+            f"no free law was fitted: it takes {FREE_LAWS.fewest_recordings} recordings to tell a "
+            "function of the state from a push in time",
         ))  # fmt: skip
     found: list[FreeLaw] = []
     notes = []
-    for joint, where in list(left.items())[:_MOST_JOINTS]:
+    for joint, where in list(left.items())[: FREE_LAWS.most_joints]:
         column = problem.joints.index(joint)
         if problem.floor[column] >= UNSEEN or _has_table(problem, column):
             continue
@@ -143,21 +131,22 @@ def _at_joint(
         return "nothing that a force may depend on varies in the recordings"
     chosen = with_second(data, ranking)
     share, clear = _removed(chosen.regression.square, chosen.errors)
-    if share < WORTH or not clear:
+    if share < FREE_LAWS.removes or not clear:
         return (
             "over no variable does a force from some recordings explain the others: the best, "
             f"{_named(chosen.tables)}, removes {100 * max(share, 0.0):.0f} % of their squared "
-            f"error ({100 * WORTH:.0f} % required). A push in time or a random torque looks like "
-            "this"
+            f"error ({100 * FREE_LAWS.removes:.0f} % required). A push in time or a random torque "
+            "looks like this"
         )
     after = fit_tables(problem, hypothesis, chosen, data)
     if after is None:
         return "the simulation diverges with it"
     share, clear = _removed(after.before, after.errors)
-    if share < WORTH or not clear:
+    if share < FREE_LAWS.removes or not clear:
         return (
             f"simulated, {_named(chosen.tables)} removes {100 * max(share, 0.0):.0f} % of the "
-            f"squared error of recordings that it was not fitted to ({100 * WORTH:.0f} % required)"
+            "squared error of recordings that it was not fitted to "
+            f"({100 * FREE_LAWS.removes:.0f} % required)"
         )
     return chosen, after, ranking
 
@@ -213,9 +202,13 @@ def _laws(
         others = [(c, p) for c, p in shares if (c, p) not in mine]
         rivals = tuple(
             Rival(c.tables[0].variable.name, c.tables[0].is_friction, p)
-            for c, p in others if p > _LIKELY
+            for c, p in others if p > FREE_LAWS.least_listed
         ) if count == 1 else ()  # fmt: skip
-        confidence = min(sum(p for _, p in mine), _AT_MOST) if count == 1 else _AT_MOST
+        confidence = (
+            min(sum(p for _, p in mine), FREE_LAWS.most_confidence)
+            if count == 1
+            else FREE_LAWS.most_confidence
+        )
         found.append(
             FreeLaw(
                 joint, Term(table.effect, column), curve,

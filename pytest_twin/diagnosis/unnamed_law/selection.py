@@ -19,15 +19,8 @@ from pytest_twin.diagnosis.unnamed_law.regression import (
     simplest,
     standard_error,
 )
+from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects.unnamed_law import KNOTS
-
-# A table is restricted to the range with ``_ACTS`` of its squared force if this is less than
-# ``_NARROW`` of the whole range. The margin at each end is a share of the new range.
-_ACTS, _NARROW, _MARGIN = 0.98, 0.5, 0.25
-# Number of best tables that are tried over a narrow range, and combined in pairs.
-_BEST = 3
-_SECOND, _SECOND_OF_ALL = 0.1, 0.005
-"""Shares of the remaining and of the whole squared error that a second table must remove."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +115,7 @@ def rank_tables(data: Data) -> list[Chosen]:
         if np.isfinite(responses).all() and responses.any():
             singles.append(choose_strength(data, [covariate], responses))
     order = sorted(singles, key=_error)
-    for one in order[:_BEST]:
+    for one in order[: FREE_LAWS.most_best]:
         narrow = _narrow_range(one.tables[0], one.coefficients)
         if narrow is not None:
             other = choose_strength(data, [narrow], data.responses(narrow))
@@ -135,7 +128,8 @@ def with_second(data: Data, singles: Sequence[Chosen]) -> Chosen:
     """The best single table, or a force and a friction if the second table removes enough."""
     best = singles[0]
     forces, frictions = (
-        [c for c in singles if c.tables[0].is_friction is dry][:_BEST] for dry in (False, True)
+        [c for c in singles if c.tables[0].is_friction is dry][: FREE_LAWS.most_best]
+        for dry in (False, True)
     )
     pairs = []
     for a, b in itertools.product(forces, frictions):
@@ -143,7 +137,10 @@ def with_second(data: Data, singles: Sequence[Chosen]) -> Chosen:
         pairs.append(choose_strength(data, [*a.tables, *b.tables], both))
     for pair in _simplest_first(pairs)[:1]:
         less = best.errors - pair.errors
-        worth = max(_SECOND * best.errors.sum(), _SECOND_OF_ALL * best.regression.square.sum())
+        worth = max(
+            FREE_LAWS.second * best.errors.sum(),
+            FREE_LAWS.second_of_all * best.regression.square.sum(),
+        )
         if less.sum() > max(standard_error(less), worth):
             return pair
     return best
@@ -172,12 +169,12 @@ def _narrow_range(covariate: Covariate, values: FloatArray) -> Covariate | None:
     if total <= 0.0:
         return None
     reached = np.cumsum(mass) / total
-    rest = 0.5 * (1.0 - _ACTS)
+    rest = 0.5 * (1.0 - FREE_LAWS.acts)
     first, last = (int(np.searchsorted(reached, x)) for x in (rest, 1.0 - rest))
     knots = covariate.knots
     low, high = float(knots[first]), float(knots[min(last, KNOTS - 1)])
-    room = _MARGIN * (high - low) + (knots[1] - knots[0])
+    room = FREE_LAWS.margin * (high - low) + (knots[1] - knots[0])
     low, high = max(low - room, covariate.low), min(high + room, covariate.high)
-    if high - low > _NARROW * (covariate.high - covariate.low):
+    if high - low > FREE_LAWS.narrow * (covariate.high - covariate.low):
         return None
     return replace(covariate, low=low, high=high)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects import actuation, friction, transmission
 from pytest_twin.effects.unnamed_law import (
     LOAD,
@@ -17,13 +18,6 @@ from pytest_twin.effects.unnamed_law import (
     VELOCITY,
     Variable,
 )
-
-# Smallest height of a described part of a curve, as a share of the peak; largest number of parts.
-_DESCRIBED, _MOST_STRETCHES = 0.3, 3
-# Share of the curve's mean square, weighted by occupancy, that a known law must reproduce.
-_RESEMBLES = 0.97
-# Smallest number of periods within the range of a periodic curve.
-_PERIODS = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +109,11 @@ def _towards_or_away(curve: Curve, first: slice, second: slice) -> str | None:
 def _stretches(curve: Curve) -> list[slice]:
     """Stretches of knots with a clear force of one sign, the strongest few in their order."""
     size = np.abs(curve.values)
-    clear = (size > curve.half_width) & (size > _DESCRIBED * size[curve.peak])
+    clear = (size > curve.half_width) & (size > FREE_LAWS.described * size[curve.peak])
     label = np.where(clear, np.sign(curve.values), 0.0)
     ends = np.flatnonzero(np.diff(np.concatenate([[0.0], label, [0.0]])))
     found = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends) if label[a] != 0.0]
-    strongest = sorted(found, key=lambda s: -float(size[s].max()))[:_MOST_STRETCHES]
+    strongest = sorted(found, key=lambda s: -float(size[s].max()))[: FREE_LAWS.most_stretches]
     return sorted(strongest, key=lambda s: s.start)
 
 
@@ -131,18 +125,18 @@ def resembles(curve: Curve, *, turns: bool) -> str | None:
         turns: whether the joint is a hinge, so that a periodic curve may come from gear or motor.
     """
     for effect, columns in _templates(curve).items():
-        if _share(curve, columns) >= _RESEMBLES:
+        if _share(curve, columns) >= FREE_LAWS.resembles:
             return effect
     if turns and curve.variable is POSITION:
         span = curve.knots[-1] - curve.knots[0]
-        for k in range(max(int(np.ceil(_PERIODS * 2.0 * np.pi / span)), 1), 201):
+        for k in range(max(int(np.ceil(FREE_LAWS.periods * 2.0 * np.pi / span)), 1), 201):
             # At least two knots for each period.
             if k * span > np.pi * (len(curve.knots) - 1):
                 break
             wave = [np.sin(k * curve.knots), np.cos(k * curve.knots)]
             if curve.is_friction:
                 wave.append(np.ones_like(curve.knots))
-            if _share(curve, np.stack(wave, axis=1)) >= _RESEMBLES:
+            if _share(curve, np.stack(wave, axis=1)) >= FREE_LAWS.resembles:
                 return (
                     friction.PositionDependentFriction.id
                     if curve.is_friction

@@ -16,16 +16,15 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.unnamed_law.covariates import STILL, Covariate
+from pytest_twin.diagnosis.unnamed_law.covariates import Covariate
 from pytest_twin.diagnosis.unnamed_law.regression import Regression
 from pytest_twin.diagnosis.unnamed_law.selection import Chosen, Data
+from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects.unnamed_law import TABLES, UnnamedFriction
 
 _STEPS, _HALVINGS = 4, 3
 """Largest number of Gauss-Newton steps, and of step sizes that are tried in each, which are
 halved."""
-# Smallest relative reduction of the objective for which another step is made.
-_ENOUGH = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +62,7 @@ def with_tables(
         term = Term(table.effect, joint)
         law, others = TABLES[table.effect], {}
         if isinstance(law, UnnamedFriction):
-            others["still"] = STILL * float(problem.scales.of["velocity"][joint])
+            others["still"] = FREE_LAWS.still * float(problem.scales.of["velocity"][joint])
         given = law.parameters_of(
             table.variable, (table.low, table.high), table.valid, values, **others
         )
@@ -122,7 +121,7 @@ def fit_tables(
         else:
             break
         gained, values, residual, best = best - size, tried, there, size
-        if gained < _ENOUGH * best:
+        if gained < FREE_LAWS.least_step * best:
             break
     if local is None:
         return None

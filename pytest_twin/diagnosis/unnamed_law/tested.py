@@ -19,12 +19,10 @@ from pytest_twin.diagnosis.search_result import (
     residuals_everywhere,
 )
 from pytest_twin.diagnosis.unexplained import unexplained
-from pytest_twin.diagnosis.unnamed_law.fit import WORTH, FreeLaws, free_laws
+from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, free_laws
 from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, law_json
+from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.diagnosis.windows import WINDOW
-
-_EARLY = 0.5
-"""Largest confidence if the search over the effects of the catalogue ended early."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,9 +106,12 @@ def on_test(
             without = everything.without(terms[law.term])
             gains.append(_gain(_squared(problem, residuals_everywhere(problem, without)), whole))
         worst = int(np.argmin(gains))
-        if gains[worst] >= WORTH:
+        if gains[worst] >= FREE_LAWS.removes:
             if not searched_all:
-                kept = [replace(law, confidence=min(law.confidence, _EARLY)) for law in kept]
+                kept = [
+                    replace(law, confidence=min(law.confidence, FREE_LAWS.most_if_early))
+                    for law in kept
+                ]
                 notes.append(
                     "the search over known effects ended early: a known effect may explain what "
                     "the fitted law does"
@@ -127,7 +128,8 @@ def on_test(
         notes.append(
             f"no free law at joint {law.joint}: {law.words} removes "
             f"{100 * law.removed:.0f} % of the squared error in cross-validation, but "
-            f"{100 * gains[worst]:.0f} % on the test recordings ({100 * WORTH:.0f} % required)"
+            f"{100 * gains[worst]:.0f} % on the test recordings "
+            f"({100 * FREE_LAWS.removes:.0f} % required)"
         )
     free = found.hypothesis.without(*(law.term for law in found.laws))
     return TestedLaws((), free, tested, tuple(notes))
