@@ -6,9 +6,15 @@ Each number in a settings object of ``pytest_twin.diagnosis`` is halved and doub
 and small cases are diagnosed again. In each case, a pendulum or an arm of one joint is integrated
 at 4 or 10 kHz with one effect, two effects, or none that the model lacks. A field is tried only in
 cases whose diagnosis reads it. No diagnosis has a time limit, so the load of the machine does not
-change the result. Results are stored in DIR/answers.jsonl; a second run continues the first one.
-Writes DIR/sensitivity.md: for each field its value, in how many cases it was tried, what each
-change does to the answers, and the number of simulations.
+change the result.
+
+Most changes need no run. One run of each case follows half and twice of every number through all
+computations (``variants.py``). If each comparison has the same outcome, the result is the same.
+Only the other changes are run. Results are stored in DIR/answers.jsonl; a second run continues the
+first one.
+
+Writes DIR/sensitivity.md: for each field its value, how many cases read it, and what each
+change does to the answers.
 
 FIELD: ``CLASS`` or ``CLASS.field``, such as ``SelectionSettings.earns``; all by default.
 """
@@ -36,6 +42,7 @@ import recorded_pendulum
 import touching_arm
 import two_pendulums
 from record import revision
+from variants import WithVariants
 
 import pytest_twin.diagnosis
 from pytest_twin.commands.replay import load_model
@@ -128,17 +135,18 @@ CASES = (
     Case("stick-slip", pendulum(dry=0.3), full_diagnosis),
     Case("delay", pendulum(delay=0.02), full_diagnosis),
 )
-QUICK_CASES = CASES[:2]
-"""Quick cases, which take a second each. Every field that they read is tried in them."""
 HEAD = """# How sensitive a diagnosis is to its thresholds
 
 <!-- Written by benchmarks/sensitivity.py. -->
 
 Each number in a settings object is halved and doubled, one at a time, and small cases are diagnosed
 again. `python benchmarks/sensitivity.py --out DIR --page docs/sensitivity.md` continues the answers
-in DIR and writes this page. The cases: {cases}. A field is tried in the cases that read it; `same`
-means the same verdict, the same findings, and parameters within 1 %. A field that no case reads is
-not shown to be without influence. Revision `{revision}`, {date}.
+in DIR and writes this page. The cases: {cases}. `cases` is how many of them read the field. Most
+changes need no run: one run of each case follows half and twice of every number through all
+computations, and if each comparison has the same outcome, so has the diagnosis. `runs` is the
+number of the other changes, which were all run. `same` means the same verdict, the same findings,
+and parameters within 1 %. A field that no case reads is not shown to be without influence. Revision
+`{revision}`, {date}.
 
 """
 FACTORS = (0.5, 2.0)
@@ -188,27 +196,60 @@ def settings_fields() -> list[Field]:
         Field(f"{type(owner).__name__}.{field.name}", owner, field.name, getattr(owner, field.name))
         for owner in found
         for field in dataclasses.fields(owner)
-        if isinstance(getattr(owner, field.name), int | float)
+        if type(getattr(owner, field.name)) in (int, float)
     ]
 
 
+Change = tuple[str, float]
+"""Name of a field and the factor on its value."""
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What a case does with the fields: names that it reads, and changes that may alter it."""
+
+    read: frozenset[str]
+    altering: frozenset[Change]
+
+
 @contextmanager
-def reads_of(fields: list[Field]) -> Iterator[set[str]]:
-    """Context that collects the names of the fields that are read."""
+def followed(fields: list[Field]) -> Iterator[tuple[set[str], set[Change]]]:
+    """Context that collects the fields that are read, and the changes that may alter the result."""
     read: set[str] = set()
+    altering: set[Change] = set()
+    known = {(type(field.owner), field.attribute): field for field in fields}
 
     def noting(owner: object, attribute: str) -> object:
-        read.add(f"{type(owner).__name__}.{attribute}")
-        return object.__getattribute__(owner, attribute)
+        field = known.get((type(owner), attribute))
+        if field is None:
+            return object.__getattribute__(owner, attribute)
+        read.add(field.name)
+        variants = {(field.name, factor): field.changed(factor) for factor in FACTORS}
+        return WithVariants(field.value, variants, altering)
 
     owners = {type(field.owner) for field in fields}
     for owner in owners:
         owner.__getattribute__ = noting
     try:
-        yield read
+        yield read, altering
     finally:
         for owner in owners:
             del owner.__getattribute__
+
+
+def traced(case: Case, fields: list[Field], usual: Answer, out: Path) -> Traced:
+    """Follow every field through one run of a case.
+
+    A run that ends otherwise than the usual one shows nothing: all that it reads may alter it.
+    """
+    with followed(fields) as (read, altering):
+        try:
+            same = case.answer(out) == usual
+        except Exception as error:
+            print(f"{case.name}: cannot be followed: {error!r}", flush=True)
+            same = False
+    every = {(name, factor) for name in read for factor in FACTORS}
+    return Traced(frozenset(read), frozenset(altering if same else every))
 
 
 def difference(base: dict[str, Any], other: dict[str, Any]) -> str:
@@ -255,54 +296,43 @@ class Answers:
 
 
 def row(
-    field: Field, answers: Answers, base: dict[str, Answer], read: dict[str, set[str]]
+    field: Field, answers: Answers, base: dict[str, Answer], trace: dict[str, Traced]
 ) -> str | None:
-    """Return the field's line of the table; None if no finished case reads it."""
-    reading = [case for case in base if field.name in read[case]]
+    """Return the field's line of the table; None if a change that may matter was not run yet."""
+    reading = [case for case in base if field.name in trace[case].read]
     if not reading:
-        return f"| `{field.name}` | {field.value:g} | 0 | read in no case | read in no case | |"
-    values = [field.changed(factor) for factor in FACTORS]
-    tried = [
-        case
-        for case in reading
-        if all(v == field.value or (case, field.name, v) in answers.known for v in values)
-    ]
-    if not tried:
-        return None
-    cells, simulations = [], []
-    usual = sum(base[case]["simulations"] for case in tried)
-    for value in values:
+        return f"| `{field.name}` | {field.value:g} | 0 | | read in no case | read in no case |"
+    run = 0
+    cells = []
+    for factor in FACTORS:
+        value = field.changed(factor)
         if value == field.value:
             cells.append("(rounds to the value)")
-            simulations.append(usual)
             continue
-        said = {case: answers.known[case, field.name, value] for case in tried}
-        words = [
-            f"{case}: {different}"
-            for case, one in said.items()
-            if (different := difference(base[case], one))
-        ]
+        words = []
+        for case in reading:
+            if (field.name, factor) not in trace[case].altering:
+                continue
+            if (case, field.name, value) not in answers.known:
+                return None
+            run += 1
+            different = difference(base[case], answers.known[case, field.name, value])
+            words += [f"{case}: {different}"] if different else []
         cells.append("; ".join(words) or "same")
-        simulations.append(sum(one.get("simulations", 0) for one in said.values()))
-    work = f"{simulations[0]} / {usual} / {simulations[1]}"
-    of = f"{len(tried)} of {len(reading)}"
-    return f"| `{field.name}` | {field.value:g} | {of} | {cells[0]} | {cells[1]} | {work} |"
+    return f"| `{field.name}` | {field.value:g} | {len(reading)} | {run} | {' | '.join(cells)} |"
 
 
 def table(
     fields: list[Field],
     answers: Answers,
     base: dict[str, Answer],
-    read: dict[str, set[str]],
+    trace: dict[str, Traced],
 ) -> str:
-    """Return the page with one line for each field that was tried."""
-    lines = [row(field, answers, base, read) for field in fields]
+    """Return the page with one line for each field whose changes are known in every case."""
+    lines = [row(field, answers, base, trace) for field in fields]
     done = [line for line in lines if line is not None]
-    head = [
-        "| field | value | cases tried | halved | doubled | simulations: half / default / double |",
-        "|---|---|---|---|---|---|",
-    ]
-    rest = f"\n{len(lines) - len(done)} of {len(lines)} fields are not tried yet.\n"
+    head = ["| field | value | cases | runs | halved | doubled |", "|---|---|---|---|---|---|"]
+    rest = f"\n{len(lines) - len(done)} of {len(lines)} fields are not complete yet.\n"
     return "\n".join([*head, *done]) + "\n" + (rest if len(done) < len(lines) else "")
 
 
@@ -337,30 +367,28 @@ def main() -> int:
         if not args.fields or {field.name, field.name.partition(".")[0]} & {*args.fields}
     ]
     base: dict[str, Answer] = {}
-    read: dict[str, set[str]] = {}
+    trace: dict[str, Traced] = {}
     for case in CASES:
         case.write(case.folder(args.out))
         since = time.process_time()
-        with reads_of(every) as names:
-            base[case.name] = case.answer(args.out)
-        read[case.name] = {*names}
+        base[case.name] = case.answer(args.out)
         took = time.process_time() - since
-        print(f"{case.name}: {took:.0f} s: {json.dumps(base[case.name])}", flush=True)
-    for turn in range(len(CASES)):
-        for field in fields:
-            # All quick cases first, then the first long case of each field, then the second, ...
-            reading = [case for case in CASES if field.name in read[case.name]]
-            long = [case for case in reading if case not in QUICK_CASES]
-            tried = long[turn - 1 : turn] if turn else [c for c in reading if c in QUICK_CASES]
-            for case, value in product(tried, map(field.changed, FACTORS)):
-                if time.monotonic() < until:
-                    attempt(case, field, value, answers, args.out)
+        trace[case.name] = traced(case, every, base[case.name], args.out)
+        print(
+            f"{case.name}: {took:.0f} s, reads {len(trace[case.name].read)} fields, "
+            f"{len(trace[case.name].altering)} changes may alter it: "
+            f"{json.dumps(base[case.name])}",
+            flush=True,
+        )
+    for case, field, factor in product(CASES, fields, FACTORS):
+        if (field.name, factor) in trace[case.name].altering and time.monotonic() < until:
+            attempt(case, field, field.changed(factor), answers, args.out)
     head = HEAD.format(
         cases=", ".join(case.name for case in CASES),
         revision=revision(),
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
     )
-    text = table(fields, answers, base, read)
+    text = table(fields, answers, base, trace)
     for path in filter(None, (args.out / "sensitivity.md", args.page)):
         path.write_text(head + text)
     return 0

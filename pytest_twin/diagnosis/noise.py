@@ -73,7 +73,7 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
 def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
     """(joints,) standard deviation of samples from local cubics."""
     square, _ = _cubics(time, position)
-    spread: FloatArray = np.sqrt(np.median(square, axis=0) / NOISE_ESTIMATE.neighbours - _CUBIC)
+    spread: FloatArray = np.sqrt(np.median(square, axis=0) / (NOISE_ESTIMATE.neighbours - _CUBIC))
     return spread
 
 
