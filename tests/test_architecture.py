@@ -7,8 +7,11 @@ import functools
 import re
 import subprocess
 import sys
+import tomllib
 from collections import Counter
 from pathlib import Path
+
+import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -43,15 +46,20 @@ def test_module_names_of_tests_are_unique() -> None:
 
 LOADS = re.compile(r"\b(from_xml_\w+|from_file|from_string|buildModelFrom\w+)\(")
 STEPS = re.compile(r"\bmj_step\(|\bBatch\((?:self\.)?model|\bBatch\(models\[")
-STEPPED_IN = {
-    "checks/joint_direction.py",
-    "checks/limits_bench.py",
-    "diagnosis/hidden_state.py",
-    "effects/batch_models.py",
-    "properties/dynamics.py",
-    "replay.py",
-    "replay_forced.py",
-}
+IMPORTS = re.compile(r"^\s*(?:import|from) (?:mujoco|pinocchio|coal)\b", re.MULTILINE)
+PAGE = PROJECT / "docs" / "architecture.md"
+
+
+def documented(use: str) -> tuple[str, ...]:
+    """Folders and modules in the list of the page that begins with the word ``use``."""
+    section = PAGE.read_text("utf-8").partition("## Where simulators are used")[2]
+    (line,) = re.findall(rf"^- \*\*{use}\*\*(.*(?:\n  .*)*)", section, re.MULTILINE)
+    return tuple(re.findall(r"`([^`]+)`", line))
+
+
+def undocumented(pattern: re.Pattern[str], *uses: str) -> list[str]:
+    named = tuple(place for use in uses for place in documented(use))
+    return [place for place in places_of(pattern) if not place.startswith(named)]
 
 
 def places_of(pattern: re.Pattern[str]) -> set[str]:
@@ -63,14 +71,43 @@ def places_of(pattern: re.Pattern[str]) -> set[str]:
     }
 
 
-def test_models_are_loaded_only_in_the_documented_package() -> None:
-    named = ("realization/", "asset/loss/", "properties/")
-    assert [place for place in places_of(LOADS) if not place.startswith(named)] == []
+def test_models_are_loaded_only_in_the_documented_folders() -> None:
+    assert undocumented(LOADS, "Loaded") == []
 
 
 def test_simulators_are_stepped_only_in_the_documented_places() -> None:
-    elsewhere = {p for p in places_of(STEPS) if not p.startswith("realization/")}
-    assert elsewhere == STEPPED_IN
+    assert undocumented(STEPS, "Stepped") == []
+
+
+def test_simulators_are_imported_only_in_the_documented_places() -> None:
+    assert undocumented(IMPORTS, "Loaded", "Stepped", "Imported") == []
+
+
+@pytest.mark.parametrize(
+    ("use", "pattern"), [("Loaded", LOADS), ("Stepped", STEPS), ("Imported", IMPORTS)]
+)
+def test_every_documented_place_uses_a_simulator(use: str, pattern: re.Pattern[str]) -> None:
+    used = places_of(pattern)
+    idle = [place for place in documented(use) if not any(u.startswith(place) for u in used)]
+    assert idle == []
+
+
+def test_the_table_of_folders_has_every_module_in_the_order_of_the_import_layers() -> None:
+    tool = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]
+    layers = [layer.split(" | ") for layer in tool["contracts"][0]["layers"]]
+    level = {name.removeprefix("pytest_twin."): i for i, one in enumerate(layers) for name in one}
+    table = PAGE.read_text("utf-8").partition("| folder or module | content |")[2].split("\n\n")[0]
+    rows = [
+        re.findall(r"`([^`]+?)(?:/|\.py)`", row.split("|")[1]) for row in table.splitlines()[2:]
+    ]
+    named = [name for row in rows for name in row]
+    assert sorted(named) == sorted(
+        path.stem
+        for path in (PROJECT / "pytest_twin").iterdir()
+        if path.name not in ("__init__.py", "__pycache__", "py.typed", "schemas")
+    )
+    levels = [level[name] for name in named]
+    assert levels == sorted(levels)
 
 
 def test_benchmark_plants_share_no_code_with_the_package() -> None:
