@@ -109,7 +109,7 @@ def first_diagnosis(folder: Path) -> Answer:
 
 def pendulum(**hidden: float) -> Callable[[Path], object]:
     """Return a function that writes a pendulum with effects that the model lacks."""
-    return lambda folder: two_pendulums.case(folder, ("left",), seconds=0.8, **hidden)
+    return lambda folder: two_pendulums.case(folder, ("left",), seconds=0.8, metadata={}, **hidden)
 
 
 def logged_effort(folder: Path) -> None:

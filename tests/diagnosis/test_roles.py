@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from two_pendulums import JOINTS, mjcf, record
+from two_pendulums import DECLARED, JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
@@ -25,35 +26,46 @@ def record_pendulum(
     folder: Path, name: str, seed: int, seconds: float = 2.2, **metadata: str
 ) -> Path:
     (folder / "model.xml").write_text(mjcf(LEFT))
-    return record(folder / name, seed, joints=LEFT, seconds=seconds, metadata=metadata, viscous=0.1)
+    return record(
+        folder / name, seed, joints=LEFT, seconds=seconds, metadata=DECLARED | metadata, viscous=0.1
+    )
 
 
 def validation_names(roles: Roles) -> set[str]:
     return {t.path.name for t in roles.validation}
 
 
-@pytest.mark.parametrize(
-    "count", [2, 4], ids=["no validation recording", "one validation recording"]
-)
-def test_a_search_without_the_test_recordings_on_disk_has_the_same_findings(
-    tmp_path: Path, count: int
-) -> None:
-    """The test recording has more friction and a larger motion, so a search that used it would have
-    another result.
+@dataclass(frozen=True)
+class Recorded:
+    """Recordings to fit, and a test recording with more friction and a larger motion, so that a
+    search that used it would have another result.
     """
-    fit = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(count)]
-    test = record(tmp_path / "test.mcap", 9, joints=LEFT, seconds=3.0, viscous=0.14, noise=3e-4)
-    realization = load_model(tmp_path / "model.xml").realization
 
-    def diagnosed() -> Diagnosis:
-        return diagnose(realization, read(tmp_path, fit, [test]), threads=1)
+    fit: list[Path]
+    test: Path
 
-    opened = diagnosed()
-    test.unlink()
-    absent = diagnosed()
+    @classmethod
+    def in_folder(cls, folder: Path, count: int) -> Recorded:
+        fit = [record_pendulum(folder, f"{seed}.mcap", seed) for seed in range(count)]
+        test = record(folder / "test.mcap", 9, joints=LEFT, seconds=3.0, viscous=0.14, noise=3e-4)
+        return cls(fit, test)
+
+    def diagnosed(self) -> Diagnosis:
+        folder = self.test.parent
+        realization = load_model(folder / "model.xml").realization
+        return diagnose(realization, read(folder, self.fit, [self.test]), threads=1)
+
+
+@pytest.fixture(scope="module")
+def four(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recorded, Diagnosis]:
+    """Four recordings to fit, and their diagnosis with the test recording on disk."""
+    recorded = Recorded.in_folder(tmp_path_factory.mktemp("four"), 4)
+    return recorded, recorded.diagnosed()
+
+
+def assert_test_recording_was_not_used(opened: Diagnosis, absent: Diagnosis) -> None:
     assert len(opened.tested.prepared.problem.held_out) == 1
     assert len(absent.tested.prepared.problem.held_out) == 0
-    assert len(opened.roles.validation) == (1 if count == 4 else 0)
     assert [(f.effect, f.joint) for f in absent.explained.findings] == [
         ("viscous_friction", "left")
     ]
@@ -67,14 +79,32 @@ def test_a_search_without_the_test_recordings_on_disk_has_the_same_findings(
     assert gain < 0.97, "the gain must be that of the test recording, which has more friction"
 
 
-def test_parameters_are_fitted_to_fit_and_validation_recordings(tmp_path: Path) -> None:
-    fit = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(4)]
-    test = record_pendulum(tmp_path, "test.mcap", 9)
-    realization = load_model(tmp_path / "model.xml").realization
-    found = diagnose(realization, read(tmp_path, fit, [test]), threads=1)
+def test_a_search_without_the_test_recordings_on_disk_has_the_same_findings(
+    tmp_path: Path,
+) -> None:
+    recorded = Recorded.in_folder(tmp_path, 2)
+    opened = recorded.diagnosed()
+    recorded.test.unlink()
+    assert not opened.roles.validation
+    assert_test_recording_was_not_used(opened, recorded.diagnosed())
+
+
+def test_a_search_with_a_validation_recording_has_the_same_findings_without_the_test_recording(
+    four: tuple[Recorded, Diagnosis],
+) -> None:
+    recorded, opened = four
+    recorded.test.unlink()
+    assert len(opened.roles.validation) == 1
+    assert_test_recording_was_not_used(opened, recorded.diagnosed())
+
+
+def test_parameters_are_fitted_to_fit_and_validation_recordings(
+    four: tuple[Recorded, Diagnosis],
+) -> None:
+    recorded, found = four
     assert len(found.roles.validation) == 1
     trials = found.to_json(realization="realization/")["trials"]
-    assert sorted(trials["fit"] + trials["validation"]) == [p.name for p in fit]
+    assert sorted(trials["fit"] + trials["validation"]) == [p.name for p in recorded.fit]
     assert trials["held_out"] == ["test.mcap"]
     assert len(found.prepared.problem.fit) == 4
     assert not len(found.prepared.problem.held_out)

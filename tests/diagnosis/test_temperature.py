@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from two_pendulums import mjcf, record
+from two_pendulums import DECLARED, mjcf, record
 
 from pytest_twin import cli
 from pytest_twin.commands.replay import load_model
@@ -29,7 +29,7 @@ def diagnosed(folder: Path, hidden: str, excess: float) -> Path:
     (folder / "model.xml").write_text(mjcf())
     files = [
         record(
-            folder / f"{role}_{name}{seed}.mcap", seed, role=role, metadata={"temperature": name},
+            folder / f"{role}_{name}{seed}.mcap", seed, role=role, metadata=DECLARED | {"temperature": name},
             **{hidden: level, "joint": 0},
         )
         for seed, (role, name, level) in enumerate(

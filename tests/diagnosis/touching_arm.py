@@ -10,7 +10,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from two_pendulums import write
+from two_pendulums import DECLARED, write
 
 STEP, FINE = 0.002, 0.00025
 SOLREF = (0.05, 1.0)
@@ -82,6 +82,7 @@ def case(
         noise = np.random.default_rng([seed, 1]).standard_normal((len(moved[::every]), len(joints)))
         path = folder / f"{role}{seed}.mcap"
         seen_at = FINE * np.arange(0, count, every)
-        write(path, joints, sent_at, sent, seen_at, moved[::every] + 1e-4 * noise, role)
+        seen = moved[::every] + 1e-4 * noise
+        write(path, joints, sent_at, sent, seen_at, seen, role, metadata=DECLARED)
         words.append(str(path))
     return words
