@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-
 FOLLOWED_METHODS = ("all", "any", "max", "mean", "min", "sum")
 FOLLOWED_FUNCTIONS = (np.all, np.any, np.clip, np.max, np.mean, np.min, np.sum, np.where)
 """What is followed through arrays, beside arithmetic and comparisons."""

@@ -29,8 +29,8 @@ def diagnosed(folder: Path, hidden: str, excess: float) -> Path:
     (folder / "model.xml").write_text(mjcf())
     files = [
         record(
-            folder / f"{role}_{name}{seed}.mcap", seed, role=role, metadata=DECLARED | {"temperature": name},
-            **{hidden: level, "joint": 0},
+            folder / f"{role}_{name}{seed}.mcap", seed, role=role,
+            metadata=DECLARED | {"temperature": name}, **{hidden: level, "joint": 0},
         )
         for seed, (role, name, level) in enumerate(
             (role, name, level)
