@@ -41,7 +41,7 @@ def box(friction: float, half: float, timestep: float = 0.004, surface: str = ""
 def force_at(time: float, seed: int) -> np.ndarray:
     """Force, N, along the surface that accelerates the box, keeps it sliding and then ends."""
     angle = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi)
-    share = np.interp(time, [0.05, 0.15, 0.25, 0.3, 0.5, 0.52], [0.0, 1.6, 1.6, 1.0, 1.0, 0.0])
+    share = np.interp(time, [0.02, 0.09, 0.16, 0.2, 0.34, 0.36], [0.0, 1.6, 1.6, 1.0, 1.0, 0.0])
     return FRICTION * MASS * 9.81 * share * np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
@@ -59,6 +59,7 @@ def record_box(
     frame: str,
     acting: Callable[[float, int], np.ndarray] = force_at,
     surface: str = "",
+    seconds: float = 0.46,
 ) -> None:
     """Write poses at 100 Hz and forces at 500 Hz of a box simulated with a 0.25 ms step."""
     rng = np.random.default_rng(100 + seed)
@@ -67,7 +68,7 @@ def record_box(
     data.qpos[2] = HALF + OFFSET
     mujoco.mj_step(model, data, nstep=4000)
     start, poses, wrenches = data.time, [], []
-    for tick in range(2800):
+    for tick in range(round(seconds / 0.00025)):
         time = data.time - start
         force = acting(time, seed)
         data.xfrc_applied[1, :3] = force
@@ -129,7 +130,7 @@ def test_presses_identify_stiffness_and_contact_offset_but_not_friction(tmp_path
     (tmp_path / "box.xml").write_text(box(0.8, HALF))
     files = [tmp_path / f"{seed}.mcap" for seed in range(4)]
     for seed, path in enumerate(files):
-        record_box(path, seed, "world", press_at, f'solref="-{stiffness} -15"')
+        record_box(path, seed, "world", press_at, f'solref="-{stiffness} -15"', seconds=0.7)
     status = cli.main(
         ["identify", str(tmp_path / "box.xml"), *map(str, files[:3]), "--held-out", str(files[3]),
          "--pose-topic", "/object", "--wrench-topic", "/push", "--out", str(tmp_path / "contact")]
