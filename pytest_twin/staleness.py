@@ -147,7 +147,7 @@ def dependency_map(
             ids |= {
                 f"declared:{part.name}"
                 for part in twin.parts.values()
-                if _affected(part.affects, golden, ids, model.structure)
+                if _is_affected(part.affects, golden, ids, model.structure)
             }
             depends_on[f"{golden.id}@{name}"] = frozenset(ids)
     return DependencyMap(parts, depends_on)
@@ -312,7 +312,9 @@ def _expanded_ids(
     return ids
 
 
-def _affected(affects: Affects | None, golden: Golden, ids: set[str], structure: Structure) -> bool:
+def _is_affected(
+    affects: Affects | None, golden: Golden, ids: set[str], structure: Structure
+) -> bool:
     if affects is None:
         return True
     if affects.kinds and golden.kind not in affects.kinds:

@@ -28,7 +28,7 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
     """Yield faults of masses and inertias."""
     seen: dict[tuple[float, ...], Body] = {}
     for body in asset.body.values():
-        if not _finite(body):
+        if not _is_finite(body):
             yield _not_finite(body)
             continue
         if not body.stated:
@@ -83,7 +83,7 @@ def comparisons(asset: Asset, geometry: Geometry) -> list[Comparison]:
     """Compare every body that has mass with its shape; fields are None if it has no volume."""
     found = []
     for body in asset.body.values():
-        if not body.mass or body.inertia is None or not _finite(body):
+        if not body.mass or body.inertia is None or not _is_finite(body):
             continue
         solid = geometry.body(body.name)
         moments = tuple(float(value) for value in principal(body.inertia))
@@ -108,7 +108,7 @@ def _element(body: Body) -> str:
     return f"link '{body.name}'"
 
 
-def _finite(body: Body) -> bool:
+def _is_finite(body: Body) -> bool:
     return bool(
         np.isfinite(body.mass or 0.0)
         and np.isfinite(0.0 if body.inertia is None else body.inertia).all()
@@ -220,8 +220,8 @@ def _default(body: Body) -> Iterator[Finding]:
     off = np.abs(body.inertia - np.diag(diagonal)).max()
     mass = float(body.mass or 0.0)
     alike = float(np.ptp(diagonal)) < 1e-9 * float(diagonal.max()) and off < 1e-12
-    round_value = alike and diagonal[0] > 0 and _one_digit(float(diagonal[0]))
-    if round_value and (_one_digit(mass) or not body.com.any()):
+    round_value = alike and diagonal[0] > 0 and _has_one_digit(float(diagonal[0]))
+    if round_value and (_has_one_digit(mass) or not body.com.any()):
         yield Finding(
             "inertia.default",
             "warning",
@@ -236,7 +236,7 @@ def _default(body: Body) -> Iterator[Finding]:
         )
 
 
-def _one_digit(value: float) -> bool:
+def _has_one_digit(value: float) -> bool:
     """Whether a number has only one significant digit."""
     return value > 0 and float(f"{value:.0e}") == value
 
@@ -309,7 +309,7 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
     most = mass * reach**2
     shifted = point_inertia(mass, body.com)
     about_origin = inertia - shifted
-    if _about_origin(inertia, about_origin, mass * solid.inertia, shifted):
+    if _is_about_origin(inertia, about_origin, mass * solid.inertia, shifted):
         yield Finding(
             "inertia.wrong_origin",
             "warning",
@@ -354,7 +354,7 @@ def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator
         )
 
 
-def _about_origin(stated: Vector, shifted_back: Vector, uniform: Vector, shift: Vector) -> bool:
+def _is_about_origin(stated: Vector, shifted_back: Vector, uniform: Vector, shift: Vector) -> bool:
     """Whether the inertia fits its shape only after a shift to the centre of mass."""
     size = float(np.linalg.norm(uniform))
     # The square of a mass near the smallest double is 0.
@@ -409,7 +409,7 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "its acceleration is undefined: simulators refuse it, invent a mass, or diverge",
                 _CAD,
             )
-        elif not any(_flat(b) for b in bodies):
+        elif not any(_is_flat(b) for b in bodies):
             moments = principal(inertia)
             yield Finding(
                 "inertia.zero_moment",
@@ -426,7 +426,7 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
             )
 
 
-def _flat(body: Body) -> bool:
+def _is_flat(body: Body) -> bool:
     """Whether a finding already reports its own inertia as not positive definite."""
     if body.inertia is None or np.abs(body.inertia).max() < MASS_FLOOR:
         return False

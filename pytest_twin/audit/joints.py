@@ -112,7 +112,7 @@ def _origin(asset: Asset, edge: Edge) -> Iterator[Finding]:
         return
     largest = float(np.abs(edge.rpy).max())
     if largest > 2 * math.pi + 1e-6:
-        degrees = _like_degrees(edge.rpy[np.abs(edge.rpy) > 2 * math.pi])
+        degrees = _looks_like_degrees(edge.rpy[np.abs(edge.rpy) > 2 * math.pi])
         yield Finding(
             "joints.origin_degrees",
             "critical" if degrees else "warning",
@@ -212,7 +212,7 @@ def _range(asset: Asset, joint: Joint) -> Iterator[Finding]:
             f"state the range from {_DATASHEET}, or make the joint fixed",
         )
     if joint.kind == "hinge" and max(abs(lower), abs(upper)) > _TURNS and upper < 1e6:
-        degrees = _like_degrees(np.array([lower, upper]))
+        degrees = _looks_like_degrees(np.array([lower, upper]))
         yield Finding(
             "joints.range_degrees",
             "critical" if degrees else "warning",
@@ -283,7 +283,7 @@ def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
                 f"state the limit from {_DATASHEET}; a joint without a motor keeps 0",
             )
     if joint.velocity is not None and _FAST < joint.velocity < 1e4:
-        degrees = joint.kind == "hinge" and _like_degrees(np.array([joint.velocity]))
+        degrees = joint.kind == "hinge" and _looks_like_degrees(np.array([joint.velocity]))
         yield Finding(
             "joints.velocity_units",
             "warning",
@@ -347,7 +347,7 @@ def _sign_and_zero(joint: Joint, evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _like_degrees(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
+def _looks_like_degrees(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
     """Whether numbers are multiples of 0.5, up to 720, as angles in degrees usually are."""
     rounded = np.round(values * 2) / 2
     return bool(

@@ -242,7 +242,7 @@ class Hulls:
         near = [
             int(i)
             for i in np.argsort(gaps, kind="stable")
-            if gaps[i] < _NEAR and self._counts(int(at[i]), int(other[i]), joined)
+            if gaps[i] < _NEAR and self._is_counted(int(at[i]), int(other[i]), joined)
         ]
         found: dict[tuple[str, str], NearPair] = {}
         for index in near[:_MOST_PAIRS]:
@@ -261,7 +261,7 @@ class Hulls:
             "coal",
         )
 
-    def _counts(self, first: int, second: int, joined: bool) -> bool:
+    def _is_counted(self, first: int, second: int, joined: bool) -> bool:
         """Whether the distance of two shapes is computed."""
         bodies = self._bodies[first], self._bodies[second]
         if joined:

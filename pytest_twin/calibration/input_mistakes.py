@@ -75,7 +75,7 @@ def find_mistakes(fit: Fit) -> tuple[InputMistake, ...]:
         InputMistake(what, mend, *_errors(problem.with_observations(changed)))
         for what, mend, changed in _alternatives(problem)
     ]
-    good = [one for one in tried if _far_better(one, now)]
+    good = [one for one in tried if _is_far_better(one, now)]
     good += [
         one
         for one in (
@@ -102,7 +102,7 @@ def _nothing() -> tuple[float, float]:
     return float("nan"), float("nan")
 
 
-def _far_better(one: InputMistake, now: tuple[float, float]) -> bool:
+def _is_far_better(one: InputMistake, now: tuple[float, float]) -> bool:
     translation = one.translation < FAR_BETTER * now[0]
     return translation and (np.isnan(now[1]) or one.rotation < FAR_BETTER * now[1])
 

@@ -360,7 +360,7 @@ class _Coupled:
             value = min(max(round(lower + (upper - lower) * stream.random(), 6), lower), upper)
             qpos[self._address(root)] = value
             self._follow(qpos)
-            if self._within(qpos, members):
+            if self._is_within(qpos, members):
                 break
         return value
 
@@ -381,7 +381,7 @@ class _Coupled:
         fitting = [
             value
             for value in np.linspace(lower, upper, _GRID).tolist()
-            if self._within(self.configuration({root: value}), members)
+            if self._is_within(self.configuration({root: value}), members)
         ]
         return (fitting[0], fitting[-1]) if fitting else None
 
@@ -390,11 +390,11 @@ class _Coupled:
         if self._loops and self._close(qpos, frozenset()):
             return None
         chosen = [joint for joint in self._joint if self.root(joint) in values]
-        if not self._within(qpos, chosen):
+        if not self._is_within(qpos, chosen):
             return None
         return {joint: float(qpos[self._address(joint)]) for joint in self._joint}
 
-    def _within(self, qpos: FloatArray, joints: Iterable[str]) -> bool:
+    def _is_within(self, qpos: FloatArray, joints: Iterable[str]) -> bool:
         for joint in joints:
             low, high = self._range(joint)
             slack = 1e-6 + 1e-3 * (high - low)

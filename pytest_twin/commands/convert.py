@@ -152,7 +152,7 @@ def converted(
     notes = [_without(recording, role) for role in TOPICS if role not in recording.series]
     series = dict(recording.series)
     command = series.get("command")
-    if command is not None and _of_any_quantity(command):
+    if command is not None and _is_of_any_quantity(command):
         mode = command_mode or _command_kind(command, series.get("state"))
         if mode is None:
             notes.append(
@@ -186,7 +186,7 @@ def _without(recording: Recording, role: str) -> str:
     return f"no {role}s" + (f"; to read them: {topics_option(*found[0])}" if found else "")
 
 
-def _of_any_quantity(series: JointSeries) -> bool:
+def _is_of_any_quantity(series: JointSeries) -> bool:
     first = series.position
     if first is None or series.velocity is None or series.effort is None:
         return False

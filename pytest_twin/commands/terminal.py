@@ -21,7 +21,7 @@ def show(text: str, *, error: bool = False) -> None:
     The environment variable ``NO_COLOR`` keeps a terminal's text plain.
     """
     stream = sys.stderr if error else sys.stdout
-    if not _coloured(stream):
+    if not _is_coloured(stream):
         print(text, file=stream)
         return
     from rich.console import Console
@@ -35,7 +35,7 @@ def show(text: str, *, error: bool = False) -> None:
 
 def show_error(command: str, text: str) -> None:
     """Print the single line with which a command ends if its input cannot be used."""
-    if not _coloured(sys.stderr):
+    if not _is_coloured(sys.stderr):
         print(f"{command}: {text}", file=sys.stderr)
         return
     from rich.console import Console
@@ -45,5 +45,5 @@ def show_error(command: str, text: str) -> None:
     Console(stderr=True, highlight=False).print(line, soft_wrap=True)
 
 
-def _coloured(stream: TextIO) -> bool:
+def _is_coloured(stream: TextIO) -> bool:
     return stream.isatty() and not os.environ.get("NO_COLOR")

@@ -31,12 +31,6 @@ from pytest_twin.diagnosis.integrator_detection import (
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared, shared_joints
-from pytest_twin.diagnosis.recorded import (
-    RecordedSignals,
-    determine_signals,
-    with_doubt,
-    with_fewer_effects,
-)
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
@@ -44,12 +38,22 @@ from pytest_twin.diagnosis.search_recordings import search_recordings
 from pytest_twin.diagnosis.search_result import (
     SearchResult,
 )
+from pytest_twin.diagnosis.signal_meaning import (
+    RecordedSignals,
+    determine_signals,
+    with_doubt,
+    with_fewer_effects,
+)
 from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import UnexplainedResidual, unexplained
 from pytest_twin.diagnosis.unit_check import drop_other_units
+from pytest_twin.diagnosis.unnamed_law.confirmation import (
+    ConfirmedLaws,
+    confirmed_on_test,
+    laws_of_residual,
+)
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
-from pytest_twin.diagnosis.unnamed_law.tested import TestedLaws, laws_left, on_test
 from pytest_twin.diagnosis.verdict import JointError, Verdict
 from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.realization import Realization
@@ -86,7 +90,7 @@ class Diagnosis:
     prepared: Prepared
     selected: SelectedModel
     tested: SearchResult
-    free: TestedLaws
+    free: ConfirmedLaws
     roles: Roles
     trace: Trace
     cost: Cost
@@ -218,7 +222,9 @@ def diagnose(
         tested, left = assessed.tested, dict[str, UnexplainedResidual]()
         if tested.verdict in ("improved", "unexplained"):
             left = unexplained(tested, *assessed.near)
-        free = on_test(laws, structure.found.prepared.problem, tested, searched_all=not run.untried)
+        free = confirmed_on_test(
+            laws, structure.found.prepared.problem, tested, searched_all=not run.untried
+        )
         progress(0.9)
         step = notes_on_coarse_step(
             tested.prepared.problem, tested.explained.hypothesis, tested.errors
@@ -240,7 +246,7 @@ def _laws_of_residual(structure: ChosenModel, run: Run) -> FreeLaws:
     """Laws without a name for the residual, if time remains."""
     try:
         with run.budget.fitting():
-            return laws_left(structure.given, structure.found, structure.near)
+            return laws_of_residual(structure.given, structure.found, structure.near)
     except OutOfTime:
         run.skip("a law without a name for the unexplained residual")
         return FreeLaws((), structure.found.explained.hypothesis, ())

@@ -172,9 +172,9 @@ def explain(
                 where=where,
                 held_out_gain=gain,
                 influence=height,
-                alternatives=tuple(_alternative(problem, a) for a in others if _worth_listing(a))[
-                    : FINDINGS.most_alternatives
-                ],
+                alternatives=tuple(
+                    _alternative(problem, a) for a in others if _is_worth_listing(a)
+                )[: FINDINGS.most_alternatives],
                 next_test=_next_test(term, [t for a in others for t in a.new]),
                 correlated=trade_offs(problem, hypothesis, term, width),
                 term=term,
@@ -186,7 +186,7 @@ def explain(
     return Explained(tuple(found), hypothesis, pruned.notes, reduced_models)
 
 
-def _worth_listing(rival: Rivalling) -> bool:
+def _is_worth_listing(rival: Rivalling) -> bool:
     """Whether an alternative is reported: it is likely enough, or its prediction is the same.
 
     The second kind is reported even if its number of effects makes it unlikely.

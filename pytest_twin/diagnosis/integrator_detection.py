@@ -89,7 +89,7 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
     noise = _noise(found.prepared)
     if given.is_of_robot or any(t.law.is_elastic_transmission for t in best.hypothesis.terms):
         return None
-    if found.verdict == "no_mismatch" or not _measured(problem, best.hypothesis):
+    if found.verdict == "no_mismatch" or not _is_measured(problem, best.hypothesis):
         return None
     if (discretization(problem) < VERDICT.stands_out * noise).all():
         return None
@@ -149,7 +149,7 @@ def _substeps_of(prepared: Prepared) -> int:
     It is 0 if more than noise remains with every number, or if the correction makes no difference.
     """
     problem, noise = prepared.problem, _noise(prepared)
-    if not _measured(problem, EMPTY):
+    if not _is_measured(problem, EMPTY):
         return 0
     before = _squares(problem, EMPTY, noise)
     left = {k: _squares(_with_part(problem, 1.0 - 1.0 / k), EMPTY, noise) for k in SUBSTEPS}
@@ -182,7 +182,7 @@ def _error_stays_small(problem: Problem) -> bool:
     return bool((discretization(problem) <= np.maximum(size, _LEAST)).all())
 
 
-def _measured(problem: Problem, hypothesis: Hypothesis) -> bool:
+def _is_measured(problem: Problem, hypothesis: Hypothesis) -> bool:
     """Measure the discretization error at a hypothesis; return whether all segments have one."""
     problem.refine_at(hypothesis)
     known = len(problem.discretization_error) == len(problem.simulator.segments)

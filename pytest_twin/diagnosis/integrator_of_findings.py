@@ -71,7 +71,7 @@ def with_detected_timestep(
         left = residuals_everywhere(there.problem, rival.hypothesis)[:, : len(problem.joints)]
         if left.shape != robot.shape:
             continue
-        known = trials is not found.trials and _forces_of_the_step(
+        known = trials is not found.trials and _has_forces_of_the_step(
             problem, start, there.problem, rival.hypothesis
         )
         # If the efforts show a simulation, the positions must only not contradict it.
@@ -79,9 +79,9 @@ def with_detected_timestep(
         told = (
             min(ratio) > -INTEGRATOR.least_evidence and sum(ratio) > 0.0
             if known
-            else _by_positions(ratio)
+            else _is_shown_by_positions(ratio)
         )
-        if not told or not _noise_alone(left, noise):
+        if not told or not _is_noise_alone(left, noise):
             continue
         other = conclude(there, used, selection, selection.run(rival))
         fewer = set(other.explained.hypothesis.terms) <= set(start.terms)
@@ -139,7 +139,7 @@ def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int
     return best if each[best] < none else 0
 
 
-def _forces_of_the_step(
+def _has_forces_of_the_step(
     robot: Problem, found: Hypothesis, stepped: Problem, refitted: Hypothesis
 ) -> bool:
     """Whether the logged efforts of every recording are those of the previous simulation step.
@@ -168,14 +168,14 @@ def _forces_of_the_step(
     return all((a[_EARLIER] < INTEGRATOR.effort_closer * b.min(axis=0)).all() for a, b in ways)
 
 
-def _noise_alone(left: FloatArray, noise: FloatArray) -> bool:
+def _is_noise_alone(left: FloatArray, noise: FloatArray) -> bool:
     """Whether only noise remains at every joint."""
     if not np.isfinite(left).all():
         return False
     return bool((np.sqrt(np.mean(left**2, axis=0)) <= INTEGRATOR.noise_alone * noise).all())
 
 
-def _by_positions(ratio: Sequence[float]) -> bool:
+def _is_shown_by_positions(ratio: Sequence[float]) -> bool:
     """Whether every recording is predicted better, and all together significantly."""
     return sum(ratio) >= INTEGRATOR.least_evidence and min(ratio) > 0.0
 

@@ -170,13 +170,13 @@ def prepare(
     refined = BatchSimulator(segments, joints, threads=threads, refine=finer, fixed=fixed)
     nominal = nominal_replay(simulator)
     effort_floor: FloatArray | None = None
-    if _signed_efforts(segments, nominal):
+    if _has_signed_efforts(segments, nominal):
         effort_floor = effort_noise(segments, nominal, owner)
     scales = simulated.scales or joint_scales(simulator, nominal)
     discretization_error = step_errors(nominal, nominal_replay(refined))
     allowed = np.maximum(PREPARE.wild * noise, PREPARE.wild_share * scales.of["position"])
     changed = _rms([add.position for add in discretization_error.values()], len(joints))
-    if window in (None, WINDOW) and _too_wild(segments, changed, allowed):
+    if window in (None, WINDOW) and _is_too_wild(segments, changed, allowed):
         return prepare(
             realization, fit, held_out,
             threads=threads, window=0.5 * WINDOW, contact=contact,
@@ -293,7 +293,7 @@ def _weigh_efforts(
     _set_effort_weights(problem, np.maximum(effort_floor, finest_effort(segments)), jumps)
 
 
-def _signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -> bool:
+def _has_signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -> bool:
     """Whether every recording has finite efforts with a sign.
 
     Some drivers publish the magnitude of a current. It is never negative, although the model's
@@ -319,7 +319,7 @@ def _known(noise: FloatArray) -> FloatArray:
     return known
 
 
-def _too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:
+def _is_too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:
     """Whether the discretization error requires shorter windows, and half of one is long enough."""
     enough = float(np.median([len(s.time) for s in segments])) >= 2 * PREPARE.fewest_samples
     return all(s.starts_in_motion for s in segments) and enough and bool((steps > allowed).any())

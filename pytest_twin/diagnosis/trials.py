@@ -358,7 +358,7 @@ def _refuse_too_few(trial: Trial) -> None:
         )
 
 
-def _held_by_its_stop(trial: Trial, joint: str, structure: Structure) -> bool:
+def _is_held_by_its_stop(trial: Trial, joint: str, structure: Structure) -> bool:
     """Whether a joint is at one end of its range all the time, so that commands hardly move it."""
     ends = structure.joint_range.get(joint)
     if ends is None:
@@ -378,7 +378,7 @@ def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
         RecordingError: the ratio is that of degrees, or far from one.
     """
     for column, joint in enumerate(trial.joints):
-        if trial.mode_of(joint) != "position" or _held_by_its_stop(trial, joint, structure):
+        if trial.mode_of(joint) != "position" or _is_held_by_its_stop(trial, joint, structure):
             continue
         sent = trial.commands_before(trial.time)[:, trial.command_joints.index(joint)]
         sent, seen = (

@@ -28,7 +28,7 @@ def stiff(timestep: float) -> tuple[FloatArray, FloatArray]:
     return np.array([2.0 * timestep, 1.0]), impedance
 
 
-def _free_to_choose(solref: FloatArray, solimp: FloatArray, timestep: float) -> bool:
+def _is_free_to_choose(solref: FloatArray, solimp: FloatArray, timestep: float) -> bool:
     """Whether a friction constraint is MuJoCo's default, or the stiff one of a time step in s.
 
     The latter becomes stiffer with a finer step.
@@ -50,5 +50,5 @@ def hold(model: mujoco.MjModel, dofs: Sequence[int] | NDArray[np.int64], timeste
     """
     solref, solimp = stiff(float(model.opt.timestep))
     for dof in dofs:
-        if _free_to_choose(model.dof_solref[dof], model.dof_solimp[dof], timestep):
+        if _is_free_to_choose(model.dof_solref[dof], model.dof_solimp[dof], timestep):
             model.dof_solref[dof], model.dof_solimp[dof] = solref, solimp

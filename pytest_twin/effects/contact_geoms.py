@@ -157,7 +157,7 @@ def contact_geoms(
             found[key] = (count + (key not in seen), normal, dim)
             seen.add(key)
     for key, (count, _, _) in list(found.items()):
-        if count == len(everywhere) and _own_base(model, *key):
+        if count == len(everywhere) and _is_own_base(model, *key):
             del found[key]
     return _collected(model, data, found)
 
@@ -264,7 +264,7 @@ def _between(
     return between
 
 
-def _own_base(model: mujoco.MjModel, world: int, robot: int) -> bool:
+def _is_own_base(model: mujoco.MjModel, world: int, robot: int) -> bool:
     """Whether a fixed geom that is always close to a link may belong to the robot's base.
 
     A URDF import that fuses fixed bodies leaves the base's geoms in the world.

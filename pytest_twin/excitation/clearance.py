@@ -178,7 +178,7 @@ class ClearanceChecker:
             fixed = [self._stands_still(name) for name in names]
             own = clearance.pairs.get(names, clearance.pairs.get((names[1], names[0])))
             if own is None:
-                if frozenset(names) in clearance.ignored or all(fixed) or self._adjacent(names):
+                if frozenset(names) in clearance.ignored or all(fixed) or self._are_adjacent(names):
                     continue
                 own = clearance.to_environment if any(fixed) else clearance.between_links
             yield from self._geom_pairs(names, keep * own)
@@ -206,7 +206,7 @@ class ClearanceChecker:
             body = int(self._model.body_parentid[body])
         return True
 
-    def _adjacent(self, names: Sequence[str]) -> bool:
+    def _are_adjacent(self, names: Sequence[str]) -> bool:
         """Whether a joint connects the two bodies, whose shapes may overlap there."""
         welds = [int(self._model.body_weldid[self._body(name)]) for name in names]
         above = [int(self._model.body_weldid[self._model.body_parentid[weld]]) for weld in welds]

@@ -83,12 +83,12 @@ class _Compiler:
 
     def make_enum(self, value: list[Any], _: Any) -> Fits:
         if not all(isinstance(item, str) for item in value):
-            return lambda v: any(_equal(v, item) for item in value)
+            return lambda v: any(_are_equal(v, item) for item in value)
         words = frozenset(value)
         return lambda v: isinstance(v, str) and v in words
 
     def make_const(self, value: Any, _: Any) -> Fits:
-        return lambda v: _equal(v, value)
+        return lambda v: _are_equal(v, value)
 
     def make_ref(self, value: str, _: Any) -> Fits:
         if value != "#" and not value.startswith("#/"):
@@ -176,7 +176,7 @@ class _Compiler:
             return lambda _: True
         return lambda v: (
             not isinstance(v, list)
-            or (len(set(v)) == len(v) if all(isinstance(i, str) for i in v) else _unique(v))
+            or (len(set(v)) == len(v) if all(isinstance(i, str) for i in v) else _are_unique(v))
         )
 
     def make_minProperties(self, value: int, _: Any) -> Fits:  # noqa: N802
@@ -263,16 +263,16 @@ def _any(tests: list[Fits]) -> Fits:
     return fits
 
 
-def _equal(left: Any, right: Any) -> bool:
+def _are_equal(left: Any, right: Any) -> bool:
     """Whether two JSON values are equal: 1 equals 1.0, and 1 does not equal True."""
     if isinstance(left, bool) or isinstance(right, bool):
         return left is right
     if isinstance(left, list) and isinstance(right, list):
-        return len(left) == len(right) and all(map(_equal, left, right))
+        return len(left) == len(right) and all(map(_are_equal, left, right))
     if isinstance(left, dict) and isinstance(right, dict):
-        return left.keys() == right.keys() and all(_equal(left[k], right[k]) for k in left)
+        return left.keys() == right.keys() and all(_are_equal(left[k], right[k]) for k in left)
     return bool(left == right)
 
 
-def _unique(items: list[Any]) -> bool:
-    return not any(_equal(a, b) for i, a in enumerate(items) for b in items[:i])
+def _are_unique(items: list[Any]) -> bool:
+    return not any(_are_equal(a, b) for i, a in enumerate(items) for b in items[:i])

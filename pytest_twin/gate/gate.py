@@ -230,7 +230,7 @@ class Gate:
                 if task.proof is not None and not task.is_stale
             },
             outcomes=self.outcomes,
-            repeated=frozenset(filter(self._repeated, self.outcomes)),
+            repeated=frozenset(filter(self._is_repeated, self.outcomes)),
             unproven=plan.unproven,
             orphans=plan.orphans,
             missing=plan.missing,
@@ -241,7 +241,7 @@ class Gate:
             session=session,
         )
 
-    def _repeated(self, key: str) -> bool:
+    def _is_repeated(self, key: str) -> bool:
         task = self.plan().tasks.get(key)
         return (
             task is not None

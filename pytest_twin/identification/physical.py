@@ -115,7 +115,7 @@ def physical(
     off = root @ (combination @ values - base)
     return Physical(
         parameters=values,
-        is_consistent=_consistent(columns, values),
+        is_consistent=_is_consistent(columns, values),
         violations=tuple(_violations(columns, combination, base)),
         cost=float(off @ off) / max(len(base), 1),
     )
@@ -182,7 +182,7 @@ def _root(information: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(values.clip(0.0))[:, None] * vectors.T)
 
 
-def _consistent(columns: Sequence[Column], values: FloatArray) -> bool:
+def _is_consistent(columns: Sequence[Column], values: FloatArray) -> bool:
     starts = [i for i, c in enumerate(columns) if c.kind == INERTIAL[0]]
     mass = INERTIAL.index("m")
     for i in starts:

@@ -190,7 +190,7 @@ class _Differences:
             matters, why = False, "it changes neither geometry nor motion"
         elif layer in NOT_MODELLED:
             matters, why = True, "no model shows its effect on this data"
-        elif layer in ("controller", "payload") and self._unused(layer, name):
+        elif layer in ("controller", "payload") and self._is_unused(layer, name):
             matters, why = False, f"no recording of this data names this {layer}"
         elif layer == "calibration":
             found = self._zero(name)
@@ -219,7 +219,7 @@ class _Differences:
             "size": size,
         }
 
-    def _unused(self, layer: str, name: str) -> bool:
+    def _is_unused(self, layer: str, name: str) -> bool:
         named = self.variants[layer]
         return bool(self.recordings) and name not in named
 

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from pytest_twin.errors import FormatError
-from pytest_twin.ranges.given import Term
 from pytest_twin.ranges.quantities import Quantity
+from pytest_twin.ranges.range_files import Term
 from pytest_twin.ranges_spec import TrialGroup
 
 _UNITS = {"temperature": "deg C", "load": "kg"}

@@ -17,8 +17,8 @@ from pytest_twin.ranges.bodies import Body
 from pytest_twin.ranges.check import FEWEST_ROBOTS, assess, plotted, predict_envelopes
 from pytest_twin.ranges.distribution import Distribution
 from pytest_twin.ranges.gather import UncertainParameters, collect_uncertain_parameters
-from pytest_twin.ranges.given import read_given
 from pytest_twin.ranges.quantities import quantities
+from pytest_twin.ranges.range_files import read_ranges
 from pytest_twin.ranges.recordings import RecordingsByRole, checked_recordings
 from pytest_twin.ranges.simulate import Traces, VariedRobots
 from pytest_twin.ranges.widening import fewest_robots, widened
@@ -98,7 +98,7 @@ def ranges(
     progress: Callable[[float], None] = lambda done: None,
 ) -> dict[str, Any]:
     """Return the randomization ranges of a loaded twin, and their check."""
-    given = None if request.against is None else (request.against, *read_given(request.against))
+    given = None if request.against is None else (request.against, *read_ranges(request.against))
     patched = patched_of(realization)
     share = request.share or twin.ranges.share
     count = request.draws or twin.ranges.draws

@@ -100,7 +100,7 @@ def widened(
         distance = _distance(last, factors)
         if distance < closest[0]:
             closest = (distance, found, dict(factors), last)
-        if all(_settled(factors[joint], last[joint].ratio) for joint in factors):
+        if all(_has_settled(factors[joint], last[joint].ratio) for joint in factors):
             break
     _, found, factors, last = closest
     return found, {
@@ -153,7 +153,7 @@ def _distance(found: Mapping[str, Deviation], factors: Mapping[str, float]) -> f
     return max((abs(float(np.log(max(found[j].ratio, 1e-9)))) for j in factors), default=0.0)
 
 
-def _settled(factor: float, ratio: float) -> bool:
+def _has_settled(factor: float, ratio: float) -> bool:
     """Whether a factor explains the observed deviation, or is at its limit."""
     return abs(ratio - 1.0) < _SETTLED or (factor >= LARGEST and ratio > 1.0)
 

@@ -11,9 +11,9 @@ from securesystemslib.signer import Key
 
 from pytest_twin.errors import ReleaseError, TwinError
 from pytest_twin.formats.stamps import Carrier
+from pytest_twin.release import accepted, stamp
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
-from pytest_twin.release import seen, stamp
 from pytest_twin.release.parsed_in_child import carriers_in_child
 from pytest_twin.release.restore import authentic
 from pytest_twin.release.stamp import Stamp, StampVerdict
@@ -63,7 +63,7 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
     for one in found:
         assert one.stamp is not None
         one.carrier.write(one.stamp.to_text())
-    seen.remember_twin(released.header.series, release_folder.absolute().parent.parent)
+    accepted.remember_twin(released.header.series, release_folder.absolute().parent.parent)
     return found
 
 
@@ -132,7 +132,7 @@ def twins_near(dataset: Path, found: list[Stamped]) -> Iterator[Path]:
     for one in found:
         series = one.stamp.ids["series"] if one.stamp is not None else None
         if isinstance(series, str) and len(series) == 32 and set(series) <= _SERIES:
-            root = seen.twin_of(series)
+            root = accepted.twin_of(series)
             if root is not None:
                 given[root] = None
     yield from given

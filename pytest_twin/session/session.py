@@ -289,14 +289,14 @@ class TwinSession:
             return
         if self.config.getoption("collectonly"):
             return
-        if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED and self._all_goldens_fresh():
+        if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED and self._are_all_goldens_fresh():
             session.exitstatus = pytest.ExitCode.OK
         if exitstatus == pytest.ExitCode.INTERNAL_ERROR or self.options.why:
             return
         for gate in self.gates.values():
             self._finish(gate, session, exitstatus)
 
-    def _all_goldens_fresh(self) -> bool:
+    def _are_all_goldens_fresh(self) -> bool:
         """Whether nothing ran because all goldens are fresh."""
         return not self.collection_errors and any(
             self.options.why or (gate.planned is not None and gate.planned.fresh)

@@ -110,7 +110,7 @@ def on_one_clock(
                 "no stamp (header.stamp is 0)"
             )
         timed.append(TimedMessages(one, one.stamp[rows], rows))
-    overlap, logs = _overlap(*(t.stamp for t in timed)), _log_times(topics)
+    overlap, logs = _overlap(*(t.stamp for t in timed)), _has_log_times(topics)
     log_overlap = _overlap(*(one.log_time for one in topics))
     if not overlap:
         if asked is None and log_overlap and logs:
@@ -201,7 +201,7 @@ def _overlap(states: Stamps, commands: Stamps) -> bool:
     return bool(commands.min() <= last and commands.max() >= first - latched)
 
 
-def _log_times(topics: tuple[JointSeries, JointSeries]) -> bool:
+def _has_log_times(topics: tuple[JointSeries, JointSeries]) -> bool:
     """Whether log times are those of the recorder, and not of a later conversion of the file."""
     for one in topics:
         if len(one.stamp) < 3:

@@ -91,8 +91,8 @@ def stretches(trial: Trial) -> list[Trial]:
     found = [
         gap
         for gap in common_gaps(trial.state_times, trial.command_times)
-        if _empty(trial.time, gap.start, gap.end)
-        and _empty(trial.command_time, gap.command_start, gap.command_end)
+        if _is_empty(trial.time, gap.start, gap.end)
+        and _is_empty(trial.command_time, gap.command_start, gap.command_end)
     ]
     if not found:
         return [trial]
@@ -167,7 +167,7 @@ def _first_known(position: FloatArray) -> FloatArray:
     return row
 
 
-def _empty(time: FloatArray, start: float, end: float) -> bool:
+def _is_empty(time: FloatArray, start: float, end: float) -> bool:
     """Whether there is no message between two stamps."""
     after, before = np.searchsorted(time, start, side="right"), np.searchsorted(time, end)
     return bool(after >= before)

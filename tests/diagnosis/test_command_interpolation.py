@@ -14,12 +14,16 @@ from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded import determine_signals, with_doubt
-from pytest_twin.diagnosis.recorded.command_between import AssumptionResiduals, Between, decide
-from pytest_twin.diagnosis.recorded.fact import Fact, unknown
-from pytest_twin.diagnosis.recorded.reconsidered import explains_as_much
-from pytest_twin.diagnosis.recorded.recorded_signals import RecordedSignals
-from pytest_twin.diagnosis.recorded.step_times import step_intervals
+from pytest_twin.diagnosis.signal_meaning import determine_signals, with_doubt
+from pytest_twin.diagnosis.signal_meaning.command_between import (
+    AssumptionResiduals,
+    Between,
+    decide,
+)
+from pytest_twin.diagnosis.signal_meaning.fact import Fact, unknown
+from pytest_twin.diagnosis.signal_meaning.reconsidered import explains_as_much
+from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignals
+from pytest_twin.diagnosis.signal_meaning.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 
 NOISE = np.array([1e-4])

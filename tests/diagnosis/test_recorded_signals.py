@@ -10,9 +10,9 @@ from recorded_pendulum import Reality, cell
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded import RecordedSignals, determine_signals
-from pytest_twin.diagnosis.recorded.effort import Law, Signals, effort_fact, is_the_command
-from pytest_twin.diagnosis.recorded.velocity import velocity_fact, velocity_signal
+from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
+from pytest_twin.diagnosis.signal_meaning.effort import Law, Signals, effort_fact, is_the_command
+from pytest_twin.diagnosis.signal_meaning.velocity import velocity_fact, velocity_signal
 from pytest_twin.diagnosis.trials import read_trials
 
 PERIOD = 0.004

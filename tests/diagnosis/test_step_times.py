@@ -12,14 +12,14 @@ from recorded_pendulum import Reality, cell
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded import determine_signals
-from pytest_twin.diagnosis.recorded.recorded_signals import RecordedSignals
-from pytest_twin.diagnosis.recorded.step_times import (
+from pytest_twin.diagnosis.search_result import build_problem
+from pytest_twin.diagnosis.signal_meaning import determine_signals
+from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignals
+from pytest_twin.diagnosis.signal_meaning.step_times import (
     fitted_shares,
     step_intervals,
     with_steps_at,
 )
-from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.trial import Trial
 

@@ -36,10 +36,10 @@ from pytest_twin.diagnosis.search_result import (
 )
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.unnamed_law import simulated
+from pytest_twin.diagnosis.unnamed_law.confirmation import confirmed_on_test, laws_of_residual
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, free_laws
 from pytest_twin.diagnosis.unnamed_law.regression import Regression
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
-from pytest_twin.diagnosis.unnamed_law.tested import laws_left, on_test
 from pytest_twin.effects.segment import Predicted
 from pytest_twin.effects.unnamed_law import KNOTS, POSITION, UnnamedLaw
 from pytest_twin.formats.schema import load_schema
@@ -210,11 +210,11 @@ def test_a_law_is_tested_on_held_out_recordings_then_written_and_replayed(tmp_pa
     given = ModelSetup.of(realization, None, 1)
     fit_only = replace(trials, held_out=())
     fitted, kept = build_problem(given, fit_only, [], scales=whole.problem.scales)
-    laws = laws_left(given, search_without_findings(fitted, kept), None)
-    tested = on_test(laws, fitted.problem, search_without_findings(whole, trials))
+    laws = laws_of_residual(given, search_without_findings(fitted, kept), None)
+    tested = confirmed_on_test(laws, fitted.problem, search_without_findings(whole, trials))
     ((law, gain),) = tested.laws
     assert gain > 0.9
-    early = on_test(
+    early = confirmed_on_test(
         laws, fitted.problem, search_without_findings(whole, trials), searched_all=False
     )
     assert [law.confidence for law, _ in early.laws] == [0.5]

@@ -16,8 +16,8 @@ from pytest_twin import cli
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded import determine_signals
 from pytest_twin.diagnosis.search_result import build_problem
+from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.identification.simulation import staged_fit
 from pytest_twin.identification.simulation.fitting import add_effects, held_out_error

@@ -13,8 +13,8 @@ from test_identify_simulation import MODEL, NOMINAL
 
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded import determine_signals
 from pytest_twin.diagnosis.search_result import build_problem
+from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.excitation.approved import MECHANISMS
 from pytest_twin.identification.motions import undetermined_by_command, undetermined_by_effort

@@ -61,11 +61,11 @@ def links(source: Description, target: Description) -> Row:
         f"{len(target.links)} bodies",
         "mass, centre of mass and principal inertia of each body",
         items,
-        critical=bool(items) and _moved_away(source, target),
+        critical=bool(items) and _has_moved_away(source, target),
     )
 
 
-def _moved_away(source: Description, target: Description) -> bool:
+def _has_moved_away(source: Description, target: Description) -> bool:
     """Whether the total inertia of a rigid group of links changed.
 
     A conversion may merge such links, which does not change the motion.

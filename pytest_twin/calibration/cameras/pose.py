@@ -71,7 +71,7 @@ def target_pose(detection: Detection, intrinsics: Intrinsics) -> TargetPose | No
         return None
     found.sort(key=lambda one: one.rms)
     best = found[0]
-    if len(found) < 2 or _same(best, found[1]):
+    if len(found) < 2 or _are_same(best, found[1]):
         return best
     ratio = found[1].rms / max(best.rms, 1e-9)
     return TargetPose(best.camera_from_target, best.information, best.rms, ratio)
@@ -112,6 +112,6 @@ def refined_pose(
     return TargetPose(pose[0], rows.T @ rows, float(np.sqrt(cost / residual.size)))
 
 
-def _same(one: TargetPose, other: TargetPose) -> bool:
+def _are_same(one: TargetPose, other: TargetPose) -> bool:
     difference = one.camera_from_target[:3, :3].T @ other.camera_from_target[:3, :3]
     return bool(Rotation.from_matrix(difference).magnitude() < 1e-3)

@@ -145,7 +145,7 @@ def read_effects(path: Path) -> Patched:
         "a table",
     )
     for temperature, value in cold_fractions.items():
-        need(_finite(value), f"coldness.{temperature}", "a finite number", value)
+        need(_is_finite(value), f"coldness.{temperature}", "a finite number", value)
     need(
         not cold_fractions or len(set(cold_fractions.values())) > 1,
         "coldness",
@@ -186,7 +186,7 @@ def read_effects(path: Path) -> Patched:
         known = {p.name for p in catalogue()[name].parameters}
         need(isinstance(values, dict) and set(values) <= known, f"{here}.values", str(known))
         for key, value in values.items():
-            need(_finite(value), f"{here}.values.{key}", "a finite number", value)
+            need(_is_finite(value), f"{here}.values.{key}", "a finite number", value)
         if not item["in_model"]:
             need(set(values) == known, f"{here}.values", str(known))
         found.append(
@@ -201,5 +201,5 @@ def read_effects(path: Path) -> Patched:
     )
 
 
-def _finite(value: object) -> bool:
+def _is_finite(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

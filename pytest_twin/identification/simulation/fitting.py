@@ -48,7 +48,7 @@ def fit_best_start(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis
 
     The fit is repeated with the discretization error at its own result.
     """
-    apart = [h for k, h in enumerate(starts) if all(not _same(h, g) for g in starts[:k])]
+    apart = [h for k, h in enumerate(starts) if all(not _are_same(h, g) for g in starts[:k])]
     weights = _weights(problem, apart)
     if len(apart) > 1:
         tried = _fit(problem, apart, weights, _FIRST_ITERATIONS)
@@ -277,5 +277,5 @@ def _weights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> FloatArray:
     return problem.weights(least)
 
 
-def _same(one: Hypothesis, other: Hypothesis) -> bool:
+def _are_same(one: Hypothesis, other: Hypothesis) -> bool:
     return one.terms == other.terms and bool(np.allclose(one.theta, other.theta))

@@ -18,8 +18,8 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded import RecordedSignals, determine_signals
 from pytest_twin.diagnosis.search_result import build_problem, joint_errors, residuals_everywhere
+from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.identification.simulation.equation_error import first_values

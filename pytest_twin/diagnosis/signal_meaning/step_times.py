@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded.joint_fit import JointFit, Parameters
-from pytest_twin.diagnosis.recorded.settings import INTERPOLATION, JOINT_FIT
 from pytest_twin.diagnosis.search_result import build_problem
+from pytest_twin.diagnosis.signal_meaning.joint_fit import JointFit, Parameters
+from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION, JOINT_FIT
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.errors import TwinError
 from pytest_twin.trial import Trial

@@ -15,8 +15,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.recorded.effort_settings import EFFORTS
-from pytest_twin.diagnosis.recorded.fact import Fact, unknown
+from pytest_twin.diagnosis.signal_meaning.effort_settings import EFFORTS
+from pytest_twin.diagnosis.signal_meaning.fact import Fact, unknown
 from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.recording_options import CommandMode
 from pytest_twin.trial.setpoint import Setpoint

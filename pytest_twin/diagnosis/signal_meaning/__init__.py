@@ -6,9 +6,9 @@ Each module answers one question, with confidence and evidence in words. If the 
 determine the answer it is None, and later steps do not depend on it.
 """
 
-from pytest_twin.diagnosis.recorded.command_between import Between
-from pytest_twin.diagnosis.recorded.doubt import with_doubt
-from pytest_twin.diagnosis.recorded.reconsidered import with_fewer_effects
-from pytest_twin.diagnosis.recorded.recorded_signals import RecordedSignals, determine_signals
+from pytest_twin.diagnosis.signal_meaning.command_between import Between
+from pytest_twin.diagnosis.signal_meaning.doubt import with_doubt
+from pytest_twin.diagnosis.signal_meaning.reconsidered import with_fewer_effects
+from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignals, determine_signals
 
 __all__ = ["Between", "RecordedSignals", "determine_signals", "with_doubt", "with_fewer_effects"]

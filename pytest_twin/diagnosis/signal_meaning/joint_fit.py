@@ -18,7 +18,7 @@ from scipy.optimize import lsq_linear
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem, corrected
-from pytest_twin.diagnosis.recorded.settings import JOINT_FIT
+from pytest_twin.diagnosis.signal_meaning.settings import JOINT_FIT
 from pytest_twin.effects.actuation import ActuatorLag, ControllerGain, DeadZone
 from pytest_twin.effects.friction import CoulombFriction, ViscousFriction
 from pytest_twin.effects.rigid_body import Armature
@@ -96,7 +96,7 @@ def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
     while True:
         best = max(range(len(states)), key=lambda i: states[i].score)
         slopes = space.slopes(best, states[best])
-        if space.iterations >= JOINT_FIT.iterations or _settled(states, space.noise):
+        if space.iterations >= JOINT_FIT.iterations or _has_settled(states, space.noise):
             break
         tried = []
         for i, state in enumerate(states):
@@ -123,7 +123,7 @@ def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
     ]
 
 
-def _settled(states: Sequence[_State], noise: FloatArray) -> bool:
+def _has_settled(states: Sequence[_State], noise: FloatArray) -> bool:
     """Whether all fits are done.
 
     A fit is done if it has converged, if only noise remains, or if its residual is far larger than

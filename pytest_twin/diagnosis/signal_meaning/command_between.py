@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
-from pytest_twin.diagnosis.recorded.fact import Fact, unknown
-from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
+from pytest_twin.diagnosis.signal_meaning.fact import Fact, unknown
+from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 
 MEAN_DELAY: Mapping[CommandBetween, float] = {"held": 0.5, "interpolated": 0.0, "ramped": 1.0}
@@ -112,7 +112,7 @@ def decide(
             continue
         ratio = _ratio(usable[best].residual, usable[other].residual, lengths, owner, noise)
         later = period * (MEAN_DELAY[other] - MEAN_DELAY[best])
-        if _ruled_out(usable[best], usable[other], ratio, noise, later):
+        if _is_ruled_out(usable[best], usable[other], ratio, noise, later):
             nats = min(nats, float(ratio.sum()))
         else:
             possible.append(other)
@@ -161,7 +161,7 @@ def _ratio(
     return np.array(found)
 
 
-def _ruled_out(
+def _is_ruled_out(
     best: AssumptionResiduals,
     other: AssumptionResiduals,
     ratio: FloatArray,

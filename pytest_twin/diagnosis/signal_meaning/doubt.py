@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
-from pytest_twin.diagnosis.recorded.command_between import Between
-from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
+from pytest_twin.diagnosis.signal_meaning.command_between import Between
+from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
 from pytest_twin.effects.actuation import ActuatorLag
 from pytest_twin.effects.timing import CommandDelay, SensorDelay
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.noise import sensor_noise
-from pytest_twin.diagnosis.recorded.fact import Fact, unknown
-from pytest_twin.diagnosis.recorded.settings import RECORDED_VELOCITY
+from pytest_twin.diagnosis.signal_meaning.fact import Fact, unknown
+from pytest_twin.diagnosis.signal_meaning.settings import RECORDED_VELOCITY
 
 Kind = Literal["sensor", "differenced", "filtered"]
 

@@ -71,7 +71,7 @@ _OPERATION = {"encoder_bias": "abs", "body_mass": "scale", "randomize_rigid_body
 """Function -> default operation; all others set the value."""
 
 
-def read_given(path: Path) -> tuple[list[Term], list[str]]:
+def read_ranges(path: Path) -> tuple[list[Term], list[str]]:
     """Return the terms of a file, and one line for each part that is not compared.
 
     Raises:

@@ -14,12 +14,12 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem, conclude
+from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
@@ -55,7 +55,7 @@ def with_fewer_effects(
         selection.has_nothing_to_add = True
         selected = selection.run(selection.comparison.fit_to_convergence(least))
         other = conclude(prepared, trials, selection, selected)
-        if _fewer(other, found if best is None else best[0]):
+        if _has_fewer_effects(other, found if best is None else best[0]):
             best = other, between
     return best
 
@@ -101,7 +101,7 @@ def _with_interpolation(trials: TrialSet, between: CommandBetween) -> TrialSet:
     return replace(trials, fit=fit, held_out=held_out)
 
 
-def _fewer(other: SearchResult, found: SearchResult) -> bool:
+def _has_fewer_effects(other: SearchResult, found: SearchResult) -> bool:
     """Whether a result has fewer effects and no larger error in any signal."""
     if other.explained.hypothesis.more_terms(found.explained.hypothesis) >= 0:
         return False

@@ -26,7 +26,7 @@ from pytest_twin.diagnosis.windows import WINDOW
 
 
 @dataclass(frozen=True, slots=True)
-class TestedLaws:
+class ConfirmedLaws:
     """Free laws that the test recordings confirm.
 
     Attributes:
@@ -53,7 +53,7 @@ class TestedLaws:
         return max(gains, default=None)
 
 
-def laws_left(given: ModelSetup, found: SearchResult, near: float | None) -> FreeLaws:
+def laws_of_residual(given: ModelSetup, found: SearchResult, near: float | None) -> FreeLaws:
     """Free laws for the residual that a search leaves unexplained.
 
     Args:
@@ -75,9 +75,9 @@ def laws_left(given: ModelSetup, found: SearchResult, near: float | None) -> Fre
     return free_laws(prepared, hypothesis, where, prepared.problem.fit)
 
 
-def on_test(
+def confirmed_on_test(
     found: FreeLaws, fitted: Problem, tested: SearchResult, *, searched_all: bool = True
-) -> TestedLaws:
+) -> ConfirmedLaws:
     """Predict the test recordings with the laws, and drop laws that remove too little of the error.
 
     Args:
@@ -118,7 +118,7 @@ def on_test(
                 )
             errors = joint_errors(tested.prepared, tested.before, after)
             removed = [law.term for law in found.laws if law.term not in terms]
-            return TestedLaws(
+            return ConfirmedLaws(
                 tuple(zip(kept, gains, strict=True)),
                 found.hypothesis.without(*removed),
                 replace(tested, after=after, errors=errors),
@@ -132,7 +132,7 @@ def on_test(
             f"({100 * FREE_LAWS.removes:.0f} % required)"
         )
     free = found.hypothesis.without(*(law.term for law in found.laws))
-    return TestedLaws((), free, tested, tuple(notes))
+    return ConfirmedLaws((), free, tested, tuple(notes))
 
 
 def _moved(term: Term, column: Mapping[int, int]) -> Term:

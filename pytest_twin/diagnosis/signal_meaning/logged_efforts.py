@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pytest_twin.diagnosis.recorded.between_fit import BetweenFit
-from pytest_twin.diagnosis.recorded.effort import (
+from pytest_twin.diagnosis.signal_meaning.between_fit import BetweenFit
+from pytest_twin.diagnosis.signal_meaning.effort import (
     Law,
     Signals,
     effort_fact,
@@ -17,8 +17,8 @@ from pytest_twin.diagnosis.recorded.effort import (
     pooled,
     signals,
 )
-from pytest_twin.diagnosis.recorded.effort_settings import EFFORTS
-from pytest_twin.diagnosis.recorded.fact import Fact
+from pytest_twin.diagnosis.signal_meaning.effort_settings import EFFORTS
+from pytest_twin.diagnosis.signal_meaning.fact import Fact
 from pytest_twin.effects.actuation import ActuatorLag, DeadZone
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial

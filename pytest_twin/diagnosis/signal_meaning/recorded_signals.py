@@ -11,13 +11,13 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded.between_fit import BetweenFit, fit_between
-from pytest_twin.diagnosis.recorded.command_between import Between
-from pytest_twin.diagnosis.recorded.fact import Fact, unknown
-from pytest_twin.diagnosis.recorded.logged_efforts import logged_efforts
-from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
-from pytest_twin.diagnosis.recorded.step_times import StepTimes, step_intervals, with_steps_at
-from pytest_twin.diagnosis.recorded.velocity import velocity_fact
+from pytest_twin.diagnosis.signal_meaning.between_fit import BetweenFit, fit_between
+from pytest_twin.diagnosis.signal_meaning.command_between import Between
+from pytest_twin.diagnosis.signal_meaning.fact import Fact, unknown
+from pytest_twin.diagnosis.signal_meaning.logged_efforts import logged_efforts
+from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
+from pytest_twin.diagnosis.signal_meaning.step_times import StepTimes, step_intervals, with_steps_at
+from pytest_twin.diagnosis.signal_meaning.velocity import velocity_fact
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.errors import TwinError
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
@@ -90,7 +90,7 @@ class RecordedSignals:
             lines += [
                 f"joint {joint!r}: {fact.evidence}; {use}"
                 for joint, fact in facts.items()
-                if (_no_state(fact) if what == "velocity" else _no_sensor(fact))
+                if (_has_no_state(fact) if what == "velocity" else _has_no_sensor(fact))
             ]
         return lines
 
@@ -120,7 +120,7 @@ class RecordedSignals:
     def _answer(self, trial: Trial) -> Between | None:
         """The answer for the command period of a trial; None without one."""
         period = _period(trial)
-        near = [b for b in self.between if _alike(b.period, period)]
+        near = [b for b in self.between if _are_alike(b.period, period)]
         return near[0] if near else None
 
     def _shares(self, trial: Trial) -> FloatArray | None:
@@ -131,7 +131,7 @@ class RecordedSignals:
             between = "held" if answer is None else answer.assumed
         if between != "interpolated":
             return None
-        near = [s for s in self.steps if _alike(s.period, _period(trial))]
+        near = [s for s in self.steps if _are_alike(s.period, _period(trial))]
         return near[0].shares(trial) if near else None
 
     def doubted(self, trials: Sequence[Trial]) -> Between | None:
@@ -161,9 +161,9 @@ class RecordedSignals:
         if answer is not None:
             source = "assumed" if answer.fact.value is None else "data"
             trial = replace(trial, command_between=answer.assumed, between_source=source)
-        if any(_no_state(f) for f in self.velocity.values()):
+        if any(_has_no_state(f) for f in self.velocity.values()):
             trial = replace(trial, velocity=None)
-        if any(_no_sensor(f) for f in self.effort.values()):
+        if any(_has_no_sensor(f) for f in self.effort.values()):
             trial = replace(trial, effort=None)
         return trial
 
@@ -240,7 +240,7 @@ def _alike_recordings(trials: Sequence[Trial]) -> list[list[Trial]]:
     groups: list[list[Trial]] = []
     for trial in sorted(trials, key=_period):
         for group in groups:
-            if _alike(_period(group[0]), _period(trial)) and _declared(group[0]) == _declared(
+            if _are_alike(_period(group[0]), _period(trial)) and _declared(group[0]) == _declared(
                 trial
             ):
                 group.append(trial)
@@ -259,13 +259,13 @@ def _period(trial: Trial) -> float:
     return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
 
-def _alike(one: float, other: float) -> bool:
+def _are_alike(one: float, other: float) -> bool:
     return max(one, other) <= INTERPOLATION.same_period * min(one, other)
 
 
-def _no_state(fact: Fact) -> bool:
+def _has_no_state(fact: Fact) -> bool:
     return fact.value in _NOT_OF_THE_STATE
 
 
-def _no_sensor(fact: Fact) -> bool:
+def _has_no_sensor(fact: Fact) -> bool:
     return fact.value == "demanded" or bool(fact.numbers.get("lag", (0.0, "s"))[0])

@@ -1,4 +1,4 @@
-"""Fits for :mod:`~pytest_twin.diagnosis.recorded.command_between`.
+"""Fits for :mod:`~pytest_twin.diagnosis.signal_meaning.command_between`.
 
 Recordings of a simulation contain the integration error of its time step, which may look like
 another interpolation of the commands. For example, 2 ms of semi-implicit Euler under a stiff servo
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.integrator_detection import SUBSTEPS
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import NOISE
-from pytest_twin.diagnosis.recorded.command_between import (
+from pytest_twin.diagnosis.search_result import build_problem
+from pytest_twin.diagnosis.signal_meaning.command_between import (
     MEAN_DELAY,
     AssumptionResiduals,
     Between,
@@ -24,10 +25,9 @@ from pytest_twin.diagnosis.recorded.command_between import (
     level,
     without_own_recording,
 )
-from pytest_twin.diagnosis.recorded.joint_fit import DELAY, JointFit, Parameters, fit_joints
-from pytest_twin.diagnosis.recorded.settings import INTERPOLATION
-from pytest_twin.diagnosis.recorded.step_times import step_intervals
-from pytest_twin.diagnosis.search_result import build_problem
+from pytest_twin.diagnosis.signal_meaning.joint_fit import DELAY, JointFit, Parameters, fit_joints
+from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
+from pytest_twin.diagnosis.signal_meaning.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
