@@ -35,7 +35,12 @@ from pytest_twin.diagnosis.first_order.measured_trajectory import (
     measured_trajectory,
 )
 from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms, upsampled
-from pytest_twin.diagnosis.first_order.sensitivities import linearize, sensitivities
+from pytest_twin.diagnosis.first_order.sensitivities import (
+    Linear,
+    grid,
+    linearize,
+    sensitivities,
+)
 from pytest_twin.diagnosis.free_initial_state import free_initial_states
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import REFINE, Problem, joint_scales, nominal_replay
@@ -257,6 +262,23 @@ def test_external_forces_that_last_beyond_the_recording_have_one_sensitivity() -
         each[start] = max(each.get(start, 0.0), start + lasts)
     assert min(each.values()) >= SECONDS - whole
     assert len(each) == len(term.parameters[1].starts)
+
+
+def test_effects_that_are_evaluated_together_have_the_sensitivities_of_each_alone() -> None:
+    problem = problem_of("position", {})
+    lag = Term("actuator_lag", ELBOW)
+    linear = Linear(problem, EMPTY.with_term(lag, grid(lag)[0][0]), problem.fit)
+    names = ("viscous_friction", "coulomb_friction", "backlash", "rate_limit", "controller_gain")
+    groups = [[Term(n, SHOULDER), Term(n, ELBOW)] for n in (*names, "encoder_bias")]
+    together = {
+        (r.term, r.start.tobytes()): r.change
+        for r in linear.sensitivities([t for group in groups for t in group])
+    }
+    alone = [r for group in groups for r in linear.at_sizes(group, grid(group[0]))]
+    assert len(alone) == len(together) > 40
+    for r in alone:
+        found = together[r.term, r.start.tobytes()]
+        np.testing.assert_allclose(found, r.change, rtol=1e-5, atol=1e-6 * np.abs(r.change).max())
 
 
 def normal_equations(problem: Problem) -> NormalEquations:

@@ -26,9 +26,10 @@ NEARBY, FAR_OFF = 3, 8
 _DAMPINGS = (1e-4, 1e-2, 1.0)
 # A fit stops when a step reduces the cost by less than this share.
 _CONVERGED = 3e-3
-_FEW, _AT_ONCE = 4, 48
-"""Smallest and largest number of rows in a batch: a process costs more than few rows, and more rows
-need memory without saving time."""
+_FEW, _AT_ONCE, _STEPWISE = 4, 48, 384
+"""Smallest and largest number of rows in a batch, and largest number if the laws are evaluated step
+by step. A process costs more than few rows. More rows need memory, and save time only where each
+step has a fixed cost."""
 
 
 @dataclass(slots=True)
@@ -147,7 +148,8 @@ def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Float
     for key in sorted(groups, key=lambda k: (k[1], k[0]), reverse=True):
         # Every law of a batch is evaluated for all its hypotheses: those with equal laws share one.
         which = sorted(groups[key], key=lambda i: sorted(t.effect for t in hypotheses[i].terms))
-        each = min(_AT_ONCE, max(-(-len(which) // cores), _FEW))
+        most = _STEPWISE if key[0] else _AT_ONCE
+        each = min(most, max(-(-len(which) // cores), _FEW))
         batches += [which[i : i + each] for i in range(0, len(which), each)]
     if cores > 1:
         linear.know_bodies(hypotheses)

@@ -43,7 +43,6 @@ from pytest_twin.diagnosis.free_initial_state import (
 )
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.effects import catalogue
 from pytest_twin.effects.active_effects import (
     BETWEEN_STEPS,
     ActiveEffects,
@@ -55,6 +54,8 @@ from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
 _IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *BETWEEN_STEPS)
+_OfEffect = tuple[Term, ...]
+"""Candidates of one effect at several joints."""
 CLOSEST = 16
 """Number of candidates that are simulated at every starting size, if the robot has contact."""
 
@@ -340,7 +341,10 @@ class Linear:
     # -- candidates
 
     def sensitivities(self, terms: Sequence[Term]) -> list[Sensitivity]:
-        """Sensitivities of all candidates; those of one effect are computed together.
+        """Sensitivities of all candidates.
+
+        Those of one effect are computed together, and so are those of all effects whose forces are
+        evaluated step by step: each step has a fixed cost.
 
         Raises:
             OutOfTime: the time of the search is over.
@@ -356,24 +360,82 @@ class Linear:
                 for start, _ in grid(t)
             ])  # fmt: skip
         groups = [tuple(each) for each in by_effect.values()]
-        new = sorted(
-            (g for g in groups if g not in self._sensitivities),
-            key=lambda g: _slow(g[0].effect), reverse=True,
-        )  # fmt: skip
-        found = Forks(cores).map(self._of_effect, new)
-        self._sensitivities.update(zip(new, found, strict=True))
+        new = [g for g in groups if g not in self._sensitivities]
+        batches = self._batches(new, cores)
+        found = Forks(cores).map(self._of_effects, batches)
+        for batch, each in zip(batches, found, strict=True):
+            self._sensitivities.update(zip(batch, each, strict=True))
         return [response for group in groups for response in self._sensitivities[group]]
 
-    def _of_effect(self, terms: Sequence[Term]) -> list[Sensitivity]:
-        """Sensitivities of one effect at several joints, at the sizes of its grid."""
-        return self.at_sizes(terms, grid(terms[0]))
+    def _batches(self, groups: Sequence[_OfEffect], cores: int) -> list[list[_OfEffect]]:
+        """Candidates of each effect, in batches that are computed together, slow ones first."""
+        remembers = any(e.remembers for e, _ in in_reading_order(self.own))
+        stepwise = [g for g in groups if remembers or g[0].law.remembers]
+        stepwise.sort(key=lambda g: g[0].law.overrides("gear"), reverse=True)
+        together = [stepwise[i::cores] for i in range(min(cores, len(stepwise)))]
+        return [*together, *([g] for g in groups if g not in stepwise)]
+
+    def _of_effects(self, groups: Sequence[_OfEffect]) -> list[list[Sensitivity]]:
+        """Sensitivities of each effect at several joints, at the sizes of its grid."""
+        plans = [(terms, grid(terms[0])) for terms in groups]
+        return [
+            self._of_plan(terms, sizes, added)
+            for (terms, sizes), added in zip(plans, self._added_forces(plans), strict=True)
+        ]
+
+    def _added_forces(
+        self, plans: Sequence[tuple[Sequence[Term], Sizes]]
+    ) -> list[tuple[FloatArray, FloatArray] | None]:
+        """Changes of total force and drive effort by each effect, (rows, segments, samples, joints)
+        each, N*m or N; None for an effect that changes neither.
+        """
+        joints = len(self.problem.joints)
+        values, rows = [], []
+        for terms, sizes in plans:
+            if terms[0].law.overrides(*_IN_FORCES):
+                each = [_alone(full, switches, s) for full, switches in sizes for s in switches]
+                values.append(self._values(terms[0].law, each, terms))
+                rows.append(len(each))
+        if not rows:
+            return [None] * len(plans)
+        ends = np.cumsum([0, *rows])
+        every = self._wide(ends[-1])
+        effects = [terms[0].law for terms, _ in plans if terms[0].law.overrides(*_IN_FORCES)]
+        for effect, v, first, last in zip(effects, values, ends, ends[1:], strict=False):
+            own = every.setdefault(
+                effect.id,
+                {p.name: np.full((ends[-1], joints), p.neutral or 0.0) for p in effect.parameters},
+            )
+            for name, x in v.items():
+                own[name][first:last] = x
+        total, drive = self.laws.changes(
+            in_reading_order(every), int(ends[-1]), in_reading_order(self.own), self.base
+        )
+        parts = iter(itertools.pairwise(ends))
+        out: list[tuple[FloatArray, FloatArray] | None] = []
+        for terms, _ in plans:
+            if terms[0].law.overrides(*_IN_FORCES):
+                first, last = next(parts)
+                out.append((total[first:last], drive[first:last]))
+            else:
+                out.append(None)
+        return out
 
     def at_sizes(self, terms: Sequence[Term], sizes: Sizes) -> list[Sensitivity]:
         """Sensitivities of one effect at several joints, at given sizes."""
+        return self._of_plan(terms, sizes, *self._added_forces([(terms, sizes)]))
+
+    def _of_plan(
+        self,
+        terms: Sequence[Term],
+        sizes: Sizes,
+        added: tuple[FloatArray, FloatArray] | None,
+    ) -> list[Sensitivity]:
+        """As :meth:`at_sizes`, with the result of :meth:`_added_forces`."""
         out: list[Sensitivity] = []
         plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
         columns: list[Column] = []
-        for term, start, switches, found in self._columns(terms, sizes):
+        for term, start, switches, found in self._columns(terms, sizes, added):
             plan.append((term, start, switches))
             columns += found
         changes = self.readings.of(columns)
@@ -389,18 +451,16 @@ class Linear:
         return out
 
     def _columns(
-        self, terms: Sequence[Term], sizes: Sizes
+        self,
+        terms: Sequence[Term],
+        sizes: Sizes,
+        added: tuple[FloatArray, FloatArray] | None,
     ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[Column]]]:
         """Columns of one effect at several joints; all joints are computed at once."""
         effect = terms[0].law
         rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
         values = self._values(effect, rows, terms)
-        everything = {**self._wide(len(rows)), effect.id: values}
-        active = in_reading_order(everything)
         joints = len(self.problem.joints)
-        added = None
-        if effect.overrides(*_IN_FORCES):
-            added = self.laws.changes(active, len(rows), in_reading_order(self.own), self.base)
         heavy = changes_bodies(effect, values, joints)
         masses: dict[int, list[FloatArray]] = {}
         if heavy:
@@ -609,12 +669,6 @@ class Linear:
         for effect, v in reversed(of_row):
             q, v0 = effect.unsense(q, v0, {k: np.repeat(x, len(q), axis=0) for k, x in v.items()})
         return np.concatenate(out), np.concatenate([q, v0], axis=1)
-
-
-def _slow(effect: str) -> tuple[bool, bool]:
-    """Sorting key: larger for effects whose laws take longer to evaluate along a motion."""
-    law = catalogue()[effect]
-    return law.overrides("gear"), law.remembers
 
 
 def _sensing(active: ActiveEffects) -> ActiveEffects:
