@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.integrator_settings import FRICTION_CONSTRAINT
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -20,16 +21,14 @@ from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
-from pytest_twin.diagnosis.search.scored_model import ScoredModel
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import (
     SearchResult,
     build_problem,
     conclude,
-    from_start,
     residuals_everywhere,
     search,
 )
+from pytest_twin.diagnosis.structure_search.score import Model
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.batch_simulator import BatchSimulator
@@ -94,9 +93,9 @@ def search_as_friction_acts(
     stepped = replace(given, has_friction_creep=not given.has_friction_creep)
     other: tuple[Prepared, TrialSet] | None = None
 
-    def other_constraint_is_better(best: ScoredModel) -> bool:
+    def other_constraint_is_better(best: Model) -> bool:
         nonlocal other
-        left = np.concatenate([best.fitted.residual, best.held_residual])
+        left = np.concatenate([best.residual, best.validation])
         if not has_dry_friction(problem, EMPTY) or _greatest(problem, left) <= VERDICT.stands_out:
             return False
         if other is None:
@@ -105,15 +104,15 @@ def search_as_friction_acts(
         rest = residuals_everywhere(other[0].problem, best.hypothesis)
         return _leaves_less(problem, rest, left, FRICTION_CONSTRAINT.left)
 
-    selection = StepwiseSelection(problem, run, leave=other_constraint_is_better)
-    selected = from_start(selection, start)
-    if other is None or not selection.has_left_off:
+    selection = EffectSelection(problem, run, leave=other_constraint_is_better)
+    selected = selection.run(start)
+    if other is None or not selection.has_left:
         return given, conclude(prepared, trials, selection, selected)
     # ``kept`` lacks trials on which the model diverges with the other constraint.
     changed, kept = other
     run.begin("whole recordings, other friction constraint", changed.problem)
     return stepped, search(
-        changed, kept, StepwiseSelection(changed.problem, run), selected.best.hypothesis
+        changed, kept, EffectSelection(changed.problem, run), selected.best.hypothesis
     )
 
 
@@ -143,7 +142,7 @@ def refit_as_friction_acts(
     stepped = replace(given, has_friction_creep=not given.has_friction_creep)
     prepared, trials = build_problem(stepped, found.trials, [])
     run.begin("whole recordings, other friction constraint", prepared.problem)
-    selection = StepwiseSelection(prepared.problem, run)
+    selection = EffectSelection(prepared.problem, run)
     comparison = selection.comparison
     rival = (
         comparison.fit_to_convergence(comparison.score_without_fit(start))
@@ -153,7 +152,7 @@ def refit_as_friction_acts(
     rest = residuals_everywhere(prepared.problem, rival.hypothesis)
     if not _leaves_less(before, rest, found.after, FRICTION_CONSTRAINT.left):
         return given, found
-    return stepped, conclude(prepared, trials, selection, selection.run(rival))
+    return stepped, conclude(prepared, trials, selection, selection.refine(rival))
 
 
 def has_dry_friction(problem: Problem, hypothesis: Hypothesis) -> bool:

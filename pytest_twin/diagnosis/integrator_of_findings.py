@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.hypothesis import Hypothesis, effect_values
 from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
@@ -21,7 +22,6 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import NOISE
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import (
     SearchResult,
     build_problem,
@@ -65,7 +65,7 @@ def with_detected_timestep(
     stepped = replace(given, substeps=substeps)
     for trials in _with_and_without_efforts(found.trials):
         there, used = build_problem(stepped, trials, [], window=prepared.window)
-        selection = StepwiseSelection(there.problem, run)
+        selection = EffectSelection(there.problem, run)
         comparison = selection.comparison
         rival = comparison.fit_to_convergence(comparison.score_without_fit(start))
         left = residuals_everywhere(there.problem, rival.hypothesis)[:, : len(problem.joints)]
@@ -83,7 +83,7 @@ def with_detected_timestep(
         )
         if not told or not _is_noise_alone(left, noise):
             continue
-        other = conclude(there, used, selection, selection.run(rival))
+        other = conclude(there, used, selection, selection.refine(rival))
         fewer = set(other.explained.hypothesis.terms) <= set(start.terms)
         if fewer and other.verdict == "explained":
             return stepped, other

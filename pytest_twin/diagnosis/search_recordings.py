@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from pytest_twin.diagnosis.alternative_sets import with_alternative_sets, with_limited_confidence
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.friction_constraint import (
     refit_as_friction_acts,
     search_as_friction_acts,
@@ -21,12 +22,10 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import (
     SearchResult,
     build_problem,
     confirm,
-    from_start,
     refit_whole_motions,
     refit_with_full_drive,
     residuals_everywhere,
@@ -42,8 +41,8 @@ from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
 
-# Windows are searched only if the linearized shortlist leaves at most this share of the nominal
-# model's squared error.
+# Windows are searched only if some set leaves at most this share of the nominal model's squared
+# error in the linearized motion.
 _LEFT_BY_CATALOGUE = 0.1
 _OF_WHOLE = 0.5
 """Share of the simulations for whole recordings if windows are searched too."""
@@ -232,7 +231,7 @@ def _search_away_from_contact(
         return None
     prepared, kept = away
     run.begin("windows far from contact", prepared.problem)
-    return search(prepared, kept, StepwiseSelection(prepared.problem, run)).explained.hypothesis
+    return search(prepared, kept, EffectSelection(prepared.problem, run)).explained.hypothesis
 
 
 def _add_contact_effects(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
@@ -240,7 +239,7 @@ def _add_contact_effects(problem: Problem, clear: Hypothesis, run: Run) -> Hypot
     run.begin("contact effects over whole recordings", problem)
     problem.family = _CONTACT
     try:
-        selected = from_start(StepwiseSelection(problem, run), clear)
+        selected = EffectSelection(problem, run).run(clear)
     finally:
         problem.family = None
     return selected.best.hypothesis
@@ -262,7 +261,7 @@ def add_contact_effects_again(found: SearchResult, run: Run) -> SearchResult:
 def _continue_from(found: SearchResult, start: Hypothesis, run: Run) -> SearchResult:
     """The result of a search from a hypothesis, if it is better than the present one."""
     run.begin(f"{_stage_of(found.prepared.problem)} once more", found.prepared.problem)
-    selection = StepwiseSelection(found.prepared.problem, run)
+    selection = EffectSelection(found.prepared.problem, run)
     other = search(found.prepared, found.trials, selection, start)
     found = found.with_floor_of()
     return other if other.scores_better_than(found) else found
@@ -283,7 +282,7 @@ def search_shorter_windows(found: SearchResult, given: ModelSetup, run: Run) -> 
             break
     run.begin(f"windows of {window:g} s", cut.problem)
     start = search(
-        cut, kept, StepwiseSelection(cut.problem, run, _LEFT_BY_CATALOGUE)
+        cut, kept, EffectSelection(cut.problem, run, _LEFT_BY_CATALOGUE)
     ).explained.hypothesis
     return _continue_from(found, start, run) if start.terms else found
 
@@ -309,10 +308,10 @@ def _compare_with_windows(
     """
     other = confirm(cut, kept, found, run)
     if other is None:
-        # Without contact effects, windows are searched only if the linearized shortlist explains
-        # most of the error.
+        # Without contact effects, windows are searched only if some set explains most of the error
+        # in the linearized motion.
         share_left = 1.0 if clear.terms else _LEFT_BY_CATALOGUE
-        other = search(cut, kept, StepwiseSelection(cut.problem, run, share_left), clear)
+        other = search(cut, kept, EffectSelection(cut.problem, run, share_left), clear)
     if other.explains_more_than(found):
         notes.append(_IN_WINDOWS)
         return replace(other, whole=found.prepared.problem)

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.evidence import Likelihood, laplace_log_likelihood, log_likelihood
 from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales
@@ -26,11 +27,7 @@ from pytest_twin.diagnosis.search.full_drive_model import (
 )
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.pruning import PrunedModel, keep_named, prune
-from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
-from pytest_twin.diagnosis.structure_search.refit import as_fitted
-from pytest_twin.diagnosis.structure_search.score import Model
-from pytest_twin.diagnosis.structure_search.search import Result, StructureSearch
+from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import UNSEEN, JointError, Verdict, verdict
 from pytest_twin.diagnosis.verdict_settings import VERDICT
@@ -45,9 +42,6 @@ from pytest_twin.trial import Trial
 _MOSTLY = 0.1
 # Least unexplained share for which effects found in windows are refitted to whole recordings.
 _SOME = 0.01
-# Log-likelihood ratio by which other sets of the structure search may be behind to share the
-# confidence of its result: odds of 1 to 22,000.
-_NEARLY_AS_GOOD = 10.0
 # Confidence of an effect whose alternatives were not compared.
 _UNCOMPARED = 0.5
 
@@ -154,14 +148,14 @@ class SearchResult:
 
 
 def search(
-    prepared: Prepared, trials: TrialSet, selection: StepwiseSelection, start: Hypothesis = EMPTY
+    prepared: Prepared, trials: TrialSet, selection: EffectSelection, start: Hypothesis = EMPTY
 ) -> SearchResult:
     """Search for effects, from the nominal model or from a given hypothesis."""
-    return conclude(prepared, trials, selection, from_start(selection, start))
+    return conclude(prepared, trials, selection, selection.run(start))
 
 
 def conclude(
-    prepared: Prepared, trials: TrialSet, selection: StepwiseSelection, selected: SelectedModel
+    prepared: Prepared, trials: TrialSet, selection: EffectSelection, selected: SelectedModel
 ) -> SearchResult:
     """Prune and test the chosen effects; search on first if they lower the noise floor.
 
@@ -196,46 +190,14 @@ def _weigh_untested(run: Run, selected: SelectedModel) -> None:
 
 
 def _to_the_floor(
-    prepared: Prepared, selection: StepwiseSelection, selected: SelectedModel
+    prepared: Prepared, selection: EffectSelection, selected: SelectedModel
 ) -> SelectedModel:
     """Repeat the search from its own result while that lowers the noise floor."""
     while True:
         best = selected.best.hypothesis
         if not best.terms or not prepared.lower_floor(best):
             return selected
-        selected = from_start(selection.another_search(), best)
-
-
-def from_start(selection: StepwiseSelection, start: Hypothesis) -> SelectedModel:
-    """Select effects by the structure search, from the nominal model or from a hypothesis.
-
-    Then the stepwise selection removes and exchanges effects, and adds some if the structure
-    search ended early.
-    """
-    comparison, budget = selection.comparison, selection.diagnosis_run.budget
-    if not start.terms and not selection.can_explain_enough():
-        return SelectedModel(comparison.nominal, comparison.nominal, tried=comparison.tried)
-    chosen = _structure(selection, start)
-    with budget.reserved():
-        rival = comparison.score_without_fit(chosen.model.hypothesis, slopes=True)
-    if chosen.has_left:
-        selection.has_left_off = True
-        return SelectedModel(rival, comparison.nominal, tried=comparison.tried)
-    selection.has_nothing_to_add = chosen.is_complete
-    selected = selection.run(rival if rival.hypothesis.terms else None)
-    selected.rivals = chosen.nearly_as_good(_NEARLY_AS_GOOD)
-    return selected
-
-
-def _structure(selection: StepwiseSelection, start: Hypothesis) -> Result:
-    """Run the structure search with the criterion of the selection for an early end."""
-    problem = selection.problem
-
-    def leave(model: Model) -> bool:
-        none = np.zeros((*model.residual.shape, 0))
-        return selection.leave(ScoredModel(as_fitted(problem, model, none), model.validation))
-
-    return StructureSearch(problem, selection.diagnosis_run, leave=leave).run(start)
+        selected = selection.another().run(best)
 
 
 def confirm(
@@ -245,13 +207,13 @@ def confirm(
     start = other.explained.hypothesis
     if not start.terms:
         return None
-    selection = StepwiseSelection(prepared.problem, run)
+    selection = EffectSelection(prepared.problem, run)
     comparison = selection.comparison
     rival = comparison.fit_to_convergence(comparison.score_without_fit(start))
     before, after = (residuals_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
     if not all(e.is_explained for e in joint_errors(prepared, before, after).values()):
         return None
-    found = conclude(prepared, trials, selection, selection.run(rival))
+    found = conclude(prepared, trials, selection, selection.refine(rival))
     return found if found.verdict == "explained" else None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_twin.diagnosis.hypothesis import Term
 
-Decision = Literal["accepted", "rejected", "shortlisted", "started", "ended"]
+Decision = Literal["accepted", "rejected", "ended"]
 MOST_STEPS = 2000
 """Largest number of steps that are kept; a diagnosis of six joints has several hundred."""
 

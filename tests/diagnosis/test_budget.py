@@ -13,10 +13,10 @@ from pytest_twin.diagnosis.alternative_sets import with_limited_confidence
 from pytest_twin.diagnosis.budget import COMPARED, RESERVED, Budget
 from pytest_twin.diagnosis.deadline import OutOfTime, check
 from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.run import Run, not_tried
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trace import MOST_STEPS, Step, Trace
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
@@ -136,7 +136,7 @@ def test_effects_of_a_set_that_was_not_compared_with_others_have_at_most_80_perc
 ) -> None:
     realization, trials = with_friction
     prepared = prepare(realization, trials.fit, (), threads=1)
-    found = search(prepared, trials, StepwiseSelection(prepared.problem, Run()))
+    found = search(prepared, trials, EffectSelection(prepared.problem, Run()))
     (term,) = found.selected.best.hypothesis.terms
     assert found.selected.confidence[term] > 0.99
     unsure = with_limited_confidence(found)

@@ -14,6 +14,7 @@ from touching_arm import FRICTION, SOLREF, case, mjcf
 
 from pytest_twin import cli
 from pytest_twin.commands.replay import find_model, load_model
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import motions, place_of
@@ -22,7 +23,6 @@ from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_recordings import add_contact_effects_again
 from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trials import read_trials
@@ -104,7 +104,7 @@ def test_a_contact_effect_that_friction_hid_is_found_by_a_second_search(
     prepared = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
     # As after a search whose simulations were used up before it reached contact effects.
     prepared.problem.family = "friction"
-    found = search(prepared, trials, StepwiseSelection(prepared.problem))
+    found = search(prepared, trials, EffectSelection(prepared.problem))
     prepared.problem.family = None
     friction = {t.effect for t in found.explained.hypothesis.terms}
     assert friction == {"viscous_friction"}

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from test_first_order import ELBOW, problem_of
 
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, limits_instead
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 
 PROFILE = {"inverse_rate": 3.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}
 SLOW, WEAK = Term("rate_limit", ELBOW), Term("torque_speed_limit", ELBOW)
@@ -35,7 +35,7 @@ def test_a_wrong_torque_speed_limit_is_replaced_by_the_true_rate_limit() -> None
 
 def test_the_search_continues_with_the_better_limit_and_exchanges_each_limit_once() -> None:
     problem = problem_of("position", {SLOW: PROFILE})
-    selection = StepwiseSelection(problem)
+    selection = EffectSelection(problem)
     best = selection.comparison.fit_to_convergence(
         selection.comparison.score_without_fit(with_weak_drive(problem))
     )

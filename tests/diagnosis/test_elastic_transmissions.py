@@ -9,12 +9,11 @@ from test_first_order import ELBOW, link, problem_of
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.compensated_starts import compensated
-from pytest_twin.diagnosis.search.linearized_shortlist import linearized_shortlist
-from pytest_twin.diagnosis.search.linearized_view import linearize_for_additions
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
-from pytest_twin.diagnosis.search.simulation_shortlist import simulation_shortlist
 from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
+from pytest_twin.diagnosis.structure_search.search import StructureSearch
+from pytest_twin.diagnosis.structure_search.settings import StructureSearchSettings
 
 BACKLASH, FRICTION, LATE = (
     Term(effect, ELBOW) for effect in ("backlash", "asymmetric_friction", "command_delay")
@@ -29,6 +28,9 @@ def single_effect(problem: Problem, term: Term, values: dict[str, float]) -> Hyp
     return EMPTY.with_term(term, np.array(theta))
 
 
+ONE_ROUND = StructureSearchSettings(rounds=1)
+
+
 def scored_model(comparison: ModelComparison, hypothesis: Hypothesis) -> ScoredModel:
     """A hypothesis, scored at its present parameters."""
     weights = comparison.weights(comparison.nominal)
@@ -40,31 +42,19 @@ def problem() -> Problem:
     return problem_of("position", {BACKLASH: GAP, FRICTION: DRY})
 
 
-def test_effects_at_a_joint_with_backlash_are_simulated(problem: Problem) -> None:
-    comparison = ModelComparison(problem)
-    best = scored_model(comparison, single_effect(problem, BACKLASH, GAP))
-    linearized = linearize_for_additions(problem, best)
-    assert linearized.linear is None
-    found = linearized_shortlist(comparison, best, linearized)
-    assert found is not None
-    assert (BACKLASH, FRICTION) in {
-        h.terms for h in simulation_shortlist(problem, best, linearized, found)
-    }
-    # Without an elastic transmission in the fit, all candidates are linearized.
-    assert linearize_for_additions(problem, scored_model(comparison, EMPTY)).linear is not None
+def test_friction_at_a_joint_with_backlash_is_found(problem: Problem) -> None:
+    start = single_effect(problem, BACKLASH, GAP)
+    found = StructureSearch(problem, settings=ONE_ROUND).run(start).model.hypothesis
+    assert set(found.terms) == {BACKLASH, FRICTION}
 
 
-def test_backlash_is_simulated_in_addition_to_an_effect_that_explains_more() -> None:
+def test_backlash_is_found_in_addition_to_an_effect_that_explains_more() -> None:
     late = {"delay": 0.03}
     problem = problem_of(
         "position", {LATE: late, BACKLASH: {"gap": 0.02, "tooth_compliance": 1e-4}}
     )
-    comparison = ModelComparison(problem)
-    best = scored_model(comparison, single_effect(problem, LATE, late))
-    linearized = linearize_for_additions(problem, best)
-    found = linearized_shortlist(comparison, best, linearized)
-    assert found is not None
-    assert BACKLASH in {h.terms[-1] for h in simulation_shortlist(problem, best, linearized, found)}
+    found = StructureSearch(problem).run().model.hypothesis
+    assert set(found.terms) == {LATE, BACKLASH}
 
 
 ELASTICITY, LINK = Term("joint_elasticity", ELBOW), Term("inertial_parameters", ELBOW)
@@ -91,15 +81,9 @@ def test_a_heavier_link_is_tried_together_with_a_stiffer_transmission() -> None:
     assert found.terms == (ELASTICITY, LINK)
     assert found.theta[:2] == pytest.approx(truth, rel=0.02)
     assert found.theta[found.slice_of(LINK)][0] == pytest.approx(error, rel=0.02)
-    linearized = linearize_for_additions(problem, best)
-    shortlist = linearized_shortlist(comparison, best, linearized)
-    assert shortlist is not None
-    (start,) = (
-        h
-        for h in simulation_shortlist(problem, best, linearized, shortlist)
-        if h.terms == found.terms
-    )
-    assert start.theta[:2] == pytest.approx(truth, rel=0.05)
+    result = StructureSearch(problem, settings=ONE_ROUND).run(best.hypothesis).model.hypothesis
+    assert set(result.terms) == set(found.terms)
+    assert result.theta[result.slice_of(ELASTICITY)] == pytest.approx(truth, rel=0.05)
     # No pair is tried with the right link, with the pair in the fit, or without a transmission.
     right = problem_of("position", {ELASTICITY: COMPLIANT})
     exact = scored_model(ModelComparison(right), single_effect(right, ELASTICITY, COMPLIANT))

@@ -19,7 +19,7 @@ from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
 from pytest_twin.diagnosis.fit import distant_steps, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.linearized_view import linearize_for_additions
+from pytest_twin.diagnosis.search.linearized_view import linearize_around
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 
 FORCE = Term("external_force", SHOULDER)
@@ -61,7 +61,7 @@ def test_a_fit_finds_the_start_time_of_an_external_force(
 
 
 def test_the_linearized_fit_finds_the_start_time_of_an_external_force(problem: Problem) -> None:
-    linearized = linearize_for_additions(problem, ModelComparison(problem).nominal)
+    linearized = linearize_around(problem, ModelComparison(problem).nominal)
     assert linearized.linear is not None
     start = EMPTY.with_term(FORCE, parameters_with_late_start(problem, GRID))
     (found,) = fit_linearized(linearized.linear, linearized.view, [start], 6)

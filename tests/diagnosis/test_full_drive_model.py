@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from test_windows import ONE, one_pendulum
 
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import Prepared, prepare
@@ -21,7 +22,6 @@ from pytest_twin.diagnosis.search.full_drive_model import (
 )
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import (
     SearchResult,
     conclude,
@@ -40,7 +40,7 @@ DRY_FRICTION = Term("coulomb_friction", 0)
 def result_with_dry_friction_only(prepared: Prepared, trials: TrialSet) -> SearchResult:
     """The result of a search that found dry friction only."""
     problem = prepared.problem
-    selection = StepwiseSelection(problem)
+    selection = EffectSelection(problem)
     size = DRY / problem.scales.value(DRY_FRICTION.parameters[0], 0)
     alone = EMPTY.with_term(DRY_FRICTION, np.array([size]))
     best = selection.comparison.score_without_fit(alone, slopes=True)
@@ -57,7 +57,7 @@ def test_an_effect_that_was_compared_with_nothing_in_time_is_kept_with_low_confi
     realization, trials = one_pendulum(tmp_path, seconds=2.0, dry=DRY, viscous=VISCOUS)
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
     run = Run()
-    selection = StepwiseSelection(prepared.problem, run)
+    selection = EffectSelection(prepared.problem, run)
     size = DRY / prepared.problem.scales.value(DRY_FRICTION.parameters[0], 0)
     alone = EMPTY.with_term(DRY_FRICTION, np.array([size]))
     best = selection.comparison.score_without_fit(alone, slopes=True)
@@ -138,7 +138,7 @@ def test_the_confidence_of_a_drive_effect_is_at_most_half_and_less_if_its_remova
 def test_stick_slip_needs_a_friction_effect_and_a_residual_above_ten_floors(tmp_path: Path) -> None:
     realization, trials = one_pendulum(tmp_path, seconds=2.0, dry=DRY)
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
-    found = search(prepared, trials, StepwiseSelection(prepared.problem))
+    found = search(prepared, trials, EffectSelection(prepared.problem))
     assert prepared.problem.joints == ONE
     assert not found.has_stick_slip
     for times, terms, stick_slip in (

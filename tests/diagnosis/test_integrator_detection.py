@@ -12,6 +12,7 @@ import pytest
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.integrator_detection import as_simulated_before, detect_integrator
@@ -19,7 +20,6 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import build_problem, conclude
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.errors import SpecError
@@ -181,7 +181,7 @@ def test_a_simulation_is_not_searched_for_if_the_findings_contain_an_elastic_tra
     realization, trials = arm_case(tmp_path, 1, HIDDEN)
     given = ModelSetup.of(realization, None, 1)
     prepared, trials = build_problem(given, trials, [])
-    selection = StepwiseSelection(prepared.problem)
+    selection = EffectSelection(prepared.problem)
     comparison = selection.comparison
     damped = comparison.score_without_fit(EMPTY.with_term(DAMPING, grid(DAMPING)[0][0]))
     selected = SelectedModel(comparison.fit_to_convergence(damped), comparison.nominal)

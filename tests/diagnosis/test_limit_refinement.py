@@ -17,12 +17,10 @@ from pytest_twin.diagnosis.first_order.limit_refinement import refine_limits
 from pytest_twin.diagnosis.first_order.sensitivities import linearize
 from pytest_twin.diagnosis.fit import fit, propose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.search import drive_limits, simulation_shortlist
-from pytest_twin.diagnosis.search.linearized_shortlist import LinearizedShortlist
-from pytest_twin.diagnosis.search.linearized_view import linearize_around
+from pytest_twin.diagnosis.search import drive_limits
+from pytest_twin.diagnosis.search.elimination import eliminate
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.settings import ShortlistSettings
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
+from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.effects import catalogue
 
 
@@ -80,10 +78,10 @@ def test_a_torque_speed_limit_without_slope_is_simplified_to_a_saturation() -> N
     problem = problem_of("position", {Term("torque_saturation", SHOULDER): {"inverse_limit": 0.25}})
     curve, flat = Term("torque_speed_limit", SHOULDER), Term("torque_saturation", SHOULDER)
     stall = 4.0 / problem.scales.value(curve.parameters[1], SHOULDER)
-    selection = StepwiseSelection(problem)
+    comparison = ModelComparison(problem)
     general = Hypothesis((curve,), np.array([1e-4, stall]))
-    model = selection.comparison.rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
-    found = selection.eliminate(model).hypothesis
+    model = comparison.rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
+    found = eliminate(comparison, model).best.hypothesis
     assert found.terms == (flat,)
     limit = 1.0 / (found.theta[0] * problem.scales.value(flat.parameters[0], SHOULDER))
     assert limit == pytest.approx(4.0, rel=0.02)
@@ -115,37 +113,17 @@ def test_rounding_errors_do_not_change_a_categorical_parameter() -> None:
     assert not moved.theta[2:5].any()
 
 
-@pytest.mark.parametrize(
-    ("narrow", "limited", "is_found"),
-    [
-        pytest.param(1e9, 2, True, id="drives with large residuals are scanned for limits"),
-        pytest.param(100.0, 0, True, id="all effects are scanned for a large residual"),
-        pytest.param(1e9, 0, False, id="no scan"),
-    ],
-)
-def test_a_narrow_minimum_outside_the_starting_grid_is_found(
-    narrow: float, limited: int, is_found: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_narrow_minimum_outside_the_starting_grid_is_found() -> None:
     """The limit is twice the largest starting size, and its minimum a few per cent wide."""
-    monkeypatch.setattr(
-        simulation_shortlist, "SHORTLIST", ShortlistSettings(narrow=narrow, limits=limited)
-    )
-    monkeypatch.setattr(drive_limits, "_LIMITED", limited)
     term = Term("rate_limit", ELBOW)
     parameter = term.parameters[0]
     hidden = 2.0 * parameter.starts[-1] * 1.07
     scale = problem_of("position", {}).scales.value(parameter, ELBOW)
     problem = problem_of("position", {term: rate(inverse_rate=hidden * scale)})
     hidden *= scale / problem.scales.value(parameter, ELBOW)
-    model = ModelComparison(problem).rivals([EMPTY], np.ones(2), 0, slopes=True)[0]
-    linearized = linearize_around(problem, model)
-    alone = EMPTY.with_term(term, np.array([parameter.starts[0], 0.0, 0.0]))
-    left = np.mean(model.fitted.residual**2, axis=0)
-    starts = simulation_shortlist.simulation_shortlist(
-        problem, model, linearized, LinearizedShortlist([], left, [alone])
-    )
-    (mine,) = [h for h in starts if h.terms == (term,)]
-    assert bool(abs(mine.theta[0] / hidden - 1.0) < 0.02) is is_found
+    found = StructureSearch(problem).run().model.hypothesis
+    assert found.terms == (term,)
+    assert found.theta[0] == pytest.approx(hidden, rel=0.02)
 
 
 def test_sizes_above_the_starting_grid_end_at_the_physical_bound() -> None:

@@ -12,15 +12,15 @@ from two_pendulums import START_NS, case
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.noise import timing_noise
 from pytest_twin.diagnosis.prepare import NOISE as SENSOR
 from pytest_twin.diagnosis.prepare import STEP as STEPS
 from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.simulation_shortlist import effort_sensor_terms
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import search
+from pytest_twin.diagnosis.structure_search.proposals import effort_sensor_terms
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial
@@ -267,7 +267,7 @@ def test_an_effect_below_a_floor_that_was_too_high_is_found_after_the_floor_is_l
     problem = found.problem
     measured = problem.floor.copy()
     hidden = with_raised_floor(found, 40.0)
-    best = search(found, trials, StepwiseSelection(problem)).selected.best
+    best = search(found, trials, EffectSelection(problem)).selected.best
     assert {t.effect for t in best.hypothesis.terms} == {"viscous_friction", "command_delay"}
     assert float(np.sqrt(best.fitted.mean_square[0])) < measured[0] < 0.3 * hidden
     assert problem.floor[0] <= measured[0]

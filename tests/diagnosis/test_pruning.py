@@ -11,6 +11,7 @@ import pytest
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.findings import explain
 from pytest_twin.diagnosis.fit import Fitted, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
@@ -36,7 +37,6 @@ from pytest_twin.diagnosis.search.pruning_rules import (
 )
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
 from pytest_twin.diagnosis.search.settings import ComparisonSettings
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 
@@ -413,13 +413,14 @@ def test_without_validation_recordings_an_effect_must_remove_more_error(tmp_path
     ]
 
 
-def test_a_search_ends_when_its_simulations_are_used_up(
+def test_a_search_adds_no_effects_when_its_simulations_are_used_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     prepared, _ = prepared_case(tmp_path, delay=0.02)
     monkeypatch.setattr(model_comparison, "COMPARISON", ComparisonSettings(simulations=0))
     stepped = prepared.problem.stepped
-    selected = StepwiseSelection(prepared.problem).run()
+    selection = EffectSelection(prepared.problem)
+    selected = selection.refine(selection.comparison.nominal)
     assert not selected.best.hypothesis.terms
     assert prepared.problem.stepped - stepped < 10 * prepared.problem.simulator.steps.sum()
 

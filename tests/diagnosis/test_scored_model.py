@@ -1,4 +1,4 @@
-"""Selection among models by evidence, and the confidence of the selected effects."""
+"""The confidence of the selected effects."""
 
 from __future__ import annotations
 
@@ -7,12 +7,7 @@ import pytest
 
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.search.scored_model import (
-    Place,
-    ScoredModel,
-    SelectedModel,
-    simplest_good_model,
-)
+from pytest_twin.diagnosis.search.scored_model import Place, ScoredModel, SelectedModel
 
 COULOMB, VISCOUS = Term("coulomb_friction", 0), Term("viscous_friction", 0)
 STRIBECK, GAIN = Term("stribeck_friction", 0), Term("controller_gain", 0)
@@ -24,32 +19,6 @@ def scored(evidence: float, *terms: Term) -> ScoredModel:
         hypothesis = hypothesis.with_term(term, np.zeros(len(term.parameters)))
     none = np.zeros((1, 1))
     return ScoredModel(Fitted(hypothesis, none, none[..., None], 0.0), none, evidence)
-
-
-@pytest.mark.parametrize(
-    ("models", "chosen"),
-    [
-        # A second effect raises the evidence by 19 % only: the single effect is selected.
-        ([scored(170.0, GAIN, VISCOUS), scored(143.0, COULOMB)], (COULOMB,)),
-        # A second effect doubles the evidence: both are selected.
-        ([scored(300.0, GAIN, VISCOUS), scored(143.0, COULOMB)], (GAIN, VISCOUS)),
-        # Of two single effects the one with more evidence, unless the simpler one has similar.
-        ([scored(1000.0, STRIBECK), scored(850.0, COULOMB)], (STRIBECK,)),
-        ([scored(1000.0, STRIBECK), scored(995.0, COULOMB)], (COULOMB,)),
-        ([scored(12.0, STRIBECK), scored(8.0, COULOMB)], (COULOMB,)),
-    ],
-    ids=[
-        "one effect instead of two with 19 % more evidence",
-        "two effects with twice the evidence",
-        "two parameters with 18 % more evidence",
-        "one parameter instead of two with 0.5 % more evidence",
-        "one parameter instead of two with 4 nats more evidence",
-    ],
-)
-def test_the_simplest_model_with_similar_evidence_is_selected(
-    models: list[ScoredModel], chosen: tuple[Term, ...]
-) -> None:
-    assert simplest_good_model(models).hypothesis.terms == chosen
 
 
 def test_the_confidence_of_an_effect_follows_from_the_evidence_of_its_single_alternatives() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,17 +13,18 @@ from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.first_order.beam_search import candidates
+from pytest_twin.diagnosis.effect_selection import EffectSelection
+from pytest_twin.diagnosis.first_order.beam_search import CandidateSensitivities
 from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search import stepwise_selection
+from pytest_twin.diagnosis.search import alternatives
+from pytest_twin.diagnosis.search.alternatives import AlternativeComparison
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView, linearize_around
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.settings import SELECTION
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search.term_exchange import TermExchange, find_exchanges
 from pytest_twin.diagnosis.structure_search import search as search_module
 from pytest_twin.diagnosis.structure_search.proposals import (
@@ -104,8 +106,10 @@ def test_a_small_effect_of_another_signal_is_accepted_beside_a_large_one(tmp_pat
 def test_where_the_linearization_shows_nothing_candidates_are_simulated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    nothing = CandidateSensitivities([])
+
     def blind(problem: Problem, best: ScoredModel) -> LinearizedView:
-        return linearize_around(problem, best).without(set(candidates(problem)))
+        return replace(linearize_around(problem, best), candidate_sensitivities=nothing)
 
     problem = problem_of(tmp_path, viscous=0.03)
     monkeypatch.setattr(search_module, "linearize_around", blind)
@@ -155,11 +159,11 @@ def test_without_time_for_exchanges_elastic_transmissions_are_no_alternatives(
         elastic = EMPTY.with_term(gear, start)
         return [*rigid, TermExchange((friction,), gear, elastic, 500.0, is_doubtful=False)]
 
-    selection = StepwiseSelection(problem_of(tmp_path, viscous=0.03))
-    monkeypatch.setattr(selection, "exchange_terms", out_of_time)
-    monkeypatch.setattr(stepwise_selection, "find_exchanges", with_gear)
+    selection = EffectSelection(problem_of(tmp_path, viscous=0.03))
+    monkeypatch.setattr(AlternativeComparison, "exchange", out_of_time)
+    monkeypatch.setattr(alternatives, "find_exchanges", with_gear)
     start = selection.comparison.score_without_fit(EMPTY.with_term(friction, np.array([1.0])))
-    selected = selection.run(selection.comparison.fit_to_convergence(start))
+    selected = selection.refine(selection.comparison.fit_to_convergence(start))
     assert selected.not_simulated == {friction}
     assert selected.confidence[friction] == SELECTION.linearized_most
     assert gear not in [other for other, _ in selected.alternatives[friction]]
@@ -203,7 +207,9 @@ def test_the_best_proposals_with_each_number_of_effects_are_kept() -> None:
     three = one.with_term(Term("cogging", 0), np.zeros(3)).with_term(
         Term("encoder_bias", 0), np.zeros(2)
     )
-    ranked = [Proposal(h, g) for h, g in ((three, 9.0), (three, 8.0), (one, 7.0), (two, 6.0))]
+    ranked = [
+        Proposal(h, g, np.ones(1)) for h, g in ((three, 9.0), (three, 8.0), (one, 7.0), (two, 6.0))
+    ]
     kept, others = best_of_each_size(ranked, Quota(1, 1, 1))
     assert [p.gain for p in kept] == [9.0, 7.0]
     assert [p.gain for p in others] == [8.0, 6.0]
@@ -216,7 +222,7 @@ def test_elastic_transmissions_displace_no_other_effects() -> None:
         EMPTY.with_term(Term(n, -1 if n == "payload" else 0), np.zeros(len(Term(n, 0).parameters)))
         for n in names
     ]
-    ranked = [Proposal(h, 9.0 - k) for k, h in enumerate(models)]
+    ranked = [Proposal(h, 9.0 - k, np.ones(1)) for k, h in enumerate(models)]
     kept, others = best_of_each_size(ranked, Quota(2, 1, 1))
     assert [p.hypothesis.terms[0].effect for p in kept] == [
         "joint_elasticity", "encoder_scale", "payload",

@@ -14,6 +14,9 @@ from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.search import alternatives
+from pytest_twin.diagnosis.search.alternatives import AlternativeComparison
+from pytest_twin.diagnosis.search.elimination import Eliminated, have_same_forms
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
 from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
 from pytest_twin.diagnosis.search.scored_model import (
@@ -22,7 +25,6 @@ from pytest_twin.diagnosis.search.scored_model import (
     compare_below_floor,
 )
 from pytest_twin.diagnosis.search.simplification import simpler_forms
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection, have_same_forms
 from pytest_twin.diagnosis.search.term_exchange import (
     TermExchange,
     better_as_addition,
@@ -59,13 +61,8 @@ def converged(comparison: ModelComparison, *terms: Term) -> ScoredModel:
 def exchanges(
     problem: Problem, comparison: ModelComparison, best: ScoredModel
 ) -> list[TermExchange]:
-    before = linearize_around(problem, comparison.nominal)
-    known = {
-        t: [r for r in before.candidate_sensitivities.responses if r.term == t]
-        for t in before.evaluated
-    }
     return find_exchanges(
-        problem, best, linearize_around(problem, best), known, comparison.penalty_per_effect
+        problem, best, linearize_around(problem, best), comparison.penalty_per_effect
     )
 
 
@@ -95,25 +92,6 @@ def test_two_correlated_wrong_effects_are_exchanged_for_the_right_one(
     )
 
 
-def test_an_effect_with_a_wrong_value_is_fitted_anew_when_it_replaces_several_effects(
-    with_payload: Problem,
-) -> None:
-    """A negative payload compensates for a link that is too heavy; a new payload replaces both."""
-    comparison = ModelComparison(with_payload)
-    wrong = single_effect(with_payload, MASS, carried(-0.05, 0.05))
-    (best,) = comparison.rivals(
-        [wrong.with_term(BODY, np.array([0.6, 0.0, 0.0, 0.0, 0.0, 0.0]))],
-        comparison.weights(comparison.nominal), 0, slopes=True,
-    )  # fmt: skip
-    (one,) = [
-        x for x in exchanges(with_payload, comparison, best)
-        if x.new in LOADS and set(x.removed) == {MASS, BODY}
-    ]  # fmt: skip
-    assert one.hypothesis.terms == (one.new,)
-    assert payload_of(with_payload, one).theta[0] > 0.0
-    assert one.evidence > 0.0
-
-
 def test_the_removal_of_a_needed_effect_loses_evidence() -> None:
     problem = problem_of("position", FRICTION)
     comparison = ModelComparison(problem)
@@ -131,54 +109,47 @@ def test_the_removal_of_a_needed_effect_loses_evidence() -> None:
 def test_an_alternative_is_scored_with_its_own_discretization_error(
     with_payload: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    selection = StepwiseSelection(with_payload)
-    best = scored_model(selection.comparison, EMPTY)
+    comparison = ModelComparison(with_payload)
+    best = scored_model(comparison, EMPTY)
     # The discretization errors of both models differ.
-    rival = scored_model(selection.comparison, single_effect(with_payload, MASS, CARRIED))
+    rival = scored_model(comparison, single_effect(with_payload, MASS, CARRIED))
     refined_at: list[Hypothesis] = []
     monkeypatch.setattr(Problem, "refine_at", lambda self, h: refined_at.append(h))
     for evidence in (-3.0, -1e5, 10.0):
         rival.evidence = evidence
-        assert selection.judge_with_own_correction(rival, best) is rival
+        assert AlternativeComparison(comparison).judge_with_own_correction(rival, best) is rival
     assert refined_at == []
     rival.evidence = -400.0
-    assert selection.judge_with_own_correction(rival, best).evidence > 0.0
+    assert AlternativeComparison(comparison).judge_with_own_correction(rival, best).evidence > 0.0
     # Afterwards the discretization error of the best model is restored.
     assert refined_at == [rival.hypothesis, best.hypothesis]
 
 
 def test_both_effects_of_an_exchange_are_kept_if_together_they_are_better() -> None:
     problem = problem_of("position", FRICTION)
-    selection = StepwiseSelection(problem)
-    comparison = selection.comparison
+    comparison = ModelComparison(problem)
     best, top = converged(comparison, DRAG), converged(comparison, DRY)
     comparison.judge([top], best)
-    assert set(selection.kept_in_addition(best, top).hypothesis.terms) == {DRAG, DRY}
+    assert set(AlternativeComparison(comparison).kept_in_addition(best, top).hypothesis.terms) == {
+        DRAG,
+        DRY,
+    }
     # Only the new effect is kept if the old one is not needed.
     other = problem_of("position", {DRY: FRICTION[DRY]})
-    selection = StepwiseSelection(other)
-    comparison = selection.comparison
+    comparison = ModelComparison(other)
     best, top = converged(comparison, DRAG), converged(comparison, DRY)
     comparison.judge([top], best)
-    assert selection.kept_in_addition(best, top) is top
+    assert AlternativeComparison(comparison).kept_in_addition(best, top) is top
 
 
 def test_the_search_exchanges_two_wrong_effects_for_the_right_one(with_payload: Problem) -> None:
-    selection = StepwiseSelection(with_payload)
-    comparison = selection.comparison
-    linearized = linearize_around(with_payload, comparison.nominal)
-    selection.known_sensitivities = {
-        MASS: [
-            r
-            for r in linearized.candidate_sensitivities.responses
-            if r.term == MASS
-        ]
-    }  # fmt: skip
+    comparison = ModelComparison(with_payload)
     selected = SelectedModel(converged(comparison, SPRING, REFLECTED), comparison.nominal)
-    assert selection.exchange_terms(selected)
-    assert selected.best.hypothesis.terms == (MASS,)
+    exchanged = AlternativeComparison(comparison).exchange(selected, {})
+    assert exchanged is not None
+    assert exchanged.best.hypothesis.terms == (MASS,)
     true = single_effect(with_payload, MASS, CARRIED)
-    moment, its = (np.prod(h.theta[:2]) for h in (selected.best.hypothesis, true))
+    moment, its = (np.prod(h.theta[:2]) for h in (exchanged.best.hypothesis, true))
     assert moment == pytest.approx(its, rel=0.1)
 
 
@@ -186,11 +157,11 @@ def test_an_effect_that_explains_another_part_of_the_residual_is_no_alternative(
     """Viscous friction at the elbow is in the fit; dry friction at the shoulder is missing."""
     dry_friction = Term("coulomb_friction", SHOULDER)
     problem = problem_of("position", {DRAG: FRICTION[DRAG], dry_friction: {"coulomb": 1.0}})
-    selection = StepwiseSelection(problem)
-    best = converged(selection.comparison, DRAG)
+    comparison = ModelComparison(problem)
+    best = converged(comparison, DRAG)
     linearized = linearize_around(problem, best)
-    found = exchanges(problem, selection.comparison, best)
-    penalty = selection.comparison.penalty_per_effect
+    found = exchanges(problem, comparison, best)
+    penalty = comparison.penalty_per_effect
     additions = better_as_addition(best, linearized, found, 30.0, penalty)
     hypothesis, evidence = additions[dry_friction]
     assert set(hypothesis.terms) == {DRAG, dry_friction}
@@ -203,9 +174,10 @@ def test_an_effect_that_explains_another_part_of_the_residual_is_no_alternative(
         "no addition is clearly better"
     )
 
-    selected = SelectedModel(best, selection.comparison.nominal)
-    assert selection.exchange_terms(selected)
-    assert set(selected.best.hypothesis.terms) == {DRAG, dry_friction}
+    selected = SelectedModel(best, comparison.nominal)
+    exchanged = AlternativeComparison(comparison).exchange(selected, {})
+    assert exchanged is not None
+    assert set(exchanged.best.hypothesis.terms) == {DRAG, dry_friction}
     assert selected.confidence[DRAG] > 0.99
     assert all(
         rival.joint != SHOULDER for rival, share in selected.alternatives[DRAG] if share > 0.01
@@ -246,48 +218,26 @@ def test_a_clearly_better_addition_is_tried_instead_of_several_effects() -> None
     ]
 
 
-@pytest.mark.parametrize(
-    ("floors", "at_present_fit", "is_repeated"),
-    [(2.0, False, False), (5.0, False, True), (5.0, True, False), (20.0, False, False)],
-    ids=[
-        "residual at the noise floor",
-        "small residual at another fit",
-        "small residual at the present fit",
-        "large residual",
-    ],
-)
-def test_a_small_residual_needs_a_linearization_at_the_present_fit(
-    with_payload: Problem, floors: float, at_present_fit: bool, is_repeated: bool
-) -> None:
-    """Around another fit, non-linear laws have other sensitivities; large residuals allow that."""
-    selection = StepwiseSelection(with_payload)
-    nominal = selection.comparison.nominal
-    left = np.ones_like(nominal.fitted.residual) * floors * with_payload.signal_floor
-    best = replace(nominal, fitted=replace(nominal.fitted, residual=left))
-    selection.last_linearization = replace(
-        linearize_around(with_payload, nominal), around=best if at_present_fit else nominal
-    )
-    assert (selection._known_around(best) is None) is is_repeated
-
-
 def test_the_right_effect_is_an_alternative_although_it_is_also_better_as_an_addition() -> None:
     problem = problem_of("position", {DRY: FRICTION[DRY]})
-    selection = StepwiseSelection(problem)
-    best = converged(selection.comparison, DRAG)
-    found = exchanges(problem, selection.comparison, best)
+    comparison = ModelComparison(problem)
+    best = converged(comparison, DRAG)
+    found = exchanges(problem, comparison, best)
     additions = better_as_addition(
-        best, linearize_around(problem, best), found, 30.0, selection.comparison.penalty_per_effect
+        best, linearize_around(problem, best), found, 30.0, comparison.penalty_per_effect
     )
     (exchange_of_drag,) = [x for x in found if x.removed == (DRAG,) and x.new == DRY]
     assert 30.0 < additions[DRY][1] < exchange_of_drag.evidence, (
         "the unneeded effect must cost its penalty"
     )
-    selected = SelectedModel(best, selection.comparison.nominal)
-    assert selection.exchange_terms(selected)
+    selected = SelectedModel(best, comparison.nominal)
+    exchanged = AlternativeComparison(comparison).exchange(selected, {})
+    assert exchanged is not None
     assert selected.confidence[DRAG] < 1e-3
     # Another law of dry friction may be exchanged first.
-    selection.exchange_terms(selected)
-    assert selected.best.hypothesis.terms == (DRY,)
+    selected.best = exchanged.best
+    again = AlternativeComparison(comparison).exchange(selected, exchanged.losses) or exchanged
+    assert again.best.hypothesis.terms == (DRY,)
 
 
 def test_two_effects_that_are_exchanged_for_each_other_are_equally_likely(
@@ -298,13 +248,12 @@ def test_two_effects_that_are_exchanged_for_each_other_are_equally_likely(
     """
     problem = problem_of("position", {DRAG: FRICTION[DRAG]})
     run = Run()
-    selection = StepwiseSelection(problem, run)
+    comparison = ModelComparison(problem, run)
     drag = Term("quadratic_drag", DRAG.joint)
-    best = converged(selection.comparison, drag)
-    selected = SelectedModel(best, selection.comparison.nominal)
-    monkeypatch.setattr(StepwiseSelection, "eliminate", lambda self, rival: best)
-    assert not selection.exchange_terms(selected)
-    assert selected.best is best
+    best = converged(comparison, drag)
+    selected = SelectedModel(best, comparison.nominal)
+    monkeypatch.setattr(alternatives, "eliminate", lambda *_: Eliminated(best, {}))
+    assert AlternativeComparison(comparison).exchange(selected, {}) is None
     shares = {t.effect: share for t, share in selected.alternatives[drag]}
     last = run.trace.steps[-1]
     assert (last.move, last.decision) == ("exchange", "accepted")
@@ -322,43 +271,42 @@ def test_two_effects_that_are_exchanged_for_each_other_are_equally_likely(
 def test_an_effect_is_not_exchanged_for_one_that_cannot_exist() -> None:
     """A total damping below zero compensates for another effect, however well it fits."""
     problem = problem_of("position", {DRAG: {"coefficient": -0.4}})
-    selection = StepwiseSelection(problem)
-    best, other = (converged(selection.comparison, term) for term in (SPRING, DRAG))
-    selection.comparison.judge([other], best)
+    comparison = ModelComparison(problem)
+    best, other = (converged(comparison, term) for term in (SPRING, DRAG))
+    comparison.judge([other], best)
     assert other.evidence > 1.0
     assert refused(problem, other.hypothesis)
-    selected = SelectedModel(best, selection.comparison.nominal)
-    selection.exchange_terms(selected)
-    assert DRAG not in selected.best.hypothesis.terms
+    selected = SelectedModel(best, comparison.nominal)
+    exchanged = AlternativeComparison(comparison).exchange(selected, {})
+    kept = selected.best if exchanged is None else exchanged.best
+    assert DRAG not in kept.hypothesis.terms
     assert DRAG not in [term for term, _ in selected.alternatives.get(SPRING, [])]
 
 
 def test_the_simulated_evidence_of_a_removal_replaces_the_linearized_one() -> None:
     problem = problem_of("position", {DRAG: FRICTION[DRAG]})
-    selection = StepwiseSelection(problem)
-    selected = SelectedModel(converged(selection.comparison, DRAG), selection.comparison.nominal)
-    assert not selection.exchange_terms(selected)
+    comparison = ModelComparison(problem)
+    selected = SelectedModel(converged(comparison, DRAG), comparison.nominal)
+    compared = AlternativeComparison(comparison)
+    assert compared.exchange(selected, {}) is None
     assert selected.confidence[DRAG] > 0.9
-    selection.simulated_losses = {(): 20.0}
-    selection.exchange_terms(selected)
+    compared.exchange(selected, {(): 20.0})
     assert selected.confidence[DRAG] < 1e-3
     # Without a simulation of this removal, the linearized evidence is used.
-    selection.simulated_losses = {(SPRING,): 20.0}
-    selection.exchange_terms(selected)
+    compared.exchange(selected, {(SPRING,): 20.0})
     assert selected.confidence[DRAG] > 0.9
 
 
 def test_a_more_general_law_is_not_listed_as_an_alternative() -> None:
     problem = problem_of("position", {DRY: FRICTION[DRY]})
-    selection = StepwiseSelection(problem)
-    comparison = selection.comparison
+    comparison = ModelComparison(problem)
     best = converged(comparison, DRY)
     proposed = [
         x.new for x in exchanges(problem, comparison, best) if x.removed == (DRY,) and x.new
     ]
     assert any(DRY.effect in new.law.generalizes for new in proposed)
     selected = SelectedModel(best, comparison.nominal)
-    assert not selection.exchange_terms(selected)
+    assert AlternativeComparison(comparison).exchange(selected, {}) is None
     assert selected.alternatives[DRY]
     assert not any(DRY.effect in new.law.generalizes for new, _ in selected.alternatives[DRY])
 
@@ -366,11 +314,10 @@ def test_a_more_general_law_is_not_listed_as_an_alternative() -> None:
 def test_only_alternatives_that_lose_little_evidence_are_simulated(
     with_payload: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    selection = StepwiseSelection(with_payload)
-    comparison = selection.comparison
+    comparison = ModelComparison(with_payload)
     best = scored_model(comparison, single_effect(with_payload, MASS, CARRIED))
     monkeypatch.setattr(comparison, "rivals", lambda starts, *rest: [best] * len(starts))
-    removed = (MASS,)
+    compared, removed = AlternativeComparison(comparison), (MASS,)
 
     def simulated(lost: float, behind: float) -> list[Term | None]:
         found = [
@@ -379,7 +326,7 @@ def test_only_alternatives_that_lose_little_evidence_are_simulated(
                 removed, DRAG, single_effect(with_payload, DRAG, FRICTION[DRAG]), behind, False
             ),
         ]
-        return [x.new for x, _ in selection.simulated_exchanges(best, found, ())]
+        return [x.new for x, _ in compared.simulated_exchanges(best, found, ())]
 
     assert simulated(lost=-500.0, behind=-20.0) == [DRAG]
     assert simulated(lost=-500.0, behind=-40.0) == []
@@ -394,8 +341,8 @@ def test_only_alternatives_that_lose_little_evidence_are_simulated(
             (MASS, DRY), DRAG, single_effect(with_payload, DRAG, FRICTION[DRAG]), -200.0, False
         ),
     ]
-    assert [x.new for x, _ in selection.simulated_exchanges(best, several, ())] == [DRAG]
-    assert selection.simulated_exchanges(best, several[1:], ()) == []
+    assert [x.new for x, _ in compared.simulated_exchanges(best, several, ())] == [DRAG]
+    assert compared.simulated_exchanges(best, several[1:], ()) == []
 
 
 def at_starts(*terms: Term) -> Hypothesis:

@@ -9,9 +9,9 @@ import pytest
 from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference, write
 
 from pytest_twin.commands.replay import load_model
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_recordings import search_shorter_windows
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem, search
 from pytest_twin.diagnosis.trials import read_trials
@@ -67,7 +67,7 @@ def search_without_result(folder: Path, load: float) -> tuple[ModelSetup, Search
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
     given = ModelSetup.of(loaded.realization, None, 1)
     prepared, trials = build_problem(given, trials, [])
-    return given, search(prepared, trials, StepwiseSelection(prepared.problem, share_left=0.0))
+    return given, search(prepared, trials, EffectSelection(prepared.problem, share_left=0.0))
 
 
 def test_a_payload_that_makes_the_arm_diverge_is_found_in_shorter_windows(tmp_path: Path) -> None:

@@ -12,12 +12,12 @@ from two_pendulums import ARMATURE, DAMPING, INERTIA, KP, KV, LENGTH, MASS, mjcf
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.findings import Explained
 from pytest_twin.diagnosis.free_initial_state import free_shifts
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import SearchResult, confirm, refit_whole_motions, search
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.verdict import JointError
@@ -80,7 +80,7 @@ def stable_lag(
     """A stable servo with a lag, its recordings, and the result of a search in whole motions."""
     realization, trials = one_pendulum(tmp_path_factory.mktemp("stable_lag"), lag=SHORT_LAG)
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
-    found = search(prepared, trials, StepwiseSelection(prepared.problem))
+    found = search(prepared, trials, EffectSelection(prepared.problem))
     return realization, trials, found
 
 
@@ -89,7 +89,7 @@ def test_effects_found_in_windows_are_fitted_to_whole_motions(
 ) -> None:
     realization, trials, found = stable_lag
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
-    other = search(cut, trials, StepwiseSelection(cut.problem))
+    other = search(cut, trials, EffectSelection(cut.problem))
     whole = refit_whole_motions(found, other)
     (finding,) = whole.explained.findings
     assert (finding.effect, finding.confidence) == (

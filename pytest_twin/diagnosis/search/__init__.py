@@ -1,1 +1,1 @@
-"""Stepwise selection of effects by simulation, and rejection of unsupported ones."""
+"""Comparison of models by simulation, and rejection of unsupported effects."""

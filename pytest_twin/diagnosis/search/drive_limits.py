@@ -13,30 +13,15 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.first_order.sensitivities import grid, starts_in_first_form
+from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
-FAR_OFF = 10.0
-"""RMS residual in noise floors above which the linearization may be invalid."""
 # A size is refined in two rounds, each over a geometric grid of ``_SIZES`` within these factors.
 _SIZES, _REFINEMENTS = 9, (1.25, 1.05)
-# Largest number of joints whose drives are scanned for limits.
-_LIMITED = 2
-
-
-def limits_of_large_residuals(problem: Problem, whole: FloatArray) -> list[Term]:
-    """Limits of the drives at the joints with the largest residuals, (signals,) mean squares."""
-    joints = len(problem.joints)
-    floors = np.sqrt(whole[:joints]) / problem.floor
-    most = [j for j in np.argsort(-floors)[:_LIMITED] if floors[j] > FAR_OFF]
-    return [
-        t for t in candidates(problem)
-        if t.joint in most and t.law.is_limit and t.lone(starts_in_first_form(t)[0]) is not None
-    ]  # fmt: skip
 
 
 def doubtful_limits(problem: Problem, best: ScoredModel) -> list[Term]:

@@ -2,7 +2,7 @@
 
 These are torque constant, torque roll-off, rotor inertia, dry and viscous friction, friction that
 depends on load or motor effort, encoder zero and command delay. If all of them differ a little from
-the model, no single one exceeds the noise floor, and a stepwise search would choose other effects
+the model, no single one exceeds the noise floor, and a search would choose other effects
 instead. They are therefore fitted together, in addition to the effects that are already found.
 """
 

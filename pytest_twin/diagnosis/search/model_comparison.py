@@ -8,7 +8,8 @@ log-likelihood on the validation recordings.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,15 +21,15 @@ from pytest_twin.diagnosis.first_order.beam_search import (
     effect_penalty,
     parameter_penalty,
 )
-from pytest_twin.diagnosis.fit import fit, weighted_cost
+from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.run import Run, Scored
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.settings import COMPARISON
+from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict import own_mismatch, reduces_error_enough
 from pytest_twin.diagnosis.verdict_settings import VERDICT
-from pytest_twin.effects.segment import Predicted
 
 QUICK, FAIR, LONG = 2, 4, 8
 """Iterations of a fit that ranks models, of one that decides between them, and of a full fit."""
@@ -57,6 +58,7 @@ class ModelComparison:
         # An earlier search may have left the discretization error of its own result.
         with self.run.budget.reserved():
             self.nominal = self.score_without_fit(EMPTY)
+        self._scored = self.nominal, 0.0
 
     @property
     def sample_ratio(self) -> float:
@@ -92,14 +94,6 @@ class ModelComparison:
         else:
             held = [np.zeros((0, len(problem.signal_floor)))] * len(fitted)
         return [ScoredModel(f, h) for f, h in zip(fitted, held, strict=True)]
-
-    def least_residual(self, hypotheses: Sequence[Hypothesis], weights: FloatArray) -> Hypothesis:
-        """The hypothesis with the smallest error on the fit recordings, without fitting any."""
-        if len(hypotheses) == 1:
-            return hypotheses[0]
-        left = self.problem.residuals(hypotheses, self.problem.fit)
-        costs = [weighted_cost(residual, weights) for residual in left]
-        return hypotheses[int(np.argmin(costs))]
 
     def score_without_fit(self, hypothesis: Hypothesis, *, slopes: bool = False) -> ScoredModel:
         """A fitted hypothesis, simulated with the discretization error at its own parameters."""
@@ -195,57 +189,15 @@ class ModelComparison:
         acting = self.problem.acted_on(rival.hypothesis.terms)
         return own_mismatch(self.problem.signal_floor, whole, left, acting)
 
-    def race(
-        self, starts: Sequence[Hypothesis], weights: FloatArray, best: ScoredModel
-    ) -> list[ScoredModel]:
-        """Race of models: all are fitted for one iteration, the leading ones for more.
+    def fit_with_own_correction(self, start: Hypothesis, best: ScoredModel) -> ScoredModel:
+        """A hypothesis, fitted with the discretization error at its own parameters.
 
-        The last few are compared with the discretization error of each.
-
-        Returns:
-            The models, the largest evidence over ``best`` first.
+        The problem then has that of ``best`` again.
         """
-        rivals = self.rivals(starts, weights, 1)
-        self.judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
-        rivals.sort(key=lambda r: -r.evidence)
-        front = [r for r in rivals if r.evidence > rivals[0].evidence - COMPARISON.in_race][
-            : COMPARISON.finalists
-        ]
-        again = self.rivals([r.hypothesis for r in front], weights, QUICK)
-        rivals[: len(front)] = again
-        self.judge(rivals, best, min(rivals, key=lambda r: r.fitted.cost))
-        rivals.sort(key=lambda r: -r.evidence)
-        contenders = [
-            r
-            for r in rivals
-            if r.evidence > (1.0 - COMPARISON.close_race) * rivals[0].evidence > 0.0
-        ]
-        contenders = contenders[: COMPARISON.most_close]
-        if len(contenders) > 1:
-            own = [self.fit_with_own_correction(r, weights) for r in contenders]
-            rivals[: len(contenders)] = own
-            self.judge(own, best, min(own, key=lambda r: r.fitted.cost))
-        return sorted(rivals, key=lambda r: -r.evidence)
-
-    def fit_with_own_correction(self, rival: ScoredModel, weights: FloatArray) -> ScoredModel:
-        """A model with the discretization error at its own parameters.
-
-        It is fitted again if this changes its prediction. The error of an elastic transmission is
-        larger than that of its alternatives.
-        """
-        before = self.problem.discretization_error
-        self.problem.refine_at(rival.hypothesis)
-        moved = self._apart(before, self.problem.discretization_error) > COMPARISON.moved
-        return self.rivals([rival.hypothesis], weights, QUICK if moved else 0)[0]
-
-    def _apart(self, one: Mapping[int, Predicted], other: Mapping[int, Predicted]) -> float:
-        """Largest RMS difference of two discretization errors, in noise floors, over the joints."""
-        both = [int(i) for i in self.problem.fit if i in one and i in other]
-        if not both:
-            return 0.0
-        difference = np.concatenate([one[i].position - other[i].position for i in both])
-        rms = np.sqrt(np.mean(difference**2, axis=0))
-        return float(np.max(rms / self.problem.signal_floor[: len(rms)]))
+        self.problem.refine_at(start)
+        (rival,) = self.rivals([start], self.weights(best), FAIR)
+        self.problem.refine_at(best.hypothesis)
+        return rival
 
     def fit_to_convergence(self, rival: ScoredModel) -> ScoredModel:
         """A model fitted until convergence, with the discretization error at its parameters.
@@ -282,3 +234,31 @@ class ModelComparison:
         )
         most = COMPARISON.simulations + COMPARISON.simulations_per_effect * names
         return self.run.budget.is_spent or self.problem.stepped - self.since > most * once
+
+    def step(
+        self,
+        move: str,
+        decision: Decision,
+        reason: str,
+        proposed: ScoredModel | None,
+        best: ScoredModel,
+    ) -> None:
+        """Record a step; the evidence of ``proposed`` is relative to ``best``."""
+        score = self._score(best)
+        self.run.step(
+            self.problem, move, decision, reason,
+            Scored()
+            if proposed is None
+            else Scored(proposed.hypothesis, score + proposed.evidence),
+            Scored(best.hypothesis, score),
+        )  # fmt: skip
+
+    def _score(self, rival: ScoredModel) -> float:
+        """Evidence of a model relative to the nominal model."""
+        known, score = self._scored
+        if known is not rival:
+            copy = replace(rival)
+            self.judge([copy], self.nominal)
+            score = copy.evidence
+            self._scored = rival, score
+        return score

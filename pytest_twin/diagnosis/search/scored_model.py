@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -127,26 +127,6 @@ class SelectedModel:
             self.alternatives[term] = sorted(
                 ((new, s) for new, s in ranked if new is not None), key=lambda each: -each[1]
             )
-
-
-def simplest_good_model(earning: Sequence[ScoredModel]) -> ScoredModel:
-    """The model with the fewest effects, then parameters, whose evidence is close to the best.
-
-    Residuals are never white, so every additional effect or parameter gains a little. An effect
-    that is needed is found in the next round.
-
-    Args:
-        earning: models whose evidence is sufficient, the largest first.
-    """
-    first = earning[0].evidence
-    fewest = min(
-        len(r.hypothesis.terms) for r in earning if r.evidence >= SELECTION.fewer_as_good * first
-    )
-    alike = [r for r in earning if len(r.hypothesis.terms) == fewest]
-    enough = min((1.0 - SELECTION.as_good) * alike[0].evidence, alike[0].evidence - SELECTION.earns)
-    return min(
-        (r for r in alike if r.evidence >= enough), key=lambda r: (r.hypothesis.free, -r.evidence)
-    )
 
 
 def compare_below_floor(rival: ScoredModel, other: ScoredModel, floor: FloatArray) -> int:

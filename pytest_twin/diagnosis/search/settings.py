@@ -1,4 +1,4 @@
-"""Settings of the stepwise selection of effects, one object for each of its stages.
+"""Settings of the comparison of models, one object for each of its stages.
 
 All were chosen on simulated development cases, which are none of the blind cases. Evidence is a
 log-likelihood ratio; floors are multiples of a signal's noise floor.
@@ -11,16 +11,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class SelectionSettings:
-    """Bounds and thresholds of the stepwise selection.
+    """Bounds and thresholds of the selection of effects.
 
     Attributes:
         earns: evidence that a change must gain. Less is chance: about 1 in e^5 for one of many
             candidates.
-        as_good: share of the best evidence within which a model with fewer parameters wins.
-        fewer_as_good: share of the best evidence from which a model with fewer effects wins.
+        as_good: share of the evidence for an effect that an alternative with more parameters gains
+            by chance.
         most_terms: effects of a model.
-        rounds: steps forward, backward and sideways.
-        attempts: shortlists of one step forward.
+        rounds: of elimination, exchange and search.
         clear: evidence of the linearized comparison beyond which no simulation would decide
             otherwise.
         hardly: share of the evidence for an effect by which its alternatives may be behind in the
@@ -32,18 +31,14 @@ class SelectionSettings:
         linearized_least, linearized_most: least and greatest confidence of an effect that was
             compared with its alternatives in the linearized motion alone. Of 51 such names in blind
             cases that ended after 60 s, 29 were right.
-        hurried: models of a shortlist that are simulated once time is over.
-        crowd: effects at one joint from which the search is repeated from the strongest of them.
         clearly_less: factor between residuals below the noise floor that counts.
         least_told: share of the noise floor below which residuals are equal.
     """
 
     earns: float = 5.0
     as_good: float = 0.01
-    fewer_as_good: float = 0.8
     most_terms: int = 20
     rounds: int = 6
-    attempts: int = 3
     clear: float = 30.0
     hardly: float = 0.05
     disputed: float = 2000.0
@@ -52,8 +47,6 @@ class SelectionSettings:
     close: int = 2
     linearized_least: float = 0.2
     linearized_most: float = 0.6
-    hurried: int = 4
-    crowd: int = 3
     clearly_less: float = 1.25
     least_told: float = 0.2
 
@@ -63,12 +56,6 @@ class ComparisonSettings:
     """Bounds of the comparison of models by simulation.
 
     Attributes:
-        in_race: evidence behind the first model within which others are fitted further.
-        finalists: models that are fitted further, at most.
-        close_race: share of the best evidence within which models are compared with the integration
-            error of each.
-        most_close: number of these.
-        moved: floors by which that error must change a prediction for another fit.
         hopeless: evidence behind the best after the first iterations beyond which a fit ends.
         rough_rounds: fits of a model whose prediction depends on parameters in leaps.
         simulations: of all recordings, that one search may take.
@@ -77,11 +64,6 @@ class ComparisonSettings:
             that the right one is not in the catalogue.
     """
 
-    in_race: float = 150.0
-    finalists: int = 4
-    close_race: float = 0.3
-    most_close: int = 3
-    moved: float = 0.3
     hopeless: float = 500.0
     rough_rounds: int = 2
     simulations: int = 300
@@ -122,35 +104,6 @@ class ExchangeSettings:
     crowd: int = 4
 
 
-@dataclass(frozen=True, slots=True)
-class ShortlistSettings:
-    """Bounds of the shortlists of a step forward.
-
-    Attributes:
-        width: models kept for each number of effects.
-        added: effects that one step adds, at most.
-        fitted: models of each number of effects that are fitted to the linearized motion.
-        fitted_alone: single effects that are fitted to it.
-        width_around_single: models kept for each number of effects around a fitted single effect.
-        near: floors that a single effect may leave before all single effects are simulated.
-        simulated_alone: single effects that this keeps.
-        narrow: floors (an arm that falls, a command that is never followed) from which laws of one
-            parameter are simulated up to their bounds: their minima are narrow.
-        limits: limits of drives whose size is refined.
-    """
-
-    width: int = 10
-    added: int = 4
-    fitted: int = 2
-    fitted_alone: int = 8
-    width_around_single: int = 4
-    near: float = 3.0
-    simulated_alone: int = 3
-    narrow: float = 1000.0
-    limits: int = 2
-
-
 SELECTION = SelectionSettings()
 COMPARISON = ComparisonSettings()
 EXCHANGE = ExchangeSettings()
-SHORTLIST = ShortlistSettings()

@@ -16,17 +16,13 @@ from types import MappingProxyType
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.beam_search import (
-    CandidateSensitivities,
-    NormalEquations,
-    ResidualView,
-)
+from pytest_twin.diagnosis.first_order.beam_search import NormalEquations, ResidualView
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.linearized_fit import LinearizedFit
-from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.linearized_shortlist import (
+from pytest_twin.diagnosis.search.linearized_evidence import (
     fit_and_score_linearized,
     linearized_evidence,
 )
@@ -70,7 +66,6 @@ def find_exchanges(
     problem: Problem,
     best: ScoredModel,
     linearized: LinearizedView,
-    known: Mapping[Term, Sequence[Sensitivity]],
     penalty_per_effect: float,
 ) -> list[TermExchange]:
     """The best exchanges of each term, and of several terms of one joint.
@@ -79,29 +74,16 @@ def find_exchanges(
         problem: the problem.
         best: the present fit.
         linearized: the linearization around it.
-        known: sensitivities to terms that the fit contains now, from before they were added.
         penalty_per_effect: penalty of the log-likelihood for each effect.
     """
     terms = best.hypothesis.terms
     singles: list[tuple[Term, ...]] = [(t,) for t in terms]
     found = _exchanges_in_places(
-        problem,
-        best,
-        linearized,
-        linearized.candidate_sensitivities,
-        singles,
-        EXCHANGE.alternatives,
-        penalty_per_effect,
+        problem, best, linearized, singles, EXCHANGE.alternatives, penalty_per_effect
     )
     several = _groups_of_joint(terms) if linearized.linear is not None else []
     if several:
-        again = [r for t in terms for r in known.get(t, ())]
-        candidate_sensitivities = CandidateSensitivities(
-            [*linearized.candidate_sensitivities.responses, *again]
-        )
-        more = _exchanges_in_places(
-            problem, best, linearized, candidate_sensitivities, several, 1, penalty_per_effect
-        )
+        more = _exchanges_in_places(problem, best, linearized, several, 1, penalty_per_effect)
         more = [x for x in more if x.new is not None]
         for is_doubtful in (False, True):
             alike = [x for x in more if x.is_doubtful == is_doubtful]
@@ -293,7 +275,6 @@ def _exchanges_in_places(
     problem: Problem,
     best: ScoredModel,
     linearized: LinearizedView,
-    candidate_sensitivities: CandidateSensitivities,
     places: Sequence[tuple[Term, ...]],
     count: int,
     penalty_per_effect: float,
@@ -307,7 +288,8 @@ def _exchanges_in_places(
     for removed, rest, gear, left in zip(places, reduced, gears, lefts, strict=True):
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
         lens = NormalEquations(
-            ResidualView(left, slope, view.floor, view.lengths), candidate_sensitivities
+            ResidualView(left, slope, view.floor, view.lengths),
+            linearized.candidate_sensitivities,
         )
         chosen = lens.children(lens.bare, count, rest.terms)
         structures = [lens.bare, *(lens.structure(c) for c in chosen)]

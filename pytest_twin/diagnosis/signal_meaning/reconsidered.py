@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
-from pytest_twin.diagnosis.search.stepwise_selection import StepwiseSelection
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem, conclude
 from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
 from pytest_twin.diagnosis.trials import TrialSet
@@ -48,12 +48,12 @@ def with_fewer_effects(
             given, _with_interpolation(found.trials, between), [], window=found.prepared.window
         )
         run.begin(f"commands {between} between their stamps", prepared.problem)
-        selection = StepwiseSelection(prepared.problem, run)
+        selection = EffectSelection(prepared.problem, run)
         least = _without_one(found, selection.comparison)
         if least is None:
             continue
-        selection.has_nothing_to_add = True
-        selected = selection.run(selection.comparison.fit_to_convergence(least))
+        selection.is_complete = True
+        selected = selection.refine(selection.comparison.fit_to_convergence(least))
         other = conclude(prepared, trials, selection, selected)
         if _has_fewer_effects(other, found if best is None else best[0]):
             best = other, between

@@ -16,12 +16,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.beam_search import BeamSearch, NormalEquations, ResidualView
+from pytest_twin.diagnosis.first_order.beam_search import (
+    BeamSearch,
+    NormalEquations,
+    ResidualView,
+    candidates,
+)
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.linearized_fit import LinearizedFit, fit_linearized
+from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.search.linearized_shortlist import linearized_evidence
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.linearized_evidence import linearized_evidence
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.simplification import (
     equal_sized_forms,
     merge_joints,
@@ -32,6 +40,7 @@ from pytest_twin.diagnosis.search.simplification import (
 )
 from pytest_twin.diagnosis.structure_search.score import Scorer
 from pytest_twin.diagnosis.structure_search.settings import StructureSearchSettings
+from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 _ITERATIONS = 3
 """Of a fit along the motion."""
@@ -44,10 +53,12 @@ class Proposal:
     Attributes:
         hypothesis: fitted along the measured motion.
         gain: predicted log-likelihood ratio over the incumbent, prices paid.
+        left: (signals,) mean squared residual along the measured motion.
     """
 
     hypothesis: Hypothesis
     gain: float
+    left: FloatArray
 
 
 def proposals(
@@ -63,7 +74,9 @@ def proposals(
     own = linearized.around.hypothesis
     pool: dict[tuple[frozenset[Term], bytes], Hypothesis] = {}
     for hypothesis in itertools.chain(
-        _exchanged(scorer, linearized, settings), _rewritten(scorer, own)
+        _exchanged(scorer, linearized, settings),
+        _rewritten(scorer, own),
+        effort_sensor_terms(scorer.problem, linearized.around),
     ):
         form = np.array([m for t in sorted(hypothesis.terms)
                          for m in t.movable(hypothesis.theta[hypothesis.slice_of(t)])])  # fmt: skip
@@ -71,7 +84,7 @@ def proposals(
     starts = list(pool.values())
     linear = linearized.linear
     if linear is None:
-        return [Proposal(h, 0.0) for h in starts]
+        return [Proposal(h, 0.0, linearized.view.mean_square) for h in starts]
     incumbent = LinearizedFit(own, linearized.view.residual)
 
     def fitted(models: Sequence[Hypothesis], iterations: int) -> list[Proposal]:
@@ -84,7 +97,10 @@ def proposals(
                 linearized.view, [incumbent, *some], scorer.penalty_per_effect
             )
             gains = np.nan_to_num(worth[1:] - worth[0], nan=-np.inf)
-            found += [Proposal(f.hypothesis, float(g)) for f, g in zip(some, gains, strict=True)]
+            found += [
+                Proposal(f.hypothesis, float(g), np.mean(f.residual**2, axis=0))
+                for f, g in zip(some, gains, strict=True)
+            ]
         return sorted(found, key=lambda p: -p.gain)
 
     first = fitted(starts, 1)
@@ -224,4 +240,19 @@ def _rewritten(scorer: Scorer, own: Hypothesis) -> list[Hypothesis]:
         *split_terms(problem, own),
         *simpler_forms(problem, own),
         *equal_sized_forms(own),
+    ]
+
+
+def effort_sensor_terms(problem: Problem, best: ScoredModel) -> list[Hypothesis]:
+    """The fit with one effort sensor effect in addition, at joints with a large effort residual.
+
+    The linearized search compares means over bins with the noise floor of single samples, so it may
+    miss an offset of the effort that is below the floor in each bin.
+    """
+    joints = len(problem.joints)
+    (out,) = np.nonzero((best.left > VERDICT.stands_out**2 * problem.signal_floor**2)[joints:])
+    return [
+        best.hypothesis.with_term(t, starts_in_first_form(t)[0])
+        for t in candidates(problem)
+        if t.law.overrides("sense_effort") and t.joint in out and t not in best.hypothesis.terms
     ]

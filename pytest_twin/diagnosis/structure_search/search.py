@@ -16,13 +16,16 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run, Scored
+from pytest_twin.diagnosis.search.compensated_starts import compensated
 from pytest_twin.diagnosis.search.distant_starts import distant
+from pytest_twin.diagnosis.search.drive_limits import refine_limit_sizes, sizes_up_to_bound
 from pytest_twin.diagnosis.search.linearized_view import (
     LinearizedView,
     linearize_around,
     simulate_around,
 )
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
 from pytest_twin.diagnosis.structure_search.proposals import (
     Proposal,
     Quota,
@@ -122,6 +125,30 @@ class StructureSearch:
                 self.problem.refine_at(result.model.hypothesis)
         return result
 
+    def can_explain(self, share: float) -> bool:
+        """Whether some set of effects explains a share of the nominal squared error.
+
+        It is measured in squared noise floors, along the measured motion, without simulations.
+        False if no time is left.
+
+        Args:
+            share: 0 to 1; at 0 the answer is true without any work.
+        """
+        if share <= 0.0:
+            return True
+        nominal, floor = self.scorer.nominal, self.problem.signal_floor
+        try:
+            found = proposals(self.scorer, self._view(self._without_fit(nominal)), self.settings)
+        except OutOfTime:
+            return False
+        whole = float(np.sum(np.mean(nominal.residual**2, axis=0) / floor**2))
+        left = min((float(np.sum(p.left / floor**2)) for p in found), default=np.inf)
+        return left <= (1.0 - share) * whole
+
+    def _view(self, result: Result) -> LinearizedView:
+        fitted = as_fitted(self.problem, result.model, result.jacobian)
+        return linearize_around(self.problem, ScoredModel(fitted, result.model.validation))
+
     @staticmethod
     def _without_fit(model: Model) -> Result:
         return Result(model, np.zeros((*model.residual.shape, 0)))
@@ -136,9 +163,7 @@ class StructureSearch:
         has_effects = bool(incumbent.hypothesis.terms)
         if not has_effects and not scorer.stands_out(incumbent, VERDICT.stands_out).any():
             return None
-        fitted = as_fitted(self.problem, incumbent, result.jacobian)
-        view = linearize_around(self.problem, ScoredModel(fitted, incumbent.validation))
-        models, is_complete = self._simulated_proposals(view, incumbent)
+        models, is_complete = self._simulated_proposals(self._view(result), incumbent)
         result.rivals = [(m, scorer.gain(m, incumbent)) for m in models]
         winner = self._winner(incumbent, models)
         for model, gain in sorted(result.rivals, key=lambda each: -each[1]):
@@ -186,16 +211,22 @@ class StructureSearch:
                 [incumbent, *models],
                 key=lambda m: float(np.log(np.maximum(m.mean_square, 1e-30)).sum()),
             )
-            if scorer.stands_out(best, 2.0 * VERDICT.stands_out).any():
-                scanned = self._scanned(incumbent, best)
+            before = np.nan_to_num(incumbent.mean_square, posinf=0.0)
+            left = scorer.stands_out(best, 2.0 * VERDICT.stands_out)
+            if (left & (best.mean_square > settings.explained * before)).any():
+                scanned = self._scanned(view, best)
                 models += self._fitted(view, scanned, incumbent, 3)
-                if not incumbent.hypothesis.terms:
-                    # Their linearization at the nominal model says nothing.
-                    far = distant(self.problem, EMPTY, incumbent.mean_square)
-                    models += scorer.simulate(far)
+                models += scorer.simulate(self._far(view))
         except OutOfTime:
             return models, False
         return models, True
+
+    def _far(self, view: LinearizedView) -> list[Hypothesis]:
+        """Hypotheses so far from the incumbent that no linearization leads to them."""
+        own, left = view.around.hypothesis, view.around.left
+        if not own.terms:
+            return distant(self.problem, EMPTY, left)
+        return compensated(TrialSimulation(self.problem, view.around, left), own)
 
     def _explains_nothing(self, found: Sequence[Proposal], view: LinearizedView) -> bool:
         """Whether the linearization explains nothing of a residual that stands out."""
@@ -231,14 +262,15 @@ class StructureSearch:
             *order[count:],
         ]
 
-    def _scanned(self, incumbent: Model, best: Model) -> list[Model]:
+    def _scanned(self, view: LinearizedView, best: Model) -> list[Model]:
         """Strongly nonlinear effects, each at the best size of its grid.
 
         The linearization is poor for elastic transmissions, which feed the motion back, and for
         limits, which are discontinuous. Both are simulated on the recording with the largest
-        residual: in addition to all effects, and instead of the effects of their joint.
+        residual: in addition to all effects, and instead of the effects of their joint. The minimum
+        of a limit may be narrow and anywhere up to its bound, so its best size is refined.
         """
-        scorer, own = self.scorer, incumbent.hypothesis
+        scorer, own = self.scorer, view.around.hypothesis
         joints = len(self.problem.joints)
         out = scorer.stands_out(best, 2.0 * VERDICT.stands_out)[:joints]
         rows: dict[tuple[Term, int], list[Hypothesis]] = {}
@@ -249,16 +281,27 @@ class StructureSearch:
             of_joint = [t for t in own.terms if t.joint == term.joint]
             if of_joint:
                 bases.append(own.without(*of_joint))
+            sizes = [*(size for size, _ in grid(term)), *sizes_up_to_bound(term)]
             for k, base in enumerate(bases):
-                rows[term, k] = [base.with_term(term, size) for size, _ in grid(term)]
+                rows[term, k] = [base.with_term(term, size) for size in sizes]
         if not rows:
             return []
         every = [h for each in rows.values() for h in each]
-        misfit = iter(scorer.misfits_where(every, best))
+        bare, *misfits = scorer.misfits_where([own, *every], best)
+        misfit = iter(misfits)
         found = [min(zip((next(misfit) for _ in each), each, strict=True), key=lambda x: x[0])
                  for each in rows.values()]  # fmt: skip
         found.sort(key=lambda x: x[0])
-        return scorer.simulate([h for m, h in found[:_SCANNED] if np.isfinite(m)])
+        chosen = [(m, h) for m, h in found[:_SCANNED] if np.isfinite(m)]
+        trial = TrialSimulation(
+            self.problem, view.around, np.mean(view.around.fitted.residual**2, axis=0)
+        )
+        refined = [
+            h for m, start in chosen if start.terms[-1].law.is_limit and m < bare
+            for h in refine_limit_sizes(trial, [start])
+            if h is not start
+        ]  # fmt: skip
+        return scorer.simulate([*(h for _, h in chosen), *refined])
 
     def _winner(self, incumbent: Model, models: Sequence[Model]) -> Model:
         """The model that passes the acceptance test against all others; smaller ones come first.
@@ -279,22 +322,37 @@ class StructureSearch:
         return best
 
     def _record(self, model: Model, gain: float, incumbent: Model, *, taken: bool) -> None:
-        size, other = len(model.hypothesis.terms), len(incumbent.hypothesis.terms)
-        move = "addition" if size > other else "removal" if size < other else "exchange"
+        own, terms = set(incumbent.hypothesis.terms), set(model.hypothesis.terms)
+        move = "addition" if own <= terms else "removal" if terms < own else "exchange"
+        decision: Decision = "accepted" if taken else "rejected"
         reason = (
             "passes the acceptance test, and no simpler proposal does as well"
             if taken
-            else "does not pass the acceptance test, or a simpler proposal does as well"
+            else self._reason_of_rejection(model, gain, incumbent)
         )
-        decision: Decision = "accepted" if taken else "rejected"
+        # A nominal model that diverges has no finite score.
+        score = float(np.nan_to_num(self.scorer.gain(incumbent, self.scorer.nominal), posinf=0.0))
         self.diagnosis_run.step(
             self.problem,
             move,
             decision,
             reason,
-            Scored(model.hypothesis, gain),
-            Scored(incumbent.hypothesis, 0.0),
+            Scored(model.hypothesis, score + gain),
+            Scored(incumbent.hypothesis, score),
         )
+
+    def _reason_of_rejection(self, model: Model, gain: float, incumbent: Model) -> str:
+        if not np.isfinite(gain):
+            return "its simulation diverges"
+        if refused(self.problem, model.hypothesis, self.recorded):
+            return "it needs an impossible total, or parameters outside the range of the recordings"
+        if self.scorer.is_better(model, incumbent):
+            return "another proposal is simpler or gains more"
+        if model.hypothesis.free <= incumbent.hypothesis.free:
+            return f"it scores {gain:+.1f} against the best"
+        if gain < self.settings.earns:
+            return f"it gains {gain:.1f}; at least {self.settings.earns:g} are needed"
+        return "its gain is too small a part of what all effects explain"
 
 
 def _is_scanned(term: Term) -> bool:

@@ -1,0 +1,198 @@
+"""Selection of effects: the structure search, backward elimination, comparison with alternatives.
+
+The structure search finds a set of effects (:mod:`structure_search`). Effects that do not pay their
+penalty are removed from it (:mod:`elimination`), and each of the others is compared with its
+alternatives (:mod:`alternatives`). If one of these is better, the structure search continues from
+it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from pytest_twin.diagnosis.deadline import OutOfTime
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.refusal import refused
+from pytest_twin.diagnosis.run import Run
+from pytest_twin.diagnosis.search.alternatives import AlternativeComparison
+from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, limits_instead
+from pytest_twin.diagnosis.search.elimination import eliminate
+from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
+from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
+from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
+from pytest_twin.diagnosis.search.settings import SELECTION
+from pytest_twin.diagnosis.structure_search.score import Model
+from pytest_twin.diagnosis.structure_search.search import Result, StructureSearch
+from pytest_twin.diagnosis.verdict_settings import VERDICT
+
+# Log-likelihood ratio by which other sets of the structure search may be behind to share the
+# confidence of its result: odds of 1 to 22,000.
+_NEARLY_AS_GOOD = 10.0
+
+
+class EffectSelection:
+    """One selection of effects for a problem.
+
+    Attributes:
+        problem: the problem.
+        comparison: fits and scores the models.
+        alternatives: compares effects with their alternatives.
+        has_left: whether the search ended because ``leave`` was true.
+        is_complete: whether the structure search has nothing to add to the present fit.
+        rivals: sets that the last structure search found nearly as good as its result.
+        tested_limits: limits of drives that were compared with others.
+        losses: terms of a simplification that was simulated -> its evidence.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        run: Run | None = None,
+        share_left: float = 1.0,
+        leave: Callable[[Model], bool] = lambda model: False,
+    ) -> None:
+        """Set up a selection among all sets of effects.
+
+        Args:
+            problem: the problem.
+            run: the running diagnosis.
+            share_left: largest share of the nominal squared error that may remain. Below 1, the
+                nominal model is kept if no set leaves less in the linearized motion.
+            leave: whether the search ends at a model; called after each step of the first search.
+        """
+        self.problem = problem
+        self.diagnosis_run = Run() if run is None else run
+        self.share_left = share_left
+        self.leave = leave
+        self.comparison = ModelComparison(problem, self.diagnosis_run)
+        self.alternatives = AlternativeComparison(self.comparison)
+        self.has_left = False
+        self.is_complete = False
+        self.rivals: tuple[Hypothesis, ...] = ()
+        self.tested_limits: set[Term] = set()
+        self.losses: Mapping[tuple[Term, ...], float] = MappingProxyType({})
+
+    def run(self, start: Hypothesis = EMPTY) -> SelectedModel:
+        """Select effects from the nominal model or from a hypothesis; the best so far if time ends.
+
+        Args:
+            start: hypothesis from which the structure search starts.
+        """
+        search = StructureSearch(self.problem, self.diagnosis_run, leave=self.leave)
+        if not start.terms and not search.can_explain(1.0 - self.share_left):
+            return self._selected(self.comparison.nominal)
+        found = search.run(start)
+        with self.diagnosis_run.budget.reserved():
+            best = self.comparison.score_without_fit(found.model.hypothesis, slopes=True)
+        if found.has_left:
+            self.has_left = True
+            return self._selected(best)
+        self._keep(found)
+        return self.refine(best)
+
+    def refine(self, best: ScoredModel) -> SelectedModel:
+        """Remove and exchange effects of a fit, and add others if the structure search finds any.
+
+        Args:
+            best: a fit. Without a structure search before, ``is_complete`` tells whether one may
+                add effects.
+        """
+        selected = self._selected(best)
+        try:
+            selected.best = self._eliminate(best)
+            self._improve(selected)
+        except OutOfTime:
+            self.alternatives.weigh_linearized(selected, self.losses)
+            stage = self.diagnosis_run.trace.stage
+            self.diagnosis_run.skip(f"the search over {stage} (begun, not finished)")
+            self.comparison.step("search", "ended", "the time is over", None, selected.best)
+        selected.rivals = self.rivals
+        return selected
+
+    def another(self) -> EffectSelection:
+        """A new selection for the same problem, whose noise floor may have changed."""
+        return EffectSelection(self.problem, self.diagnosis_run, self.share_left)
+
+    def _selected(self, best: ScoredModel) -> SelectedModel:
+        return SelectedModel(best, self.comparison.nominal, tried=self.comparison.tried)
+
+    def _keep(self, found: Result) -> None:
+        self.is_complete = found.is_complete
+        self.rivals = found.nearly_as_good(_NEARLY_AS_GOOD)
+
+    def _eliminate(self, best: ScoredModel) -> ScoredModel:
+        """The best fit after backward elimination; the losses of its simplifications are kept."""
+        eliminated = eliminate(self.comparison, best)
+        self.losses = eliminated.losses
+        return eliminated.best
+
+    def _improve(self, selected: SelectedModel) -> None:
+        """Exchange, add and remove effects until no change is better."""
+        for _ in range(SELECTION.rounds):
+            better = self.exchange_limits(selected.best) or self._add(selected.best)
+            if better is not None:
+                selected.best = better
+                selected.best = self._eliminate(better)
+                if self._implausible_terms(selected.best):
+                    break
+                continue
+            exchanged = self.alternatives.exchange(selected, self.losses)
+            if exchanged is None:
+                break
+            selected.best, self.losses = exchanged.best, exchanged.losses
+            self.is_complete = False
+
+    def _add(self, best: ScoredModel) -> ScoredModel | None:
+        """A better fit by the structure search; None if it finds none."""
+        terms = best.hypothesis.terms
+        if (
+            self.is_complete
+            or len(terms) >= SELECTION.most_terms
+            or self.comparison.is_spent(terms)
+            or not self.comparison.has_residual_to_explain(best)
+        ):
+            return None
+        found = StructureSearch(self.problem, self.diagnosis_run).run(best.hypothesis)
+        self._keep(found)
+        if set(found.model.hypothesis.terms) == set(terms):
+            self.problem.refine_at(best.hypothesis)
+            return None
+        return self.comparison.score_without_fit(found.model.hypothesis, slopes=True)
+
+    def exchange_limits(self, best: ScoredModel) -> ScoredModel | None:
+        """Another limit of a drive instead of the chosen one, if it is clearly better.
+
+        Each limit is tested once.
+        """
+        limits = doubtful_limits(self.problem, best)
+        new = [t for t in limits if t not in self.tested_limits]
+        self.tested_limits.update(new)
+        others = limits_instead(self.problem, best, new) if new else []
+        if not others:
+            return None
+        top = max(self.comparison.score_against(others, best, FAIR), key=lambda r: r.evidence)
+        if top.evidence <= SELECTION.clear:
+            return None
+        self.comparison.step("other limit", "accepted", f"it gains {top.evidence:.1f}", top, best)
+        return self.comparison.fit_to_convergence(top)
+
+    def _implausible_terms(self, rival: ScoredModel) -> list[Term]:
+        """Effects that compensate for another effect.
+
+        They are at a physical bound while their joint stays unexplained, or their values are
+        impossible or outside the range of the recordings.
+        """
+        problem, hypothesis = self.problem, rival.hypothesis
+        excluded = refused(problem, hypothesis, self.alternatives.recorded)
+        left = in_noise_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
+        return [
+            t for t in hypothesis.terms
+            if t in excluded
+            or problem.has_negative_mean_friction(hypothesis, t)
+            or (
+                hypothesis.at_bound(t)
+                and (left.max() if t.joint < 0 else left[t.joint]) > VERDICT.left_floors
+            )
+        ]  # fmt: skip

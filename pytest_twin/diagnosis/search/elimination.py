@@ -1,0 +1,154 @@
+"""Backward elimination: effects and parameters that do not pay their penalty are removed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.diagnosis.first_order.sensitivities import Linear, linearize
+from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.search.linearized_evidence import fit_and_score_linearized
+from pytest_twin.diagnosis.search.linearized_view import residual_view
+from pytest_twin.diagnosis.search.model_comparison import FAIR, QUICK, ModelComparison
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.settings import EXCHANGE, SELECTION
+from pytest_twin.diagnosis.search.simplification import (
+    equal_sized_forms,
+    merge_joints,
+    merge_terms,
+    simpler_forms,
+    special_cases,
+    split_terms,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Eliminated:
+    """Result of a backward elimination.
+
+    Attributes:
+        best: the remaining model.
+        losses: terms of a simplification that was simulated -> its evidence relative to ``best``.
+    """
+
+    best: ScoredModel
+    losses: Mapping[tuple[Term, ...], float]
+
+
+def eliminate(comparison: ModelComparison, best: ScoredModel) -> Eliminated:
+    """The best fit after backward elimination.
+
+    Effects that do not pay their penalty are removed. Laws are merged, or replaced by special cases
+    and simpler forms that explain as much. A simplification that clearly loses in the linearized
+    motion is not simulated, except that of an elastic transmission.
+    """
+    problem, losses = comparison.problem, dict[tuple[Term, ...], float]()
+    while best.hypothesis.terms:
+        losses = {}
+        terms = best.hypothesis.terms
+        fewer = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
+        linear = linearize(problem, problem.fit, best.hypothesis)
+        fewer += merge_terms(problem, best.hypothesis)
+        fewer += simpler_forms(problem, best.hypothesis)
+        if linear is not None:
+            fewer += equal_sized_forms(best.hypothesis)
+        tolerance = tolerances(comparison, best, linear)
+        doubtful = undecided(comparison, best, linear, fewer, tolerance)
+        doubtful += special_cases(problem, best.hypothesis)
+        doubtful += split_terms(problem, best.hypothesis)
+        # A shift in time changes the discretization error, so each has its own.
+        rivals = [
+            comparison.fit_with_own_correction(h, best)
+            for h in merge_joints(problem, best.hypothesis)
+        ]
+        if not doubtful and not rivals:
+            break
+        # In contact each simplification is fitted by simulation, so the fits are shorter.
+        iterations = QUICK if linear is None else FAIR
+        comparison.judge(rivals, best)
+        rivals += comparison.score_against(doubtful, best, iterations)
+        losses = {r.hypothesis.terms: r.evidence for r in rivals}
+        top = max(rivals, key=lambda r: r.evidence + tolerance(r.hypothesis))
+        if top.evidence + tolerance(top.hypothesis) < -SELECTION.earns / 2:
+            why = f"without what it leaves out the score falls by {-top.evidence:.1f}"
+            comparison.step("elimination", "rejected", why, top, best)
+            break
+        comparison.step(
+            "elimination", "accepted",
+            f"fewer effects or parameters cost only {max(-top.evidence, 0.0):.1f}", top, best,
+        )  # fmt: skip
+        best = comparison.fit_to_convergence(top)
+    return Eliminated(best, losses)
+
+
+def tolerances(
+    comparison: ModelComparison, best: ScoredModel, linear: Linear | None
+) -> Callable[[Hypothesis], float]:
+    """How far the evidence of a simplification may be below that of ``best``.
+
+    A law in a more general form follows the errors of the simulator a little, in proportion to what
+    the law does. A form with fewer parameters may therefore be behind by that much. A form with as
+    many parameters must be ahead, and so must the parts of a law that is at its bound.
+    """
+    own, lost_of = best.hypothesis, dict[Term, float]()
+    several = [t for t in own.terms if t.law.has_forms]
+    if linear is not None and several:
+        view = residual_view(comparison.problem, best, linear.residual(best.fitted.residual))
+        removed = [own.without(t) for t in several]
+        _, evidence = fit_and_score_linearized(
+            linear, view, best, removed, comparison.penalty_per_effect
+        )
+        lost = np.maximum(-np.nan_to_num(evidence), 0.0) * comparison.sample_ratio
+        lost_of = dict(zip(several, lost.tolist(), strict=True))
+
+    def tolerance(other: Hypothesis) -> float:
+        if other.terms == own.terms and other.free == own.free:
+            return -SELECTION.other_form
+        if len(other.terms) > len(own.terms):
+            return comparison.penalty_per_effect + SELECTION.even
+        if len(other.terms) < len(own.terms) or other.free >= own.free:
+            return 0.0
+        changed = [lost for t, lost in lost_of.items() if not _has_same_form(t, own, other)]
+        return EXCHANGE.general_ahead * max(changed, default=0.0)
+
+    return tolerance
+
+
+def undecided(
+    comparison: ModelComparison,
+    best: ScoredModel,
+    linear: Linear | None,
+    others: Sequence[Hypothesis],
+    tolerance: Callable[[Hypothesis], float],
+) -> list[Hypothesis]:
+    """Simplifications that the linearized motion does not clearly reject, with its parameters.
+
+    Those that remove an elastic transmission are always among them.
+    """
+    gears = {t for t in best.hypothesis.terms if t.law.is_elastic_transmission}
+    linearized = [h for h in others if gears <= set(h.terms)]
+    if linear is None or not linearized:
+        return list(others)
+    view = residual_view(comparison.problem, best, linear.residual(best.fitted.residual))
+    fitted, evidence = fit_and_score_linearized(
+        linear, view, best, linearized, comparison.penalty_per_effect
+    )
+    return [h for h in others if not gears <= set(h.terms)] + [
+        h for h, e in zip(fitted, evidence, strict=True) if e + tolerance(h) > -SELECTION.clear
+    ]
+
+
+def have_same_forms(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether two hypotheses have the same terms in the same forms."""
+    same = set(one.terms) == set(other.terms)
+    return same and all(_has_same_form(t, one, other) for t in one.terms)
+
+
+def _has_same_form(term: Term, own: Hypothesis, other: Hypothesis) -> bool:
+    """Whether ``other`` has a term in the same form as ``own``."""
+    if term not in other.terms:
+        return False
+    here, there = own.theta[own.slice_of(term)], other.theta[other.slice_of(term)]
+    return bool(np.array_equal(term.movable(here), term.movable(there)))

@@ -1,0 +1,43 @@
+"""Evidence of models in the linearized motion, without any simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.first_order.beam_search import ResidualView
+from pytest_twin.diagnosis.first_order.linearized_fit import FAR_OFF, LinearizedFit, fit_linearized
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
+
+
+def linearized_evidence(
+    view: ResidualView, linear_fits: Sequence[LinearizedFit], penalty_per_effect: float
+) -> FloatArray:
+    """Penalized log-likelihood of each fit in the linearized motion; comparable within a call."""
+    effective = view.effective_of_best([p.residual for p in linear_fits])
+    return np.array(
+        [
+            view.worth(p.residual, effective, p.hypothesis.free)
+            - penalty_per_effect * len(p.hypothesis.terms)
+            for p in linear_fits
+        ]
+    )
+
+
+def fit_and_score_linearized(
+    linear: Linear,
+    view: ResidualView,
+    best: ScoredModel,
+    others: Sequence[Hypothesis],
+    penalty_per_effect: float,
+) -> tuple[list[Hypothesis], FloatArray]:
+    """Hypotheses fitted in the motion linearized at ``best``, and their evidence relative to it."""
+    linear_fits = fit_linearized(linear, view, others, FAR_OFF)
+    values = linearized_evidence(
+        view, [LinearizedFit(best.hypothesis, view.residual), *linear_fits], penalty_per_effect
+    )
+    return [p.hypothesis for p in linear_fits], values[1:] - values[0]
