@@ -10,9 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.identification_record import EncoderChange
+from pytest_twin.identification.drive_effects import DriveEffects, DriveRecordings, fit_drives
 from pytest_twin.identification.effort.servo_gains import ServoGains
 from pytest_twin.identification.fit_patches import Patches
 from pytest_twin.identification.measured import Measured
@@ -46,18 +50,27 @@ class ClosedLoop:
     """The fitted model under recorded commands.
 
     Attributes:
+        folder: folder of the model.
         fit: family -> element -> attribute -> value, with servo gains if they are kept.
         positions: joint -> errors of its simulated position.
         stage: the stage ``closed_loop``.
         parameters: parameters of the stage for the record.
+        drives: effects of drives, if they are kept.
         notes: messages.
     """
 
+    folder: Path
     fit: Patches
     positions: dict[str, PositionError]
     stage: Stage
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    drives: DriveEffects | None = None
     notes: list[str] = field(default_factory=list)
+
+    def has_larger_error_than(self, other: ClosedLoop) -> bool:
+        """Whether the other model has a smaller simulated position error."""
+        own, its = self.stage.held_out, other.stage.held_out
+        return own is not None and its is not None and its.after < own.after
 
 
 def close_loop(
@@ -65,46 +78,123 @@ def close_loop(
     fit: Patches,
     encoders: Mapping[str, EncoderChange],
     gains: Sequence[ServoGains],
+    recordings: DriveRecordings | None,
     trials: Sequence[Trial] | TwinError,
     folder: Path,
 ) -> ClosedLoop:
-    """Write and simulate the fitted model; servo gains are kept if they lower its position error.
+    """Write the fitted model that has the smallest simulated position error.
+
+    It has servo gains from effort and tracking error, or effects of drives, or neither.
 
     Args:
         nominal: the nominal model.
         fit: changes of bodies and joints.
         encoders: changes of encoders.
         gains: gains of position servos from measured effort.
+        recordings: recordings to which the effects of drives are fitted; None for no effects.
         trials: result of :func:`trials_of`.
         folder: new and empty; gets the fitted model.
     """
     write_fitted(folder, nominal, fit, encoders)
     positions, stage = simulated(nominal, load_written(folder), trials)
-    if not gains or stage.held_out is None:
-        return ClosedLoop(fit, positions, stage)
-    words = ", ".join(one.words for one in gains)
-    with_gains = {**fit, "actuator": {one.actuator: dict(one.patch()) for one in gains}}
-    other = folder.with_name("with_servo_gains")
-    other.mkdir()
-    write_fitted(other, nominal, with_gains, encoders)
-    others, tried = simulated(nominal, load_written(other), trials)
-    if tried.held_out is None or tried.held_out.after >= stage.held_out.after:
-        shutil.rmtree(other)
-        note = (
-            f"servo gains from effort and tracking error are not kept, because they do not lower "
-            f"the simulated position error: {words}"
-        )
-        return ClosedLoop(fit, positions, stage, notes=[note])
-    shutil.rmtree(folder)
-    other.rename(folder)
+    plain = ClosedLoop(folder, fit, positions, stage)
+    if stage.held_out is None:
+        return plain
+    best, notes = plain, []
+    if gains:
+        servos = _with_gains(nominal, fit, encoders, gains, trials, _beside(folder, "servo_gains"))
+        if best.has_larger_error_than(servos):
+            best = servos
+        else:
+            words = ", ".join(one.words for one in gains)
+            notes.append(
+                "servo gains from effort and tracking error are not kept, because they do not "
+                f"lower the simulated position error: {words}"
+            )
+    if recordings is not None:
+        base = plain
+        if recordings.known:
+            aside = _beside(folder, "known_servos")
+            base = _with_gains(nominal, fit, encoders, recordings.known, trials, aside)
+        other = _beside(folder, "drive_effects")
+        try:
+            found = fit_drives(load_written(base.folder), recordings, other)
+        except TwinError as error:
+            found = None
+            notes.append(f"no effects of drives are fitted: {error}")
+        if found is not None:
+            driven = _with_drives(nominal, base, found, trials, other)
+            best = driven if best.has_larger_error_than(driven) else best
+    return replace(_moved(best, folder), notes=[*notes, *best.notes])
+
+
+def _with_gains(
+    nominal: Realization,
+    fit: Patches,
+    encoders: Mapping[str, EncoderChange],
+    gains: Sequence[ServoGains],
+    trials: Sequence[Trial] | TwinError,
+    folder: Path,
+) -> ClosedLoop:
+    patches = {**fit, "actuator": {one.actuator: dict(one.patch()) for one in gains}}
+    write_fitted(folder, nominal, patches, encoders)
+    positions, stage = simulated(nominal, load_written(folder), trials)
     parameters = {name: one for each in gains for name, one in each.parameters().items()}
-    tried = replace(
-        tried,
-        why=f"servo stiffness from effort and tracking error: {words}; {tried.why}",
+    words = ", ".join(one.words for one in gains)
+    stage = replace(
+        stage,
+        why=f"servo stiffness from effort and tracking error: {words}; {stage.why}",
         parameters=tuple(parameters),
         excludes="weights, inertias and friction are given; a delay of the command was free",
     )
-    return ClosedLoop(with_gains, others, tried, parameters)
+    return ClosedLoop(folder, patches, positions, stage, parameters)
+
+
+def _with_drives(
+    nominal: Realization,
+    base: ClosedLoop,
+    found: DriveEffects,
+    trials: Sequence[Trial] | TwinError,
+    folder: Path,
+) -> ClosedLoop:
+    positions, stage = simulated(nominal, load_written(folder), trials)
+    named = ", ".join(found.together.parameters)
+    stage = replace(
+        stage,
+        why=f"effects of the drives, fitted to the motion: {named}; {stage.why}",
+        parameters=(*base.parameters, *found.together.parameters),
+        excludes="weights, inertias and friction are given",
+    )
+    notes = []
+    fit = {family: dict(own) for family, own in base.fit.items()}
+    for family, own in found.fit.items():
+        elements = fit.setdefault(family, {})
+        for name, changed in own.items():
+            elements[name] = {**elements.get(name, {}), **changed}
+    if found.outside:
+        notes.append(
+            f"only realization/ contains {', '.join(found.outside)}: fit: of a twin has no fields "
+            "for them; name the folder of this identification as its model:"
+        )
+    parameters = {**base.parameters, **found.parameters}
+    return ClosedLoop(folder, fit, positions, stage, parameters, found, notes)
+
+
+def _beside(folder: Path, name: str) -> Path:
+    """Return a new folder beside that of the fitted model."""
+    other = folder.with_name(f"with_{name}")
+    other.mkdir()
+    return other
+
+
+def _moved(loop: ClosedLoop, folder: Path) -> ClosedLoop:
+    """Move the model of a closed loop to a folder, and remove the others beside it."""
+    if loop.folder != folder:
+        shutil.rmtree(folder)
+        loop.folder.rename(folder)
+    for other in folder.parent.glob("with_*"):
+        shutil.rmtree(other)
+    return replace(loop, folder=folder)
 
 
 def trials_of(
@@ -192,15 +282,27 @@ def effort_responses(recordings: Sequence[Measured]) -> list[dict[str, Any]]:
 
 
 def _errors(realization: Realization, trials: Sequence[Trial]) -> dict[str, float]:
+    each: dict[str, list[float]] = {}
+    for trial, (joints, position) in zip(trials, _positions(realization, trials), strict=True):
+        for joint, predicted in zip(joints, position.T, strict=True):
+            measured = trial.position[:, trial.joints.index(joint)]
+            seen = np.isfinite(measured)
+            each.setdefault(joint, []).append(residual(predicted[seen], measured[seen]).rms)
+    return {joint: float(np.sqrt(np.mean(np.square(all_)))) for joint, all_ in each.items()}
+
+
+def _positions(
+    realization: Realization, trials: Sequence[Trial]
+) -> list[tuple[tuple[str, ...], FloatArray]]:
+    """Return the joints of each trial and their simulated positions, with all effects."""
     from pytest_twin.replay import replay
 
-    each: dict[str, list[float]] = {}
+    patched = patched_of(realization)
+    if patched is not None:
+        predicted = replay_patched(realization, patched, trials)
+        return [(patched.joints, one.position) for one in predicted]
     results = replay(realization, list(trials))
-    for trial, result in zip(trials, results, strict=True):
+    for result in results:
         if result.error is not None:
             raise result.error
-        for column, joint in enumerate(trial.joints):
-            seen = np.isfinite(trial.position[:, column])
-            off = residual(result.position[seen, column], trial.position[seen, column])
-            each.setdefault(joint, []).append(off.rms)
-    return {joint: float(np.sqrt(np.mean(np.square(all_)))) for joint, all_ in each.items()}
+    return [(t.joints, one.position) for t, one in zip(trials, results, strict=True)]

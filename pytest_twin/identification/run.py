@@ -14,6 +14,11 @@ from pytest_twin.formats.digest import file_sha256
 from pytest_twin.identification.closed_loop import close_loop, effort_responses, trials_of
 from pytest_twin.identification.contact.identify import are_tosses, identify_contact
 from pytest_twin.identification.contact.roles import TossOptions
+from pytest_twin.identification.drive_effects import (
+    add_covariance,
+    drive_recordings,
+    with_drive_effects,
+)
 from pytest_twin.identification.effort.identify import has_effort, identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.encoder_changes import encoder_changes
@@ -120,10 +125,17 @@ def identify_files(
             {**stated, **topics}, chosen,
         )  # fmt: skip
         gains = servo_gains(realization, measured.fit, result, signals)
+        driven = drive_recordings(measured, {**stated, **topics}, chosen, signals, result, gains)
         loop = close_loop(
-            realization, patches_of(realization, result), encoders, gains, tried, folder
-        )
-        document = effort_document(result, (*result.stages, loop.stage))
+            realization, patches_of(realization, result), encoders, gains,
+            driven, tried, folder,
+        )  # fmt: skip
+        stages = (*result.stages, loop.stage)
+        if loop.drives is not None:
+            stages = with_drive_effects(stages, loop.drives)
+        document = effort_document(result, stages)
+        if loop.drives is not None:
+            add_covariance(document, loop.drives)
         document["fit"] = loop.fit
         document["parameters"].update(loop.parameters)
         document["notes"] += loop.notes

@@ -41,6 +41,7 @@ class ServoGains:
         nominal: the model's stiffness and damping.
         transmission: square of the actuator's gear in the model.
         slide: whether the joint is prismatic.
+        misfit: residual of the effort relative to its deviation.
     """
 
     joint: str
@@ -51,6 +52,7 @@ class ServoGains:
     nominal: tuple[float, float]
     transmission: float
     slide: bool
+    misfit: float
 
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Return ``JOINT.servo_stiffness`` and ``JOINT.servo_damping`` for a record."""
@@ -116,7 +118,7 @@ def servo_gains(
             continue
         fit = _fitted(realization, right, k, found.filter)
         if fit is not None:
-            (stiffness, damping), half = fit
+            (stiffness, damping), half, misfit = fit
             model = realization.model
             gear = float(model.actuator_gear[model.actuator_outadr[servo], 0])
             bias = -(gear**2) * model.actuator_biasprm[servo]
@@ -124,7 +126,7 @@ def servo_gains(
                 ServoGains(
                     joint, model.actuator(servo).name, stiffness, damping, half,
                     (float(bias[1]), float(bias[2])), gear**2,
-                    realization.structure.joint_type[joint] == "slide",
+                    realization.structure.joint_type[joint] == "slide", misfit,
                 )
             )  # fmt: skip
     return gains
@@ -146,8 +148,8 @@ def _servo(realization: Realization, joint: str) -> int | None:
 
 def _fitted(
     realization: Realization, recordings: Sequence[Measured], k: int, chosen: Filter
-) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Return stiffness and damping of one joint with their half widths, or None.
+) -> tuple[tuple[float, float], tuple[float, float], float] | None:
+    """Return stiffness and damping of one joint, their half widths and the misfit, or None.
 
     The rate of the command has its own column, which takes up a delay of the command.
     """
@@ -183,7 +185,7 @@ def _fitted(
     )  # fmt: skip
     solution = solve(problem)
     (stiffness, damping), half = solution.values[:2], solution.half_width[:2]
-    spread = float(effort[seen].std())
-    if solution.noise[0] > _OTHER_LAW * spread or half[0] > _WIDEST * stiffness:
+    misfit = float(solution.noise[0] / effort[seen].std())
+    if misfit > _OTHER_LAW or half[0] > _WIDEST * stiffness:
         return None
-    return (float(stiffness), float(damping)), (float(half[0]), float(half[1]))
+    return (float(stiffness), float(damping)), (float(half[0]), float(half[1])), misfit

@@ -24,11 +24,20 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.identification.simulation.equation_error import first_values
 from pytest_twin.identification.simulation.fitting import with_derivatives
-from pytest_twin.identification.simulation.stage_effects import nuisance_of, start, terms_of
+from pytest_twin.identification.simulation.stage_effects import (
+    ALL_STAGES,
+    StagePlan,
+    nuisance_of,
+    start,
+    terms_of,
+)
 from pytest_twin.identification.simulation.staged_fit import StagedFit
 from pytest_twin.identification.simulation.undetermined import undetermined_terms
 from pytest_twin.identification.stages import Stage, StageName, shares
 from pytest_twin.realization import Realization
+
+_KNOWN = "known"
+"""Command mode that no effect acts on, of a joint whose drive is not fitted."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,7 @@ def identify_simulation(
     inherited: Patched | None = None,
     threads: int = 0,
     progress: Callable[[float], None] = lambda fraction: None,
+    plan: StagePlan = ALL_STAGES,
 ) -> SimulationResult:
     """Fit effects stage by stage; a stage that is accepted is frozen.
 
@@ -76,6 +86,7 @@ def identify_simulation(
         inherited: effects of an earlier diagnosis that the MJCF does not contain.
         threads: number of threads of the simulation, 0 for all cores.
         progress: called with the fraction done.
+        plan: stages that are fitted, and their effects.
 
     Raises:
         RecordingError: the model and the recordings share no joint.
@@ -89,15 +100,18 @@ def identify_simulation(
         used = signals.applied(trials)
         prepared, used = build_problem(given, used, notes)
         problem = prepared.problem
-        modes = [problem.simulator.segments[0].mode_of(j) for j in range(len(problem.joints))]
+        modes = [
+            _KNOWN if joint in plan.known_drives else problem.simulator.segments[0].mode_of(j)
+            for j, joint in enumerate(problem.joints)
+        ]
         first = first_values(problem)
         problem.position_weights = _segment_weights(
             problem, start(_drives(modes), problem.scales, first)
         )
-        staged = StagedFit(given, used, prepared, modes, first)
+        staged = StagedFit(given, used, prepared, modes, first, plan)
         staged.run(progress)
         found, stage_of = staged.found, staged.stage_of
-        undetermined = undetermined_terms(problem, found, modes)
+        undetermined = undetermined_terms(problem, found, modes, plan.order)
         stages = [_as_the_model_says(one, undetermined) for one in staged.stages.values()]
         slopes = with_derivatives(problem, found)
         spread = parameter_spread(problem, slopes)

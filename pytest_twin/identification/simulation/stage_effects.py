@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -29,6 +30,30 @@ FURTHER: Mapping[StageName, tuple[str, ...]] = {
     ),
 }  # fmt: skip
 """Stage -> effects that it adds if they reduce the held-out error."""
+AFTER_EFFORT: Mapping[StageName, tuple[str, ...]] = {
+    "drive": (*FURTHER["drive"], "asymmetric_friction"),
+    "closed_loop": FURTHER["friction"],
+}
+"""The same as ``FURTHER`` where measured effort has determined inertia and friction. The constant
+effort of a drive acts like friction that differs between the directions."""
+
+
+@dataclass(frozen=True, slots=True)
+class StagePlan:
+    """Stages that are fitted, and the effects that they may add.
+
+    Attributes:
+        order: stages in order.
+        further: stage -> effects that it adds if they reduce the held-out error.
+        known_drives: joints that keep the model's drive.
+    """
+
+    order: tuple[StageName, ...] = tuple(SIMULATED)
+    further: Mapping[StageName, tuple[str, ...]] = field(default_factory=lambda: FURTHER)
+    known_drives: frozenset[str] = frozenset()
+
+
+ALL_STAGES = StagePlan()
 _OF_EFFORT_DRIVES = {"controller_gain": "torque_constant"}
 """Effect -> effect that replaces it for effort drives, which have no gains."""
 _NUISANCE = ("viscous_friction", "coulomb_friction", "controller_gain", "armature")

@@ -26,9 +26,9 @@ from pytest_twin.identification.simulation.fitting import (
     with_derivatives,
 )
 from pytest_twin.identification.simulation.stage_effects import (
+    ALL_STAGES,
     EXCLUDES,
-    FURTHER,
-    SIMULATED,
+    StagePlan,
     nuisance_of,
     terms_of,
 )
@@ -37,8 +37,6 @@ from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_s
 _LAST = 10
 """Iterations of the fit of all accepted terms together."""
 _TOGETHER: StageName = "closed_loop"
-_FURTHER_STAGE = {effect: name for name, effects in FURTHER.items() for effect in effects}
-"""Further effect -> stage that adds it."""
 
 
 @dataclass
@@ -51,6 +49,7 @@ class StagedFit:
         prepared: problem of the nominal model.
         modes: (joints,) command mode of each joint's drive.
         first: (joints, 5) first values from the equation error.
+        plan: stages that are fitted, and their effects.
         found: accepted terms with their parameters.
         stage_of: term -> stage that fits it.
         stages: name -> stage.
@@ -61,25 +60,32 @@ class StagedFit:
     prepared: Prepared
     modes: Sequence[str]
     first: FloatArray
+    plan: StagePlan = ALL_STAGES
     found: Hypothesis = EMPTY
     stage_of: dict[Term, StageName] = field(default_factory=dict)
     stages: dict[StageName, Stage] = field(default_factory=dict)
 
     def run(self, progress: Callable[[float], None]) -> None:
         """Fit all stages; ``progress`` is called with the fraction done."""
-        for k, name in enumerate(SIMULATED):
+        for k, name in enumerate(self.plan.order):
             self.stages[name], accepted = self._stage(name, self.found)
             for term in accepted.terms:
                 self.found = self.found.with_term_of(accepted, term)
                 self.stage_of[term] = name
-            progress((k + 1) / (len(SIMULATED) + 1))
+            progress((k + 1) / (len(self.plan.order) + 1))
         self._fit_together()
-        if self.found.terms and self._error(self.found) > VERDICT.stands_out:
+        several = len(self.plan.order) > 1
+        if several and self.found.terms and self._error(self.found) > VERDICT.stands_out:
             self._fit_again()
 
     @property
     def _problem(self) -> Problem:
         return self.prepared.problem
+
+    @property
+    def _stage_of_further(self) -> dict[str, StageName]:
+        """Further effect -> stage that adds it."""
+        return {effect: name for name, effects in self.plan.further.items() for effect in effects}
 
     def _error(self, hypothesis: Hypothesis) -> float:
         return held_out_error(self._problem, hypothesis)
@@ -110,7 +116,7 @@ class StagedFit:
         own, free = terms_of(name, self.modes), nuisance_of(name, frozen.terms, self.modes)
         without = fit_terms(problem, free, self.first)
         fitted = take_better_terms(problem, without, fit_terms(problem, [*own, *free], self.first))
-        fitted = add_effects(problem, fitted, FURTHER.get(name, ()), self.modes)
+        fitted = add_effects(problem, fitted, self.plan.further.get(name, ()), self.modes)
         kept = fitted.without(*(t for t in fitted.terms if t in free))
         held = HeldOut(
             held_out_error(problem, without), held_out_error(problem, fitted), "noise floors"
@@ -139,7 +145,10 @@ class StagedFit:
         if self._error(moved) > before:
             moved = found
         # What a frozen stage has taken up may hide an effect: with all parameters free it shows.
-        whole = add_effects(problem, moved, list(_FURTHER_STAGE), self.modes)
+        # A single stage has just tried its own effects with all parameters free.
+        tried = self.plan.further.get(self.plan.order[0], ()) if len(self.plan.order) == 1 else ()
+        untried = [effect for effect in self._stage_of_further if effect not in tried]
+        whole = add_effects(problem, moved, untried, self.modes)
         held = HeldOut(before, self._error(whole), "noise floors")
         stage = judge_stage(
             Stage(
@@ -152,8 +161,10 @@ class StagedFit:
             return
         moved_terms = self._moved_terms(whole)
         for term in whole.terms:
-            self.stage_of.setdefault(term, _FURTHER_STAGE.get(term.effect, _TOGETHER))
+            self.stage_of.setdefault(term, self._stage_of_further.get(term.effect, _TOGETHER))
         for name in dict.fromkeys(self.stage_of[t] for t in moved_terms):
+            if name == _TOGETHER:
+                continue
             self._reopen(
                 name,
                 "all accepted parameters fitted together move it beyond its 95 % interval or add "
@@ -198,11 +209,11 @@ class StagedFit:
         and stay as they were if the held-out error does not fall.
         """
         before = error = self._error(self.found)
-        for name in SIMULATED:
+        for name in self.plan.order:
             others = self.found.without(*(t for t in self.found.terms if self.stage_of[t] == name))
             # Further effects stay as they are. Friction, gains and armature, which compensate for
             # one another, are free again.
-            kept = [t for t in others.terms if t.effect in _FURTHER_STAGE]
+            kept = [t for t in others.terms if t.effect in self._stage_of_further]
             _, accepted = self._stage(name, others.without(*(set(others.terms) - set(kept))))
             if not accepted.terms:
                 continue
@@ -220,7 +231,7 @@ class StagedFit:
         if error == before:
             return
         self.stage_of = {t: name for t, name in self.stage_of.items() if t in self.found.terms}
-        for name in SIMULATED:
+        for name in self.plan.order:
             words = self._words(name, self.found)
             self.stages[name] = replace(self.stages[name], parameters=words)
         together = self.stages[_TOGETHER]

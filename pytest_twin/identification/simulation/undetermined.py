@@ -16,7 +16,10 @@ from pytest_twin.identification.stages import StageName
 
 
 def undetermined_terms(
-    problem: Problem, found: Hypothesis, modes: Sequence[str]
+    problem: Problem,
+    found: Hypothesis,
+    modes: Sequence[str],
+    order: Sequence[StageName] = tuple(SIMULATED),
 ) -> dict[Term, StageName]:
     """Return the terms that may act unnoticed, with the stage that fits them.
 
@@ -28,12 +31,10 @@ def undetermined_terms(
         problem: problem of the closed loop.
         found: accepted terms at their final parameters.
         modes: (joints,) command mode of each joint's drive.
+        order: stages that were fitted.
     """
     absent = {
-        term: stage
-        for stage in SIMULATED
-        for term in terms_of(stage, modes)
-        if not _is_in(term, found)
+        term: stage for stage in order for term in terms_of(stage, modes) if not _is_in(term, found)
     }
     if not absent:
         return {}

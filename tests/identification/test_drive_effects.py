@@ -1,0 +1,170 @@
+"""Dead zone and limits of a drive, from measured effort and the motion in the closed loop."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import mujoco
+import numpy as np
+import pytest
+from test_further_effects import DAMPING, Drive, exact, limited, with_dead_zone
+from test_identify_simulation import MODEL, NOMINAL, REAL
+
+from pytest_twin.formats.schema import load_schema
+from pytest_twin.identification.drive_effects import changed_attributes
+from pytest_twin.identification.run import identify_files
+from pytest_twin.identification.simulation import staged_fit
+from pytest_twin.realization import load
+from pytest_twin.twin import load_twin
+
+INTERVAL, STEPS = 0.001, 20
+"""Step of the plant, s, and steps between two samples."""
+SECONDS = 5.0
+
+
+def write_run(path: Path, seed: int, drive: Drive) -> Path:
+    """Write positions, delivered efforts and commands of the real pendulum, at 50 Hz."""
+    servo = f'<position name="servo" joint="swing" kp="{{kp}}" kv="{DAMPING}"/>'
+    text = MODEL.replace(servo, '<motor name="servo" joint="swing"/>')
+    model = mujoco.MjModel.from_xml_string(text.format(**REAL))
+    model.opt.timestep = INTERVAL
+    data = mujoco.MjData(model)
+    random = np.random.default_rng(seed)
+    frequency, phase = random.uniform(0.2, 1.5, 4), random.uniform(0, 2 * np.pi, 4)
+    time = np.arange(round(SECONDS / INTERVAL / STEPS) + 1) * INTERVAL * STEPS
+    turned = 2 * np.pi * frequency * time[:, None] + phase
+    wave = 0.3 * (np.sin(turned) - np.sin(phase)).sum(axis=1)
+    rows = []
+    for at, (now, then) in enumerate(pairwise(wave)):
+        for step in range(STEPS):
+            position, velocity = float(data.qpos[0]), float(data.qvel[0])
+            command = now + (then - now) * step / STEPS
+            effort = drive(REAL["kp"] * (command - position) - DAMPING * velocity, velocity)
+            if not step:
+                noise = random.standard_normal(2) * [1e-3, 5e-3]
+                rows.append((time[at], position + noise[0], effort + noise[1], now))
+            data.ctrl[0] = effort
+            mujoco.mj_step(model, data)
+    head = "time,swing.position,swing.effort,swing.command"
+    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=head, comments="")
+    return path
+
+
+def identified(folder: Path, drive: Drive) -> dict[str, Any]:
+    """``identification.json`` of two runs to fit and one held out."""
+    (folder / "model.xml").write_text(MODEL.format(**NOMINAL))
+    *fit, held = (write_run(folder / f"{n}.csv", seed, drive) for seed, n in enumerate("abc", 1))
+    (folder / "out").mkdir()
+    return identify_files({
+        "model": str(folder / "model.xml"),
+        "recordings": [str(path) for path in fit],
+        "held_out": [str(held)],
+        "out": str(folder / "out"),
+        "name": "drive",
+        "options": {"command_between": "interpolated"},
+    })  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def saturated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("saturated")
+    return folder, identified(folder, limited(1.0))
+
+
+def stage_of(document: dict[str, Any], name: str) -> dict[str, Any]:
+    (stage,) = (one for one in document["stages"] if one["stage"] == name)
+    return stage
+
+
+def test_the_limit_of_a_drive_is_identified_beside_its_measured_effort(
+    saturated: tuple[Path, dict[str, Any]],
+) -> None:
+    document = saturated[1]
+    jsonschema.validate(document, load_schema("results/identify.schema.json"))
+    assert document["way"] == "measured effort"
+    inverse = document["parameters"]["swing.torque_saturation.inverse_limit"]
+    low, high = inverse["ci95"]
+    assert low < 1.0 < high
+    assert high - low < 0.1
+    assert inverse["stage"] == "drive"
+    assert "swing.torque_saturation" in stage_of(document, "drive")["parameters"]
+
+
+def test_the_model_with_the_limit_predicts_the_held_out_motion(
+    saturated: tuple[Path, dict[str, Any]],
+) -> None:
+    error = saturated[1]["held_out"]["swing"]
+    assert error["position_rms"] < 0.05 * error["position_rms_nominal"]
+    assert stage_of(saturated[1], "closed_loop")["state"] == "accepted"
+    assert not list((saturated[0] / "out").glob("with_*"))
+
+
+def test_the_covariance_has_the_effects_of_the_drive_too(
+    saturated: tuple[Path, dict[str, Any]],
+) -> None:
+    document = saturated[1]
+    names = document["covariance"]["names"]
+    matrix = np.array(document["covariance"]["matrix"])
+    assert matrix.shape == (len(names),) * 2
+    at = names.index("swing.torque_saturation.inverse_limit")
+    low, high = document["parameters"][names[at]]["ci95"]
+    assert 3.92 * np.sqrt(matrix[at, at]) == pytest.approx(high - low, rel=1e-3)
+    assert "swing.viscous_friction" in names
+
+
+def test_a_twin_takes_the_limit_from_the_record(saturated: tuple[Path, dict[str, Any]]) -> None:
+    folder, document = saturated
+    (folder / "record.json").write_text(json.dumps(document))
+    (folder / "twin.yaml").write_text("model: model.xml\nfit: [{file: record.json}]\n")
+    robot = load(folder / "model.xml", twin=load_twin(folder / "twin.yaml"))
+    fitted = load(folder / "out" / "realization" / "model.xml")
+    assert robot.model.actuator_forcerange[0] == pytest.approx([-1.0, 1.0], rel=0.05)
+    assert changed_attributes(fitted.model, robot.model) == {}
+
+
+def test_a_dead_zone_is_identified_and_only_the_realization_contains_it(tmp_path: Path) -> None:
+    document = identified(tmp_path, with_dead_zone(0.3))
+    low, high = document["parameters"]["swing.dead_zone"]["ci95"]
+    assert low < 0.3 / REAL["kp"] < high
+    error = document["held_out"]["swing"]
+    assert error["position_rms"] < 0.1 * error["position_rms_nominal"]
+    (note,) = (one for one in document["notes"] if "only realization/ contains" in one)
+    assert "dead_zone of swing" in note
+    assert "name the folder of this identification as its model:" in note
+
+
+def test_one_stage_tries_its_effects_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    tried: list[list[str]] = []
+    add = staged_fit.add_effects
+
+    def counted(problem: Any, base: Any, effects: Any, modes: Any) -> Any:
+        tried.append(list(effects))
+        return add(problem, base, [], modes)
+
+    monkeypatch.setattr(staged_fit, "add_effects", counted)
+    identified(tmp_path, limited(1.0))
+    of_drive, together = tried
+    assert {"dead_zone", "torque_saturation", "torque_speed_limit"} <= set(of_drive)
+    assert not set(of_drive) & set(together)
+
+
+def test_a_servo_whose_effort_follows_its_law_gets_no_further_effects(tmp_path: Path) -> None:
+    document = identified(tmp_path, exact())
+    assert document["parameters"]["swing.servo_stiffness"]["value"] == pytest.approx(8.0, rel=0.01)
+    assert not any("dead_zone" in name or "limit" in name for name in document["parameters"])
+    assert stage_of(document, "closed_loop")["state"] == "accepted"
+
+
+def test_attributes_that_differ_are_those_of_fit() -> None:
+    before = mujoco.MjModel.from_xml_string(MODEL.format(**NOMINAL))
+    after = mujoco.MjModel.from_xml_string(MODEL.format(**{**NOMINAL, "kp": 8.0, "friction": 0.1}))
+    found = changed_attributes(before, after)
+    assert found["joint"] == {"swing": {"frictionloss": pytest.approx(0.1)}}
+    servo = found["actuator"]["servo"]
+    assert set(servo) == {"gainprm", "biasprm"}
+    assert servo["gainprm"][0] == pytest.approx(8.0)
+    assert changed_attributes(before, before) == {}
