@@ -127,7 +127,7 @@ def table_too_high(folder: Path) -> None:
 
 
 CASES = (
-    Case("first answer", pendulum(dry=0.08, lag=0.01), first_diagnosis),
+    Case("first answer", pendulum(delay=0.02), first_diagnosis),
     Case("nothing", pendulum(), full_diagnosis),
     Case("friction and lag", pendulum(dry=0.08, lag=0.01), full_diagnosis),
     Case("contact", table_too_high, full_diagnosis),

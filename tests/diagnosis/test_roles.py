@@ -23,7 +23,7 @@ def read(folder: Path, fit: list[Path], held_out: list[Path]) -> TrialSet:
 
 
 def record_pendulum(
-    folder: Path, name: str, seed: int, seconds: float = 2.2, **metadata: str
+    folder: Path, name: str, seed: int, seconds: float = 1.6, **metadata: str
 ) -> Path:
     (folder / "model.xml").write_text(mjcf(LEFT))
     return record(

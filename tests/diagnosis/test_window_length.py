@@ -33,7 +33,7 @@ def record_inverted_pendulum(folder: Path, seed: int, role: str, load: float) ->
 
     A payload of ``load`` kg is at its center of mass.
     """
-    setpoints = reference(seed, 4.0, 1)[:, 0]
+    setpoints = reference(seed, 3.0, 1)[:, 0]
     mass = MASS + load
     inertia = INERTIA + mass * LENGTH**2 + ARMATURE
     q = v = effort = 0.0
@@ -55,6 +55,18 @@ def record_inverted_pendulum(folder: Path, seed: int, role: str, load: float) ->
     return path
 
 
+@pytest.fixture(scope="module")
+def heavy(tmp_path_factory: pytest.TempPathFactory) -> tuple[ModelSetup, SearchResult]:
+    """A payload that makes the model diverge within a window."""
+    return search_without_result(tmp_path_factory.mktemp("heavy"), load=1.2)
+
+
+@pytest.fixture(scope="module")
+def light(tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
+    """A payload with which the model still follows the recordings."""
+    return search_without_result(tmp_path_factory.mktemp("light"), load=0.02)[1]
+
+
 def search_without_result(folder: Path, load: float) -> tuple[ModelSetup, SearchResult]:
     """Model setup and the result of a search that accepts no effect."""
     model = folder / "model.xml"
@@ -70,8 +82,10 @@ def search_without_result(folder: Path, load: float) -> tuple[ModelSetup, Search
     return given, search(prepared, trials, EffectSelection(prepared.problem, share_left=0.0))
 
 
-def test_a_payload_that_makes_the_arm_diverge_is_found_in_shorter_windows(tmp_path: Path) -> None:
-    given, found = search_without_result(tmp_path, load=1.2)
+def test_a_payload_that_makes_the_arm_diverge_is_found_in_shorter_windows(
+    heavy: tuple[ModelSetup, SearchResult],
+) -> None:
+    given, found = heavy
     assert found.verdict == "unexplained"
     assert found.has_left_recordings
     run = Run()
@@ -87,26 +101,24 @@ def test_a_payload_that_makes_the_arm_diverge_is_found_in_shorter_windows(tmp_pa
     )
 
 
-def test_a_model_that_follows_the_recordings_needs_no_shorter_windows(tmp_path: Path) -> None:
-    _, found = search_without_result(tmp_path, load=0.02)
-    assert found.verdict == "unexplained"
-    assert not found.has_left_recordings
+def test_a_model_that_follows_the_recordings_needs_no_shorter_windows(light: SearchResult) -> None:
+    assert light.verdict == "unexplained"
+    assert not light.has_left_recordings
 
 
-def test_a_model_follows_recordings_up_to_a_quarter_of_the_travel(tmp_path: Path) -> None:
-    _, found = search_without_result(tmp_path, load=0.02)
-    problem = found.prepared.problem
+def test_a_model_follows_recordings_up_to_a_quarter_of_the_travel(light: SearchResult) -> None:
+    problem = light.prepared.problem
     travel = np.array([np.ptp(s.position) for s in problem.simulator.segments])
     level = np.sqrt(np.mean(travel**2))
-    left = np.ones_like(found.before)
+    left = np.ones_like(light.before)
     assert model_follows_recordings(problem, 0.24 * level * left)
     assert not model_follows_recordings(problem, 0.26 * level * left)
 
 
 def test_the_result_is_kept_if_shorter_windows_find_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    heavy: tuple[ModelSetup, SearchResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given, found = search_without_result(tmp_path, load=1.2)
+    given, found = heavy
     starts = []
 
     def search_that_finds_nothing(*problem: object) -> SearchResult:

@@ -31,7 +31,7 @@ ONE = ("left",)
 
 
 def one_pendulum(
-    folder: Path, seconds: float = 4.0, **hidden: float
+    folder: Path, seconds: float = 2.8, **hidden: float
 ) -> tuple[Realization, TrialSet]:
     """One pendulum and three recordings with hidden effects."""
     model = folder / "model.xml"
