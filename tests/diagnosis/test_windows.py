@@ -26,12 +26,14 @@ from pytest_twin.realization import Realization
 
 LAG, SHORT_LAG = 0.05, 0.01
 """Lag of an unstable and of a stable servo, s."""
+SECONDS = 2.8
+"""Duration of a recording, s."""
 ACTUATOR_LAG = Term("actuator_lag", 0)
 ONE = ("left",)
 
 
 def one_pendulum(
-    folder: Path, seconds: float = 2.8, **hidden: float
+    folder: Path, seconds: float = SECONDS, **hidden: float
 ) -> tuple[Realization, TrialSet]:
     """One pendulum and three recordings with hidden effects."""
     model = folder / "model.xml"
@@ -148,7 +150,7 @@ def test_windows_start_at_the_measured_state_with_free_shifts(tmp_path: Path) ->
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW).problem
     assert [s.starts_in_motion for s in whole.simulator.segments] == [False] * 3
     assert all(s.starts_in_motion for s in cut.simulator.segments)
-    assert len(cut.simulator.segments) == pytest.approx(3 * 4.0 / WINDOW, abs=3)
+    assert len(cut.simulator.segments) == pytest.approx(3 * SECONDS / WINDOW, abs=3)
     assert {free_shifts(s) for s in whole.simulator.segments} == {0}
     assert {free_shifts(s) for s in cut.simulator.segments} == {2}
     first = cut.simulator.segments[1]
