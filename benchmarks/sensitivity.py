@@ -10,8 +10,8 @@ change the result.
 
 Half of the changes need no run. One run of each case follows half and twice of every number through
 all computations (``variants.py``). If each comparison has the same outcome, the result is the same.
-The other changes are run, each in its quickest case first. Results are stored in DIR/answers.jsonl; a second run continues the
-first one.
+The other changes are run, each in its quickest case first. Results are stored in
+DIR/answers.jsonl; a second run continues the first one.
 
 Writes DIR/sensitivity.md: for each field its value, how many cases read it, and what each
 change does to the answers.
@@ -134,6 +134,7 @@ CASES = (
     Case("logged effort", logged_effort, full_diagnosis),
     Case("stick-slip", pendulum(dry=0.3), full_diagnosis),
     Case("delay", pendulum(delay=0.02), full_diagnosis),
+    Case("unnamed force", pendulum(magnet=0.2), full_diagnosis),
 )
 HEAD = """# How sensitive a diagnosis is to its thresholds
 
@@ -145,8 +146,8 @@ in DIR and writes this page. The cases: {cases}. `cases` is how many of them rea
 the changes need no run: one run of each case follows half and twice of every number through all
 computations, and if each comparison has the same outcome, so has the diagnosis. `runs` is how many
 of the other changes were run, the quickest cases first. `same` means the same verdict, the same
-findings, and parameters within 1 %. A field that no case reads is not shown to be without influence.
-Revision `{revision}`, {date}.
+findings, and parameters within 1 %. A field that no case reads is not shown to be without
+influence. Revision `{revision}`, {date}.
 
 """
 FACTORS = (0.5, 2.0)
