@@ -24,7 +24,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.realization import Realization
 
-STEP, SECONDS, NOISE = 2e-4, 4.0, 2e-6
+STEP, SECONDS, NOISE = 2e-4, 2.8, 2e-6
 ARM = """
 <mujoco model="arm"><compiler angle="radian"/>
   <option timestep="0.002" integrator="implicitfast"/>
@@ -71,7 +71,7 @@ def recorded(folder: Path, seed: int, role: str, *, delay: float, holds: bool) -
         JointSeries("/joint_commands", names, stamps[1], stamps[1], sent[sent_at], None, None),
     ]
     path = folder / f"{role}{seed}.mcap"
-    write_recording(path, series, {"role": role})
+    write_recording(path, series, {"role": role, "command_between": "held"})
     return path
 
 
