@@ -283,7 +283,9 @@ class ThermalFriction(_DryFriction):
     @staticmethod
     def _cold(world: World, values: Values) -> FloatArray:
         warm = np.maximum(values["warm_up_time"], 1e-6)
-        cold: FloatArray = world.cold_fraction[:, None] * np.exp(-world.time[:, None] / warm)
+        # Memory is warmed up from before the recording, where the time is negative.
+        elapsed = np.maximum(world.time, 0.0)[:, None]
+        cold: FloatArray = world.cold_fraction[:, None] * np.exp(-elapsed / warm)
         return cold
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
