@@ -6,7 +6,7 @@ motion in the closed loop, with the effects and the stages of an identification 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,10 +28,7 @@ from pytest_twin.identification.measured import MeasuredSet
 from pytest_twin.identification.records import correlated
 from pytest_twin.identification.simulation.document import parameters_with_covariance
 from pytest_twin.identification.simulation.fitting import with_derivatives
-from pytest_twin.identification.simulation.identify import (
-    SimulationResult,
-    identify_simulation,
-)
+from pytest_twin.identification.simulation.identify import SimulationResult, identify_simulation
 from pytest_twin.identification.simulation.passive_joints import impossible
 from pytest_twin.identification.simulation.stage_effects import AFTER_EFFORT, StagePlan
 from pytest_twin.identification.stages import Stage
@@ -43,7 +40,6 @@ from pytest_twin.signals import Signals
 _FRICTION = ("viscous_friction", "coulomb_friction")
 """Effects that measured effort and motion both show: errors of their values from effort are in the
 values of the drives."""
-
 _FOLLOWS = 0.01
 """Residual, relative to the effort's deviation, up to which an effort follows the law of a servo.
 It is 0.2 to 0.5 % for a servo, and 1.9 % or more with a dead zone of 2 % of the largest effort."""
@@ -142,10 +138,7 @@ def drive_recordings(
 
 
 def fit_drives(
-    fitted: Realization,
-    recordings: DriveRecordings,
-    folder: Path,
-    progress: Callable[[float], None] = lambda fraction: None,
+    fitted: Realization, recordings: DriveRecordings, folder: Path
 ) -> DriveEffects | None:
     """Fit the effects of drives and write the model that has them; None if there are none.
 
@@ -153,7 +146,6 @@ def fit_drives(
         fitted: the model with inertia and friction of the measured effort, and with known servos.
         recordings: recordings with commands.
         folder: new and empty; gets the model.
-        progress: called with the fraction done.
 
     Raises:
         TwinError: the recordings have no commands that can be simulated.
@@ -167,7 +159,7 @@ def fit_drives(
     with quiet():
         found = identify_simulation(
             fitted, trials,
-            inherited=inherited, progress=progress,
+            inherited=inherited,
             plan=StagePlan(
                 ("drive",), AFTER_EFFORT, frozenset(one.joint for one in recordings.known)
             ),
