@@ -41,8 +41,9 @@ _FRICTION = ("viscous_friction", "coulomb_friction")
 """Effects that measured effort and motion both show: errors of their values from effort are in the
 values of the drives."""
 _FOLLOWS = 0.01
-"""Residual, relative to the effort's deviation, up to which an effort follows the law of a servo.
-It is 0.2 to 0.5 % for a servo, and 1.9 % or more with a dead zone of 2 % of the largest effort."""
+"""Systematic difference from the law of a servo, relative to the effort's deviation, up to which an
+effort follows it. It is 0 to 0.1 % for a servo, and 1.6 % or more with a dead zone of 2 % of the
+largest effort."""
 _DIGITS = 1e-5
 """Relative accuracy of numbers in an MJCF file."""
 

@@ -11,23 +11,41 @@ import jsonschema
 import mujoco
 import numpy as np
 import pytest
-from test_further_effects import DAMPING, Drive, exact, limited, with_dead_zone
+from test_further_effects import (
+    DAMPING,
+    Drive,
+    exact,
+    limited,
+    with_dead_zone,
+    with_lag,
+    with_rolloff,
+)
+from test_further_effects import INTERVAL as OTHER_INTERVAL
 from test_identify_simulation import MODEL, NOMINAL, REAL
 
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.identification.drive_effects import changed_attributes
+from pytest_twin.identification.effort.identify import identify_effort
+from pytest_twin.identification.effort.servo_gains import servo_gains
+from pytest_twin.identification.measured import MeasuredSet, read_measured
 from pytest_twin.identification.run import identify_files
 from pytest_twin.identification.simulation import staged_fit
 from pytest_twin.realization import load
-from pytest_twin.twin import load_twin
+from pytest_twin.recording_options import NO_OPTIONS
+from pytest_twin.signals import NO_SIGNALS
+from pytest_twin.twin import DEFAULT_TOPICS, load_twin
 
 INTERVAL, STEPS = 0.001, 20
 """Step of the plant, s, and steps between two samples."""
 SECONDS = 5.0
 
 
-def write_run(path: Path, seed: int, drive: Drive) -> Path:
-    """Write positions, delivered efforts and commands of the real pendulum, at 50 Hz."""
+def write_run(path: Path, seed: int, drive: Drive, effort_noise: float = 5e-3) -> Path:
+    """Write positions, delivered efforts and commands of the real pendulum, at 50 Hz.
+
+    Args:
+        effort_noise: standard deviation of a measured effort, N*m.
+    """
     servo = f'<position name="servo" joint="swing" kp="{{kp}}" kv="{DAMPING}"/>'
     text = MODEL.replace(servo, '<motor name="servo" joint="swing"/>')
     model = mujoco.MjModel.from_xml_string(text.format(**REAL))
@@ -45,7 +63,7 @@ def write_run(path: Path, seed: int, drive: Drive) -> Path:
             command = now + (then - now) * step / STEPS
             effort = drive(REAL["kp"] * (command - position) - DAMPING * velocity, velocity)
             if not step:
-                noise = random.standard_normal(2) * [1e-3, 5e-3]
+                noise = random.standard_normal(2) * [1e-3, effort_noise]
                 rows.append((time[at], position + noise[0], effort + noise[1], now))
             data.ctrl[0] = effort
             mujoco.mj_step(model, data)
@@ -157,6 +175,33 @@ def test_a_servo_whose_effort_follows_its_law_gets_no_further_effects(tmp_path: 
     assert document["parameters"]["swing.servo_stiffness"]["value"] == pytest.approx(8.0, rel=0.01)
     assert not any("dead_zone" in name or "limit" in name for name in document["parameters"])
     assert stage_of(document, "closed_loop")["state"] == "accepted"
+
+
+@pytest.mark.parametrize(
+    ("drive", "effort_noise", "follows"),
+    [
+        (exact(), 0.05, True),
+        (with_dead_zone(0.05), 5e-3, False),
+        (with_rolloff(4.0), 5e-3, False),
+        (with_lag(0.04 * OTHER_INTERVAL / INTERVAL), 5e-3, False),
+    ],
+    ids=["noise of 3 %", "dead zone of 2 %", "roll-off", "lag of 40 ms"],
+)
+def test_only_systematic_differences_from_the_law_of_a_servo_count(
+    tmp_path: Path, drive: Drive, effort_noise: float, follows: bool
+) -> None:
+    (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
+    robot = load(tmp_path / "model.xml")
+    runs = [write_run(tmp_path / f"{n}.csv", k, drive, effort_noise) for k, n in enumerate("ab", 1)]
+    read = [
+        one
+        for path in runs
+        for one in read_measured(path, robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS)
+    ]
+    found = identify_effort(robot, MeasuredSet(tuple(read), ()), NO_SIGNALS)
+    gains = servo_gains(robot, read, found, NO_SIGNALS)
+    assert all(gain.misfit < 0.01 for gain in gains) == follows
+    assert len(gains) == 1
 
 
 def test_attributes_that_differ_are_those_of_fit() -> None:

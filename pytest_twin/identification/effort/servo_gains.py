@@ -9,6 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.effects.base import si_unit
 from pytest_twin.identification.effort.delay import without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
@@ -28,6 +30,8 @@ _OTHER_LAW = 0.3
 _WIDEST = 0.5
 """Relative half width of the stiffness above which the motion does not determine it."""
 _FEWEST_ROWS = 50
+_LEVELS = 10
+"""Number of groups of rows by the effort of the law."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +45,9 @@ class ServoGains:
         nominal: the model's stiffness and damping.
         transmission: square of the actuator's gear in the model.
         slide: whether the joint is prismatic.
-        misfit: residual of the effort relative to its deviation.
+        misfit: systematic difference from this law, relative to the effort's deviation: the part of
+            the residual that depends on the law's effort, on its rate and on the direction of
+            motion, and the effect of a delay of more than a sample.
     """
 
     joint: str
@@ -185,7 +191,42 @@ def _fitted(
     )  # fmt: skip
     solution = solve(problem)
     (stiffness, damping), half = solution.values[:2], solution.half_width[:2]
-    misfit = float(solution.noise[0] / effort[seen].std())
-    if misfit > _OTHER_LAW or half[0] > _WIDEST * stiffness:
+    spread = float(effort[seen].std())
+    if solution.noise[0] > _OTHER_LAW * spread or half[0] > _WIDEST * stiffness:
         return None
+    law = problem.matrix[:, 0] @ solution.values
+    # A logged effort may belong to the command before or after its stamp.
+    period = max(1.0 / one.rate for one in recordings)
+    late = abs(float(solution.values[2])) - float(solution.half_width[2])
+    late = max(late - period * float(stiffness), 0.0)
+    late *= float(matrix[seen[:, 0], 0, 2].std())
+    misfit = float(np.hypot(_systematic(problem, law), late)) / spread
     return (float(stiffness), float(damping)), (float(half[0]), float(half[1])), misfit
+
+
+def _systematic(problem: LinearProblem, law: FloatArray) -> float:
+    """Return the deviation of the residual's part that another law would explain, without noise.
+
+    It is the variance between groups of rows with a similar effort of the law and the same
+    direction of motion, minus what noise causes in so many groups (analysis of variance).
+
+    Args:
+        problem: rows of one joint; the second column is minus its velocity.
+        law: (n,) effort of the fitted law.
+    """
+    seen = problem.known[:, 0]
+    residual = np.where(seen, problem.effort[:, 0] - law, 0.0)
+    ends = np.cumsum(problem.lengths)
+    slope = np.concatenate([
+        np.gradient(law[end - n : end]) for end, n in zip(ends, problem.lengths, strict=True)
+    ])  # fmt: skip
+    level = np.searchsorted(np.quantile(law[seen], np.linspace(0.0, 1.0, _LEVELS + 1)[1:-1]), law)
+    group = 2 * level + (problem.matrix[:, 0, 1] > 0.0)
+    columns = np.column_stack([np.equal.outer(group, np.arange(2 * _LEVELS)), slope])[seen]
+    columns = columns[:, np.abs(columns).sum(axis=0) > 0.0]
+    left = residual[seen]
+    explained = columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
+    rest = left - explained
+    count = float(effective_samples(np.where(seen, residual, 0.0)[:, None], problem.lengths)[0])
+    noise = columns.shape[1] * float(np.mean(rest**2)) / max(count - columns.shape[1], 1.0)
+    return float(np.sqrt(max(float(np.mean(explained**2)) - noise, 0.0)))
