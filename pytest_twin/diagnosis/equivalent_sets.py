@@ -247,7 +247,7 @@ def _near(
         ]
     # Of sets that predict most of the change, those with the fewest parameters come first.
     closest = _few_of_each(similar, 1)[: EQUIVALENT.closest]
-    more = _without_additions(found, own.terms, EQUIVALENT.starts)
+    more = without_additions(found, own.terms, EQUIVALENT.starts)
     starts = [*closest, *more[: EQUIVALENT.fitted_along_motion - len(closest)]]
     fitted = fit_linearized(linear, view, starts, NEARBY)
     values = _linearized_evidence(comparison, view, own, fitted).tolist()
@@ -256,7 +256,7 @@ def _near(
     ]
     # The linearization is exact for small effects only. Structurally equivalent sets may seem to
     # differ, so they are simulated with the parameters of the effects that they replace.
-    likeliest = _without_additions(ranked, own.terms, 1)
+    likeliest = without_additions(ranked, own.terms, 1)
     fewer = [h for h in likeliest if len(h.terms) < len(own.terms)]
     others = [h for h in known if not set(own.terms) <= set(h.terms) and allowed(h)]
     out = [
@@ -366,7 +366,7 @@ def _carried(
     return [other.with_theta(theta)] if same else []
 
 
-def _without_additions(
+def without_additions(
     found: Sequence[tuple[float, Hypothesis]], final: Sequence[Term], most: int
 ) -> list[Hypothesis]:
     """Sets by evidence, at most ``most`` with the same terms.

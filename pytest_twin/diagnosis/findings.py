@@ -282,7 +282,7 @@ def order_by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     """
     hypothesis = explained.hypothesis
     without_each = [hypothesis.without(f.term) for f in explained.findings]
-    influence = _heights(problem, [hypothesis, *without_each])
+    influence = differences_in_floors(problem, [hypothesis, *without_each])
     (errors,) = problem.errors([hypothesis], problem.tested)
     residual = float(in_noise_floors(errors[:, : len(problem.joints)], problem.floor).max())
     if not np.isfinite([*influence, residual]).all():
@@ -338,7 +338,7 @@ def _changes(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[_Change
     return out
 
 
-def _heights(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
+def differences_in_floors(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
     """Largest difference of each prediction to the first, in noise floors."""
     return [change.height for change in _changes(problem, hypotheses)]
 

@@ -390,10 +390,10 @@ def _taken_for_granted(
         "initial position, and its error is not evaluated"
         for joint in idle
     ]
-    return notes + _half_trusted(problem)
+    return notes + notes_on_low_weights(problem)
 
 
-def _half_trusted(problem: Problem) -> list[str]:
+def notes_on_low_weights(problem: Problem) -> list[str]:
     """A line for each joint at which some windows have less than half the weight of others."""
     if not problem.position_weights:
         return []

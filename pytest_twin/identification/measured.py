@@ -361,7 +361,7 @@ def _efforts(
             )
             effort[:, column] = np.nan
             continue
-        top = _clipped_at(values) if own.limit is None else own.limit
+        top = saturation_level(values) if own.limit is None else own.limit
         if top is not None and own.limit is None:
             notes.append(
                 f"{name}: effort is repeatedly {top:.4g}: the drive is at its limit or the signal "
@@ -393,7 +393,7 @@ def _efforts(
     return effort, unscaled, limit, notes
 
 
-def _clipped_at(values: FloatArray) -> float | None:
+def saturation_level(values: FloatArray) -> float | None:
     """Return the magnitude at which efforts saturate, several samples in a row; None otherwise."""
     size = np.abs(values[np.isfinite(values)])
     top = float(size.max(initial=0.0))

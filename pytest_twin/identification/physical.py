@@ -121,7 +121,7 @@ def physical(
     )
 
 
-class _Link:
+class LinkInertia:
     """A link's pseudo-inertia relative to the nominal one: J = L_0 U U^T L_0^T, U triangular."""
 
     def __init__(self, at: int, stated: FloatArray) -> None:
@@ -171,10 +171,10 @@ def _of_pseudo(matrix: FloatArray) -> FloatArray:
     return np.array([named[name] for name in INERTIAL])
 
 
-def _links(columns: Sequence[Column], prior: FloatArray) -> list[_Link]:
+def _links(columns: Sequence[Column], prior: FloatArray) -> list[LinkInertia]:
     starts = [i for i, c in enumerate(columns) if c.kind == INERTIAL[0]]
     mass = INERTIAL.index("m")
-    return [_Link(i, prior[i : i + 10]) for i in starts if prior[i + mass] > _LIGHTEST]
+    return [LinkInertia(i, prior[i : i + 10]) for i in starts if prior[i + mass] > _LIGHTEST]
 
 
 def _root(information: FloatArray) -> FloatArray:

@@ -14,9 +14,9 @@ from pytest_twin.diagnosis.equivalent_sets import (
     Allowed,
     AlternativeSet,
     ComparedSets,
-    _without_additions,
     compare_sets,
     subsets,
+    without_additions,
 )
 from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
 from pytest_twin.diagnosis.evidence import tempered_samples
@@ -386,9 +386,9 @@ def test_an_alternative_set_keeps_the_other_effects() -> None:
         (100.0, EMPTY.with_terms({t: np.zeros(len(t.parameters)) for t in (rival, minor)})),
         (0.0, EMPTY),
     ]
-    kept = [set(h.terms) for h in _without_additions(sets, (main, minor), 1)]
+    kept = [set(h.terms) for h in without_additions(sets, (main, minor), 1)]
     assert {rival, minor} in kept
-    assert {rival, minor} not in [set(h.terms) for h in _without_additions(sets, (main,), 1)]
+    assert {rival, minor} not in [set(h.terms) for h in without_additions(sets, (main,), 1)]
 
 
 def test_an_equivalent_effect_is_an_alternative_although_another_joint_is_unexplained() -> None:

@@ -8,7 +8,10 @@ from test_first_order import ELBOW, SHOULDER, Hidden, problem_of
 
 from pytest_twin.diagnosis.first_order.beam_search import ResidualView, candidates
 from pytest_twin.diagnosis.first_order.bins import bins
-from pytest_twin.diagnosis.first_order.harmonic_search import _between, search_harmonics
+from pytest_twin.diagnosis.first_order.harmonic_search import (
+    search_harmonics,
+    wavenumbers_to_search,
+)
 from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity, linearize
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 
@@ -62,14 +65,14 @@ def test_no_wave_is_searched_in_a_residual_below_the_noise_floor() -> None:
 
 def test_wavenumbers_are_spaced_according_to_the_travel_and_omit_those_of_the_grid() -> None:
     wavenumber = COGGING.parameters[2]
-    short, long = (_between(wavenumber, np.pi / way, 200.0) for way in (0.5, 6.0))
+    short, long = (wavenumbers_to_search(wavenumber, np.pi / way, 200.0) for way in (0.5, 6.0))
     assert short.min() > max(wavenumber.starts)
     assert np.diff(short).max() == pytest.approx(2.0 * np.pi)
     # With a large travel, the spacing is smaller than the gaps of the grid.
     assert ((long > 21.0) & (long < 23.0)).sum() >= 3
     assert min(abs(k - s) for k in long for s in wavenumber.starts) >= np.pi / 12.0
     friction_waves = WAVES.parameters[3]
-    whole = _between(friction_waves, np.pi / 6.0, 200.0)
+    whole = wavenumbers_to_search(friction_waves, np.pi / 6.0, 200.0)
     assert set(whole) == set(np.arange(1.0, 200.0)) - set(friction_waves.starts)
 
 

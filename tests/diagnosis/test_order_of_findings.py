@@ -8,7 +8,12 @@ from test_elastic_transmissions import single_effect
 from test_first_order import ELBOW, problem_of
 
 from pytest_twin.diagnosis import findings
-from pytest_twin.diagnosis.findings import Explained, Finding, _heights, order_by_whole_motions
+from pytest_twin.diagnosis.findings import (
+    Explained,
+    Finding,
+    differences_in_floors,
+    order_by_whole_motions,
+)
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
 
@@ -20,7 +25,7 @@ def test_under_effort_commands_only_the_beginning_of_a_window_ranks_findings() -
     """Later the open-loop motion diverges after any change."""
     problem = problem_of("effort", {WEAK: {"relative_error": 0.3}})
     weak = single_effect(problem, WEAK, {"relative_error": 0.3})
-    (height,) = _heights(problem, [weak, EMPTY])
+    (height,) = differences_in_floors(problem, [weak, EMPTY])
     with_it, without = problem.predict([weak, EMPTY], problem.tested)
     difference = [a.position - b.position for a, b in zip(with_it, without, strict=True)]
     beginning = [
@@ -35,7 +40,7 @@ def test_under_effort_commands_only_the_beginning_of_a_window_ranks_findings() -
 def test_under_position_commands_all_samples_rank_findings() -> None:
     problem = problem_of("position", {DRAG: {"coefficient": 0.3}})
     drag = single_effect(problem, DRAG, {"coefficient": 0.3})
-    (height,) = _heights(problem, [drag, EMPTY])
+    (height,) = differences_in_floors(problem, [drag, EMPTY])
     with_it, without = problem.predict([drag, EMPTY], problem.tested)
     difference = np.concatenate(
         [a.position - b.position for a, b in zip(with_it, without, strict=True)]
@@ -64,7 +69,7 @@ def test_findings_are_ordered_by_their_influence_on_whole_motions(
     wrong = (finding_of(WEAK, problem.joints), finding_of(DRAG, problem.joints))
     explained = Explained(wrong, both)
     if diverges:
-        monkeypatch.setattr(findings, "_heights", lambda *_: [np.inf, 1.0])
+        monkeypatch.setattr(findings, "differences_in_floors", lambda *_: [np.inf, 1.0])
     found = order_by_whole_motions(explained, problem).findings
     expected = ["torque_constant", "viscous_friction"]
     assert [f.effect for f in found] == (expected if diverges else expected[::-1])

@@ -11,7 +11,7 @@ from two_pendulums import START_NS
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY
-from pytest_twin.diagnosis.search_result import _half_trusted
+from pytest_twin.diagnosis.search_result import notes_on_low_weights
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial
@@ -81,14 +81,14 @@ def test_small_presliding_is_no_mismatch(tmp_path: Path) -> None:
     assert problem.floor[0] < 3.0 * NOISE, "the noise floor must stay near the sensor noise"
     weights = np.array(list(problem.position_weights.values()))[:, 0]
     assert np.mean(weights**2) == pytest.approx(1.0)
-    (line,) = _half_trusted(problem)
+    (line,) = notes_on_low_weights(problem)
     assert line.startswith(f"joint 'j': {(weights < 0.5 * weights.max()).sum()} of {len(weights)}")
 
 
 def test_dry_friction_that_the_model_lacks_keeps_its_full_weight(tmp_path: Path) -> None:
     problem = prepared(tmp_path, recorded(tmp_path, 0.0, 2e-4)).problem
     assert problem.position_weights == {}
-    assert _half_trusted(problem) == []
+    assert notes_on_low_weights(problem) == []
     (left,) = problem.residuals([EMPTY], problem.everywhere)
     assert np.sqrt(np.mean(left[:, 0] ** 2)) > 30.0 * problem.floor[0]
 

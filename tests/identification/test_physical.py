@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_twin.identification.physical import _Link
+from pytest_twin.identification.physical import LinkInertia
 from pytest_twin.realization.inverse_dynamics import INERTIAL
 
 STATED = {"Ixx": 0.03, "Ixy": 0.002, "Ixz": -0.001, "Iyy": 0.14, "Iyz": 0.0005, "Izz": 0.13,
               "mx": 0.5, "my": 0.05, "mz": -0.03, "m": 2.5}  # fmt: skip
 
 
-def link() -> _Link:
-    return _Link(0, np.array([STATED[name] for name in INERTIAL]))
+def link() -> LinkInertia:
+    return LinkInertia(0, np.array([STATED[name] for name in INERTIAL]))
 
 
 def test_zero_deviation_gives_the_stated_parameters() -> None:

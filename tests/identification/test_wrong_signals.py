@@ -13,7 +13,7 @@ from scipy import signal
 from pytest_twin.errors import RecordingError
 from pytest_twin.excitation.approved import MECHANISMS
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured import Measured, MeasuredSet, _clipped_at
+from pytest_twin.identification.measured import Measured, MeasuredSet, saturation_level
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import load
@@ -254,8 +254,8 @@ def test_a_filter_with_cutoff_above_the_motion_is_identified_as_a_delay(tmp_path
 
 def test_clipping_of_an_effort_is_detected() -> None:
     wave = 5.0 * np.sin(np.linspace(0, 20, 2000))
-    assert _clipped_at(np.clip(wave, -3.0, 3.0)) == 3.0
-    assert _clipped_at(wave + 0.01 * np.random.default_rng(0).standard_normal(2000)) is None
+    assert saturation_level(np.clip(wave, -3.0, 3.0)) == 3.0
+    assert saturation_level(wave + 0.01 * np.random.default_rng(0).standard_normal(2000)) is None
 
 
 def test_parameters_of_a_joint_at_rest_are_unobservable(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def search_harmonics(
         if term.joint != worst or wave is None:
             continue
         largest = min(term.parameters[wave].upper, 1.0 / _prediction_error(linear, worst))
-        wavenumbers = _between(term.parameters[wave], spacing, largest)
+        wavenumbers = wavenumbers_to_search(term.parameters[wave], spacing, largest)
         best = _best_of(linear, view, term, wave, wavenumbers)
         out += [] if best is None else [best]
     return out
@@ -77,7 +77,7 @@ def _prediction_error(linear: Linear, joint: int) -> float:
     return max(float(np.sqrt(np.mean(error**2))), 1e-9)
 
 
-def _between(parameter: Parameter, spacing: float, largest: float) -> FloatArray:
+def wavenumbers_to_search(parameter: Parameter, spacing: float, largest: float) -> FloatArray:
     """Wavenumbers up to ``largest`` that are not close to a starting size.
 
     Their distance is ``spacing``, or 1 if the wavenumber takes integer values only.

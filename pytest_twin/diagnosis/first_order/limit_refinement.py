@@ -46,7 +46,7 @@ def refine_limits(
     starts: list[Hypothesis] = []
     for chosen in equations.children(equations.bare, len(candidate_sensitivities.responses)):
         response = candidate_sensitivities.responses[chosen[0]]
-        if _is_lone_limit(response) and far[max(response.term.joint, 0)]:
+        if is_lone_limit(response) and far[max(response.term.joint, 0)]:
             ((term, start),) = equations.structure(chosen).starts.items()
             starts.append(best.with_term(term, start))
     alone = [
@@ -56,7 +56,7 @@ def refine_limits(
     return _responses(linear, alone)
 
 
-def _is_lone_limit(response: Sensitivity) -> bool:
+def is_lone_limit(response: Sensitivity) -> bool:
     """Whether the law is a limit that one parameter switches on."""
     return response.term.law.is_limit and len(response.switches) == 1
 
