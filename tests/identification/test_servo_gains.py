@@ -15,11 +15,14 @@ from arms import JOINTS, NOMINAL, REAL, TRUE
 from fourier_motion import fourier
 
 from pytest_twin.formats.schema import load_schema
+from pytest_twin.identification import closed_loop
+from pytest_twin.identification.drive_effects import DriveRecordings, drive_recordings
 from pytest_twin.identification.effort.identify import identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
+from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.measured import MeasuredSet, read_measured
 from pytest_twin.identification.run import identify_files
-from pytest_twin.realization import load
+from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import DEFAULT_TOPICS, load_twin
@@ -171,3 +174,40 @@ def test_recordings_of_a_declared_controller_give_no_gains(tmp_path: Path) -> No
     assert len(servo_gains(robot, [one], found, NO_SIGNALS)) == 2
     soft = replace(one, metadata={"controller": "soft"})
     assert servo_gains(robot, [soft], found, NO_SIGNALS) == []
+
+
+def test_drives_are_fitted_beside_the_gains_of_servos_that_follow_their_law(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "model.xml").write_text(model_text(NOMINAL, 0.7))
+    robot = load(tmp_path / "model.xml")
+    run = write_run(tmp_path / "a.csv", 0, "servo")
+    (one,) = read_measured(run, robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS)
+    measured = MeasuredSet((one,), ())
+    found = identify_effort(robot, measured, NO_SIGNALS)
+    shoulder, elbow = servo_gains(robot, [one], found, NO_SIGNALS)
+    given = (measured, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS, found)
+    assert drive_recordings(*given, [shoulder, elbow]) is None
+    recordings = drive_recordings(*given, [shoulder, replace(elbow, misfit=0.05)])
+    assert recordings is not None
+    assert recordings.known == (shoulder,)
+    stiffness = []
+
+    def fit_none(fitted: Realization, recordings: DriveRecordings, folder: Path) -> None:
+        stiffness.extend(-fitted.model.actuator_biasprm[:, 1] * [GEAR**2, 1.0])
+
+    monkeypatch.setattr(closed_loop, "fit_drives", fit_none)
+    (tmp_path / "out").mkdir()
+    folder = tmp_path / "out/realization"
+    folder.mkdir()
+    trials = closed_loop.trials_of(robot, [run], DEFAULT_TOPICS, NO_OPTIONS)
+    loop = closed_loop.close_loop(
+        robot, patches_of(robot, found), {}, [shoulder, elbow], recordings, trials, folder
+    )
+    true, _ = GAINS["shoulder"]
+    nominal = 0.7 * GAINS["elbow"][0]
+    assert stiffness == pytest.approx([true, nominal], rel=0.02)
+    assert set(loop.parameters) == {
+        f"{joint}.servo_{n}" for joint in JOINTS for n in ("stiffness", "damping")
+    }
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["realization"]
