@@ -67,7 +67,7 @@ class Budget:
 
     def add(self, problem: Problem) -> None:
         """Count the work of one more problem."""
-        if not any(problem is p for p in self.problems):
+        if not any(problem.memory is p.memory for p in self.problems):
             self.problems.append(problem)
 
     def stop(self) -> None:
@@ -104,7 +104,7 @@ class Budget:
     @property
     def work(self) -> float:
         """Number of simulations of all data so far, those for free initial states included."""
-        return sum((p.stepped + p.steps_for_initial_states) / p.once for p in self.problems)
+        return sum((p.stepped + p.memory.steps_for_initial_states) / p.once for p in self.problems)
 
     @property
     def is_spent(self) -> bool:

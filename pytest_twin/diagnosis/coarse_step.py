@@ -17,7 +17,7 @@ def integration_errors(
     """Joint -> RMS integration error in rad or m, where it is large compared with the residual.
 
     Args:
-        problem: the problem, refined at the hypothesis.
+        problem: the problem, corrected at the hypothesis.
         errors: errors of each tested joint.
         times: smallest ratio of integration error to residual.
     """
@@ -39,13 +39,13 @@ def notes_on_coarse_step(
     transmission or a sudden force, a part of it remains and biases the findings.
 
     Args:
-        problem: the problem; it is refined at the hypothesis.
+        problem: the problem.
         hypothesis: the findings.
         errors: errors of each tested joint.
     """
     if not hypothesis.terms:
         return []
-    problem.refine_at(hypothesis)
+    problem = problem.at(hypothesis)
     own = dict(zip(problem.joints, discretization(problem).tolist(), strict=True))
     large = integration_errors(problem, errors, INTEGRATOR.note_ratio)
     found_at = {problem.joints[t.joint] for t in hypothesis.terms if t.joint >= 0}

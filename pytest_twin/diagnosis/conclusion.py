@@ -146,7 +146,7 @@ def _refitted(found: SearchResult, budget: Budget) -> tuple[Prepared, PrunedMode
     try:
         with budget.fitting():
             iterations = QUICK if hurried else LONG
-            (moved,) = comparison.rivals([start], comparison.weights(best), iterations, slopes=True)
+            (moved,) = comparison.rivals([start], best, iterations, slopes=True)
     except OutOfTime:
         moved = best
     comparison.judge([moved], best, likelihood=found.likelihood)
@@ -154,7 +154,7 @@ def _refitted(found: SearchResult, budget: Budget) -> tuple[Prepared, PrunedMode
         moved.evidence >= 0.0 or found.likelihood is log_likelihood
     ):
         best = moved
-    reduced_models, *_ = refit_without_each(every, best.fitted, hurried)
+    reduced_models, *_ = refit_without_each(every.at(best.hypothesis), best.fitted, hurried)
     return prepared, replace(
         found.pruned,
         fitted=best.fitted,
@@ -220,7 +220,8 @@ def _tested(
             if _is_tested(t, column)
         },
     )
-    prepared.lower_floor(here.hypothesis)
+    prepared = prepared.with_lower_floor(here.hypothesis) or prepared
+    problem = prepared.problem
     gains = held_out_gains(problem, here)
     explained = with_gains(
         found.explained,

@@ -65,7 +65,7 @@ def cost(budget: Budget, since: float, of_alternatives: float = 0.0) -> Cost:
     problem = problems[0]
     known = problem.simulator
     simulator = BatchSimulator(known.segments, known.joints, threads=known.threads, sparing=False)
-    stepped = sum(p.stepped + p.steps_for_initial_states for p in problems)
+    stepped = sum(p.stepped + p.memory.steps_for_initial_states for p in problems)
     rows = np.resize(problem.fit, max(_ROWS, len(problem.fit)))
     simulator.trajectories(rows[:1], {})  # models are copied once, outside the measured time
     before = simulator.stepped

@@ -111,10 +111,6 @@ class EffectSelection:
         selected.rivals = self.rivals
         return selected
 
-    def another(self) -> EffectSelection:
-        """A new selection for the same problem, whose noise floor may have changed."""
-        return EffectSelection(self.problem, self.diagnosis_run, self.share_left)
-
     def _selected(self, best: ScoredModel) -> SelectedModel:
         return SelectedModel(best, self.comparison.nominal, tried=self.comparison.tried)
 
@@ -157,7 +153,6 @@ class EffectSelection:
         found = StructureSearch(self.problem, self.diagnosis_run).run(best.hypothesis)
         self._keep(found)
         if set(found.model.hypothesis.terms) == set(terms):
-            self.problem.refine_at(best.hypothesis)
             return None
         return self.comparison.score_without_fit(found.model.hypothesis, slopes=True)
 
@@ -166,10 +161,10 @@ class EffectSelection:
 
         Each limit is tested once.
         """
-        limits = doubtful_limits(self.problem, best)
+        limits = doubtful_limits(best)
         new = [t for t in limits if t not in self.tested_limits]
         self.tested_limits.update(new)
-        others = limits_instead(self.problem, best, new) if new else []
+        others = limits_instead(best, new) if new else []
         if not others:
             return None
         top = max(self.comparison.score_against(others, best, FAIR), key=lambda r: r.evidence)

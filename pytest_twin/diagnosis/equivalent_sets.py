@@ -13,7 +13,7 @@ import contextlib
 import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -131,7 +131,7 @@ def compare_sets(
     problem = comparison.problem
     count = _Count(problem)
     best = comparison.score_without_fit(found, slopes=True)
-    linearized = linearize_around(problem, best)
+    linearized = linearize_around(best)
     if linearized.linear is None or not found.terms or not np.isfinite(best.fitted.cost):
         return ComparedSets(best, (), 1.0, count.spent)
     near = _near(
@@ -214,7 +214,7 @@ def _near(
     own, found = best.hypothesis, list[tuple[float, Hypothesis]]()
     alike, similar = at_every_joint(comparison.problem, own), list[tuple[float, Hypothesis]]()
     places = subsets(own.terms)
-    lefts = residuals_without(comparison.problem, linear, view, own, places)
+    lefts = residuals_without(best.problem, linear, view, own, places)
     elastic = candidate_sensitivities.elastic_transmissions
     for removed, left in zip(places, lefts, strict=True):
         rest = own.without(*removed)
@@ -451,7 +451,7 @@ def _simulated(
     Returns:
         The sets, and whether all steps were done before the time was over.
     """
-    problem = comparison.problem
+    problem = best.problem
     weights = comparison.weights(best)
     current, is_complete = list(near), True
     if not current:
@@ -485,7 +485,9 @@ def _simulated(
         with comparison.run.budget.reserved():
             held = problem.residuals(current, problem.held_out)
     rivals = [
-        ScoredModel(Fitted(h, r, np.empty((*r.shape, 0)), weighted_cost(r, weights)), other)
+        ScoredModel(
+            Fitted(h, r, np.empty((*r.shape, 0)), weighted_cost(r, weights)), other, problem
+        )
         for h, r, other in zip(current, residual, held, strict=True)
     ]
     return rivals, is_complete
@@ -537,10 +539,8 @@ def _compared(
     top = _simplest_of_as_likely(everyone, values, top)
     chosen = everyone[top]
     if top:
-        comparison.problem.refine_at(chosen.hypothesis)
-        (chosen,) = comparison.rivals(
-            [chosen.hypothesis], comparison.weights(chosen), QUICK, slopes=True
-        )
+        chosen = replace(chosen, problem=comparison.problem.at(chosen.hypothesis))
+        (chosen,) = comparison.rivals([chosen.hypothesis], chosen, QUICK, slopes=True)
     sets = _others(comparison.problem, everyone, values, top, chosen)
     return ComparedSets(chosen, sets, tempering, count.spent, float(values[top]))
 

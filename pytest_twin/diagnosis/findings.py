@@ -124,12 +124,11 @@ def explain(
     Raises:
         OutOfTime: the time of the search is over.
     """
-    problem = prepared.problem
     hypothesis = pruned.fitted.hypothesis
     if not hypothesis.terms:
         return Explained((), hypothesis, notes=pruned.notes)
+    problem = prepared.problem.at(hypothesis)
     width = parameter_spread(problem, pruned.fitted, selected.near)
-    problem.refine_at(hypothesis)
     without_each = [hypothesis.without(t) for t in hypothesis.terms]
     residuals = problem.residuals([hypothesis, *pruned.reduced_models], problem.everywhere)
     changes = _changes(problem, [hypothesis, *without_each])
@@ -252,7 +251,7 @@ def held_out_gains(problem: Problem, explained: Explained) -> dict[Term, float]:
     """
     terms = explained.hypothesis.terms
     each = [explained.hypothesis, *(explained.reduced_models[t] for t in terms)]
-    problem.refine_at(explained.hypothesis)
+    problem = problem.at(explained.hypothesis)
     return dict(
         zip(terms, _gains(problem, problem.residuals(each, problem.everywhere)), strict=True)
     )
@@ -281,6 +280,7 @@ def order_by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     have diverged, and their differences carry no information.
     """
     hypothesis = explained.hypothesis
+    problem = problem.at(hypothesis)
     without_each = [hypothesis.without(f.term) for f in explained.findings]
     influence = differences_in_floors(problem, [hypothesis, *without_each])
     (errors,) = problem.errors([hypothesis], problem.tested)

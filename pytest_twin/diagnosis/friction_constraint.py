@@ -107,7 +107,7 @@ def search_as_friction_acts(
     selection = EffectSelection(problem, run, leave=other_constraint_is_better)
     selected = selection.run(start)
     if other is None or not selection.has_left:
-        return given, conclude(prepared, trials, selection, selected)
+        return given, conclude(prepared, trials, run, selected)
     # ``kept`` lacks trials on which the model diverges with the other constraint.
     changed, kept = other
     run.begin("whole recordings, other friction constraint", changed.problem)
@@ -152,7 +152,7 @@ def refit_as_friction_acts(
     rest = residuals_everywhere(prepared.problem, rival.hypothesis)
     if not _leaves_less(before, rest, found.after, FRICTION_CONSTRAINT.left):
         return given, found
-    return stepped, conclude(prepared, trials, selection, selection.refine(rival))
+    return stepped, conclude(prepared, trials, run, selection.refine(rival))
 
 
 def has_dry_friction(problem: Problem, hypothesis: Hypothesis) -> bool:
@@ -170,12 +170,13 @@ def with_other_constraint(problem: Problem) -> Problem:
         segments, problem.joints, threads=stepped.threads, refine=stepped.refine,
         fixed=stepped.fixed,
     )  # fmt: skip
-    return replace(problem, simulator=other, refined=None)
+    return problem.with_simulator(other, None)
 
 
 def _residuals_with_other_constraint(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     """(samples, signals) residuals with the other friction constraint."""
-    return with_other_constraint(problem).residuals([hypothesis], problem.everywhere)[0]
+    other = with_other_constraint(problem.at(hypothesis))
+    return other.residuals([hypothesis], problem.everywhere)[0]
 
 
 def _squares(problem: Problem, left: FloatArray) -> FloatArray:

@@ -89,7 +89,10 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
     noise = _noise(found.prepared)
     if given.is_of_robot or any(t.law.is_elastic_transmission for t in best.hypothesis.terms):
         return None
-    if found.verdict == "no_mismatch" or not _is_measured(problem, best.hypothesis):
+    if found.verdict == "no_mismatch":
+        return None
+    problem = problem.at(best.hypothesis)
+    if not _is_measured(problem):
         return None
     if (discretization(problem) < VERDICT.stands_out * noise).all():
         return None
@@ -148,8 +151,8 @@ def _substeps_of(prepared: Prepared) -> int:
 
     It is 0 if more than noise remains with every number, or if the correction makes no difference.
     """
-    problem, noise = prepared.problem, _noise(prepared)
-    if not _is_measured(problem, EMPTY):
+    problem, noise = prepared.problem.at(EMPTY), _noise(prepared)
+    if not _is_measured(problem):
         return 0
     before = _squares(problem, EMPTY, noise)
     left = {k: _squares(_with_part(problem, 1.0 - 1.0 / k), EMPTY, noise) for k in SUBSTEPS}
@@ -182,9 +185,8 @@ def _error_stays_small(problem: Problem) -> bool:
     return bool((discretization(problem) <= np.maximum(size, _LEAST)).all())
 
 
-def _is_measured(problem: Problem, hypothesis: Hypothesis) -> bool:
-    """Measure the discretization error at a hypothesis; return whether all segments have one."""
-    problem.refine_at(hypothesis)
+def _is_measured(problem: Problem) -> bool:
+    """Whether the discretization error of every segment is known."""
     known = len(problem.discretization_error) == len(problem.simulator.segments)
     return problem.refined is not None and known
 

@@ -83,7 +83,7 @@ def with_detected_timestep(
         )
         if not told or not _is_noise_alone(left, noise):
             continue
-        other = conclude(there, used, selection, selection.refine(rival))
+        other = conclude(there, used, run, selection.refine(rival))
         fewer = set(other.explained.hypothesis.terms) <= set(start.terms)
         if fewer and other.verdict == "explained":
             return stepped, other
@@ -110,7 +110,8 @@ def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int
 
     The parameters of the findings are refitted to first order.
     """
-    problem, fitted = found.prepared.problem, found.pruned.fitted
+    fitted = found.pruned.fitted
+    problem = found.prepared.problem.at(found.explained.hypothesis)
     rows = problem.fit
     if (
         len(problem.discretization_error) < len(problem.simulator.segments)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -70,29 +71,33 @@ class Prepared:
     substeps: int = 0
     window: float | None = None
 
-    def lower_floor(self, hypothesis: Hypothesis) -> bool:
-        """Measure the discretization error at a hypothesis, and lower the noise floor if it allows.
+    def with_lower_floor(self, hypothesis: Hypothesis) -> Prepared | None:
+        """The same problem with the noise floor that the discretization error at a hypothesis has.
 
         The nominal model may diverge from the recordings (for example without a drive's
         saturation), and its discretization error is then large. A better hypothesis has a smaller
         one.
 
         Returns:
-            Whether the floor of a joint became far lower; the floors of other joints are unchanged.
+            The problem with a far lower floor at some joints; the floors of other joints are
+            unchanged. None if no floor is far lower.
         """
-        problem = self.problem
-        problem.refine_at(hypothesis)
+        problem = self.problem.at(hypothesis)
         if len(problem.discretization_error) < len(problem.simulator.segments):
-            return False
+            return None
         noise = self.floor_parts[NOISE]
         steps = discretization(problem)
         floor = _floor(noise, problem, steps)
         before = _floor(noise, problem, self.floor_parts[STEP])
         # A joint with a stuck encoder has a floor that is not the sum of its parts; it is kept.
         lower = (floor < PREPARE.far_lower * before) & np.isclose(problem.floor, before)
-        problem.floor = np.where(lower, floor, problem.floor)
-        self.floor_parts[STEP] = np.where(lower, steps, self.floor_parts[STEP])
-        return bool(lower.any())
+        if not lower.any():
+            return None
+        return replace(
+            self,
+            problem=replace(self.problem, floor=np.where(lower, floor, problem.floor)),
+            floor_parts=self.floor_parts | {STEP: np.where(lower, steps, self.floor_parts[STEP])},
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,37 +187,24 @@ def prepare(
             threads=threads, window=0.5 * WINDOW, contact=contact,
             simulated=replace(simulated, cold_fractions=cold_fractions, scales=scales),
         )  # fmt: skip
-    problem = Problem(
-        simulator,
-        np.flatnonzero(is_fit),
-        np.flatnonzero(~is_fit),
-        noise,
-        scales,
-        effort_floor,
-        refined=None if substeps else refined,
-    )
-    problem.start_noise = noise
+    free: Callable[[Hypothesis], FreeInitialStates] | None = None
     if any(s.starts_in_motion or s.mode != "position" for s in segments):
-
-        def free(hypothesis: Hypothesis) -> FreeInitialStates:
-            return free_initial_states(segments, joints, noise, threads, hypothesis, scales, fixed)
-
-        problem.free = free
-    problem.refine_at_nominal({} if substeps else discretization_error)
-    if substeps:
-        problem.step_left = PREPARE.step_of_simulation
-    elif segments[0].mode == "effort":
-        problem.step_left = PREPARE.step_with_jumps
-    elif simulator.models.contact.world.size:
-        problem.step_left = PREPARE.step_with_impacts
+        free = partial(
+            free_initial_states, segments, joints, noise, threads, scales=scales, fixed=fixed
+        )
+    problem = Problem(
+        simulator, np.flatnonzero(is_fit), np.flatnonzero(~is_fit), noise, scales, effort_floor,
+        refined=None if substeps else refined, free=free, start_noise=noise,
+        step_left=_step_left(simulator, substeps),
+    ).at_nominal({} if substeps else discretization_error)  # fmt: skip
     for _ in range(PREPARE.passes if segments[0].mode == "effort" else 1):
         # The weights depend on the noise floor, and the floor on the weights: alternate.
         steps = changed if substeps else discretization(problem)
-        problem.floor = _floor(noise, problem, steps)
+        problem = replace(problem, floor=_floor(noise, problem, steps))
         if segments[0].mode == "effort":
-            problem.position_weights = stiction_weights(problem)
+            problem = replace(problem, position_weights=stiction_weights(problem))
     if effort_floor is not None:
-        _weigh_efforts(problem, nominal, owner, effort_floor)
+        problem = _with_weighed_efforts(problem, nominal, owner, effort_floor)
     parts = {
         NOISE: noise,
         # With rare fast motion, the mean square of the timing noise can exceed the typical noise.
@@ -220,6 +212,17 @@ def prepare(
         STEP: steps,
     }
     return Prepared(problem, tuple(owner), parts, cold_fractions, substeps, window)
+
+
+def _step_left(simulator: BatchSimulator, substeps: int) -> float:
+    """Share of the discretization error that remains after the correction, 0 to 1."""
+    if substeps:
+        return PREPARE.step_of_simulation
+    if simulator.segments[0].mode == "effort":
+        return PREPARE.step_with_jumps
+    if simulator.models.contact.world.size:
+        return PREPARE.step_with_impacts
+    return PREPARE.step_left
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,10 +281,10 @@ def _cut(
     return cut
 
 
-def _weigh_efforts(
+def _with_weighed_efforts(
     problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int], effort_floor: FloatArray
-) -> None:
-    """Set the weights of efforts from sensor noise and the uncertainty of the prediction."""
+) -> Problem:
+    """The problem with efforts, weighted by sensor noise and the uncertainty of the prediction."""
     segments = problem.simulator.segments
     if segments[0].mode == "effort":
         # The drive delivers the commanded effort; its time is uncertain by one sample.
@@ -290,7 +293,8 @@ def _weigh_efforts(
         if problem.discretization_error:
             effort_floor = np.minimum(effort_floor, quiet_noise(problem, nominal, owner))
         jumps = _jumps(problem, nominal)
-    _set_effort_weights(problem, np.maximum(effort_floor, finest_effort(segments)), jumps)
+    sensor_noise = np.maximum(effort_floor, finest_effort(segments))
+    return _with_effort_weights(problem, sensor_noise, jumps)
 
 
 def _has_signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted]) -> bool:
@@ -380,17 +384,18 @@ def shared_joints(realization: Realization, trials: Sequence[Trial]) -> tuple[st
     return joints
 
 
-def _set_effort_weights(problem: Problem, noise: FloatArray, jumps: Sequence[FloatArray]) -> None:
-    """Set the weights of efforts from their noise and their uncertainty near command jumps.
+def _with_effort_weights(
+    problem: Problem, noise: FloatArray, jumps: Sequence[FloatArray]
+) -> Problem:
+    """The problem with efforts, weighted by their noise and their uncertainty near command jumps.
 
     Args:
-        problem: the problem; its effort floor and weights are set.
+        problem: the problem.
         noise: (joints,) standard deviation of the sensor, N*m or N.
         jumps: for each segment, (samples, joints) uncertainty of the prediction, N*m or N.
     """
-    problem.effort_floor = noise
-    for i, jump in enumerate(jumps):
-        problem.effort_weights[i] = 1.0 / np.sqrt(1.0 + (jump / noise) ** 2)
+    weights = {i: 1.0 / np.sqrt(1.0 + (jump / noise) ** 2) for i, jump in enumerate(jumps)}
+    return replace(problem, effort_floor=noise, effort_weights=weights)
 
 
 def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:

@@ -19,6 +19,8 @@ class PrepareSettings:
         fewest_samples: that a window of half the length must have.
         passes: alternating estimates of the noise floor and of the weights, which depend on it.
         far_lower: share of a joint's floor below which the floor was set far too high.
+        step_left: share of the step's error that remains after its correction: at most this on
+            simulated arms that move without contact.
         step_of_simulation: share of the step's error by which recordings are off that were
             simulated with that step: stamps fall between steps, and numbers end.
         step_with_impacts: share of the step's error that counts where impacts fall between steps,
@@ -33,6 +35,7 @@ class PrepareSettings:
     fewest_samples: int = 20
     passes: int = 3
     far_lower: float = 0.5
+    step_left: float = 0.125
     step_of_simulation: float = 0.01
     step_with_impacts: float = 0.35
     step_with_jumps: float = 0.25

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -15,6 +15,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.free_initial_state import FreeInitialState, FreeInitialStates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
+from pytest_twin.diagnosis.prepare_settings import PREPARE
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
@@ -59,9 +60,40 @@ def corrected(coarse: Predicted, error: Predicted, share: float = 1.0) -> Predic
     )
 
 
+_Key = tuple[tuple[Term, ...], bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class _Corrections:
+    """What :meth:`Problem.at` computes at one hypothesis."""
+
+    simulator: BatchSimulator
+    refined: BatchSimulator | None
+    discretization_error: Mapping[int, Predicted]
+    starts: Mapping[int, FreeInitialState]
+
+
 @dataclass(slots=True)
+class ProblemMemory:
+    """What was computed for a problem; it changes no result.
+
+    Attributes:
+        corrections: hypothesis -> its corrections, the latest last.
+        kept: last result of :meth:`Problem.kept`, with all that it depends on.
+        steps_for_initial_states: number of simulated steps that free initial states have cost.
+    """
+
+    corrections: dict[_Key, _Corrections] = field(default_factory=dict)
+    kept: tuple[tuple[object, ...], Any] | None = None
+    steps_for_initial_states: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Problem:
     """The least-squares problem of a diagnosis: measurements, simulator, noise and weights.
+
+    A prediction depends on nothing but the problem and the hypothesis. :meth:`at` returns the same
+    problem with the corrections of another hypothesis.
 
     Attributes:
         simulator: simulates all segments, fit and held-out.
@@ -78,16 +110,16 @@ class Problem:
             an effort is sensor noise only, and lower where the discretization error is larger. It
             multiplies residuals and Jacobians.
         refined: simulates the same segments with a finer step, to measure the discretization error.
-        discretization_error: segment -> discretization error of the current best hypothesis. Every
-            prediction is corrected by it (defect correction, Stetter 1978).
-        steps_for_initial_states: number of simulated steps that free initial states have cost.
-        step_left: share of the discretization error that remains after the correction. It is at
-            most 1/8 on simulated arms that move without contact.
+        discretization_error: segment -> discretization error of one hypothesis. Every prediction
+            is corrected by it (defect correction, Stetter 1978).
+        step_left: share of the discretization error that remains after the correction, 0 to 1.
         family: only effects of this family are candidates; None for all.
-        starts: segment -> free initial state, if an error of the initial state would grow.
+        starts: segment -> free initial state of the same hypothesis, if an error of the initial
+            state would grow.
         free: computes ``starts`` for a hypothesis; None if all initial states are fixed.
         start_noise: (joints,) RMS noise of a position sample, rad or m; it gives the prior of the
             initial states.
+        memory: what was computed for this problem and for its copies with other corrections.
     """
 
     simulator: BatchSimulator
@@ -96,20 +128,16 @@ class Problem:
     floor: FloatArray
     scales: Scales
     effort_floor: FloatArray | None = None
-    position_weights: dict[int, FloatArray] = field(default_factory=dict)
-    effort_weights: dict[int, FloatArray] = field(default_factory=dict)
+    position_weights: Mapping[int, FloatArray] = field(default_factory=dict)
+    effort_weights: Mapping[int, FloatArray] = field(default_factory=dict)
     refined: BatchSimulator | None = None
-    discretization_error: dict[int, Predicted] = field(default_factory=dict)
-    starts: dict[int, FreeInitialState] = field(default_factory=dict)
+    discretization_error: Mapping[int, Predicted] = field(default_factory=dict)
+    starts: Mapping[int, FreeInitialState] = field(default_factory=dict)
     free: Callable[[Hypothesis], FreeInitialStates] | None = None
     start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
-    steps_for_initial_states: int = 0
-    step_left: float = 0.125
+    step_left: float = PREPARE.step_left
     family: str | None = None
-    _refined_at: dict[_Key, tuple[dict[int, Predicted], FreeInitialStates]] = field(
-        default_factory=dict
-    )
-    _kept: tuple[tuple[object, ...], Any] | None = field(default=None, init=False)
+    memory: ProblemMemory = field(default_factory=ProblemMemory, repr=False)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -257,61 +285,68 @@ class Problem:
         values = hypothesis.terms, *(
             None if x is None else x.tobytes() for x in (hypothesis.theta, segments, *noise)
         )  # fmt: skip
-        if self._kept is not None:
-            (known_values, *known), result = self._kept
+        if self.memory.kept is not None:
+            (known_values, *known), result = self.memory.kept
             same = len(known) == len(state) and all(map(operator.is_, known, state))
             if known_values == values and same:
                 return result, True
         made = make()
-        self._kept = (values, *state), made
+        self.memory.kept = (values, *state), made
         return made, False
 
     def _corrected(self, segment: int, p: Predicted, share: float) -> Predicted:
         error = self.discretization_error.get(segment)
         return p if error is None else corrected(p, error, share)
 
-    def refine_at_nominal(self, discretization_error: dict[int, Predicted]) -> None:
-        """Refine at the nominal model, with a discretization error that is already measured."""
-        starts = self._freed(EMPTY)
-        if starts.motor_shifts:
-            discretization_error = self._discretization_error_at(EMPTY)
-        self._refined_at[_key(EMPTY)] = discretization_error, starts
-        self.refine_at(EMPTY)
+    def at_nominal(self, discretization_error: Mapping[int, Predicted]) -> Problem:
+        """As :meth:`at` the nominal model, with a discretization error that is already measured."""
+        free = self._freed(EMPTY)
+        if not free.motor_shifts:
+            self.memory.corrections[_key(EMPTY)] = _Corrections(
+                self.simulator, self.refined, discretization_error, free.free
+            )
+        return self.at(EMPTY)
 
-    def refine_at(self, hypothesis: Hypothesis) -> None:
-        """Compute discretization errors and free initial states of all segments at a hypothesis."""
-        key = _key(hypothesis)
-        if key not in self._refined_at:
+    def at(self, hypothesis: Hypothesis) -> Problem:
+        """The problem with the discretization errors and free initial states of a hypothesis.
+
+        Raises:
+            OutOfTime: the time of the search is over.
+        """
+        key, known = _key(hypothesis), self.memory.corrections
+        if key not in known:
             check()
-            if len(self._refined_at) >= _CACHED_HYPOTHESES:
-                self._refined_at.pop(next(iter(self._refined_at)))
-            starts = self._freed(hypothesis)
-            self._refined_at[key] = self._discretization_error_at(hypothesis), starts
-        self.discretization_error, starts = self._refined_at[key]
-        self._start_at(starts)
+            if len(known) >= _CACHED_HYPOTHESES:
+                known.pop(next(iter(known)))
+            known[key] = self._corrections_of(hypothesis)
+        found = known[key]
+        return replace(
+            self, simulator=found.simulator, refined=found.refined,
+            discretization_error=found.discretization_error, starts=found.starts,
+        )  # fmt: skip
 
-    def _discretization_error_at(self, hypothesis: Hypothesis) -> dict[int, Predicted]:
+    def with_simulator(self, simulator: BatchSimulator, refined: BatchSimulator | None) -> Problem:
+        """The problem with other simulators, of which nothing is computed yet."""
+        return replace(self, simulator=simulator, refined=refined, memory=ProblemMemory())
+
+    def _corrections_of(self, hypothesis: Hypothesis) -> _Corrections:
+        free = self._freed(hypothesis)
+        simulator = self.simulator.with_motor_shifts(free.motor_shifts)
         if self.refined is None:
-            return {}
+            return _Corrections(simulator, None, {}, free.free)
+        refined = self.refined.with_motor_shifts(free.motor_shifts)
         rows = self.everywhere
         values = effect_values([hypothesis] * len(rows), len(self.joints), self.scales)
-        coarse = self.simulator.simulate(rows, values)
-        return step_errors(coarse, self.refined.simulate(rows, values))
+        coarse, fine = (s.simulate(rows, values) for s in (simulator, refined))
+        return _Corrections(simulator, refined, step_errors(coarse, fine), free.free)
 
     def _freed(self, hypothesis: Hypothesis) -> FreeInitialStates:
-        """Compute the free initial states of a hypothesis, and apply them to the segments."""
-        starts = FreeInitialStates(self.starts, {}) if self.free is None else self.free(hypothesis)
-        self.steps_for_initial_states += starts.stepped
-        self._start_at(starts)
-        return starts
-
-    def _start_at(self, starts: FreeInitialStates) -> None:
-        self.starts = starts.free
-        for simulator in self._simulators:
-            for i, s in enumerate(simulator.segments):
-                shift = starts.motor_shifts.get(i)
-                if s.motor_shift is not shift:
-                    simulator.segments[i] = replace(s, motor_shift=shift)
+        """Compute the free initial states of a hypothesis."""
+        if self.free is None:
+            return FreeInitialStates(dict(self.starts), {})
+        free = self.free(hypothesis)
+        self.memory.steps_for_initial_states += free.stepped
+        return free
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
@@ -399,9 +434,6 @@ class Problem:
     def lengths(self, segments: NDArray[np.int64]) -> list[int]:
         """Number of samples of each segment."""
         return [len(self.simulator.segments[s].time) for s in segments]
-
-
-_Key = tuple[tuple[Term, ...], bytes]
 
 
 def _key(hypothesis: Hypothesis) -> _Key:

@@ -317,7 +317,7 @@ class _EffectSearch:
         parts = _stretches(whole, self.seen, _blame(force, own))
         problem = _prepared(self.realization, parts[:1], parts[1:], self.patched).problem
         # The same scales, so that parameters fitted to the part have the same values on the whole.
-        problem.scales, problem.floor = whole.scales, whole.floor
+        problem = replace(problem, scales=whole.scales, floor=whole.floor)
         signals = np.flatnonzero(counted)
         nominal = problem.residuals([EMPTY], problem.fit)[0]
         tried = _candidates(problem, causes, nominal, signals)

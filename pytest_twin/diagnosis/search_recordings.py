@@ -180,7 +180,7 @@ def _search_windows(
     run.begin(f"windows of {WINDOW:g} s", cut.problem)
     if cut.problem.simulator.models.contact.world.size:
         # Effects that act without contact are known from the windows away from it.
-        cut.problem.family = _CONTACT
+        cut = replace(cut, problem=replace(cut.problem, family=_CONTACT))
 
     def longer() -> Prepared:
         halves, _ = build_problem(given, trials, [], window=_half_of_longest(trials))
@@ -237,12 +237,8 @@ def _search_away_from_contact(
 def _add_contact_effects(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
     """The effects that were found away from contact, with contact effects added."""
     run.begin("contact effects over whole recordings", problem)
-    problem.family = _CONTACT
-    try:
-        selected = EffectSelection(problem, run).run(clear)
-    finally:
-        problem.family = None
-    return selected.best.hypothesis
+    of_contact = replace(problem, family=_CONTACT)
+    return EffectSelection(of_contact, run).run(clear).best.hypothesis
 
 
 def add_contact_effects_again(found: SearchResult, run: Run) -> SearchResult:
@@ -263,7 +259,7 @@ def _continue_from(found: SearchResult, start: Hypothesis, run: Run) -> SearchRe
     run.begin(f"{_stage_of(found.prepared.problem)} once more", found.prepared.problem)
     selection = EffectSelection(found.prepared.problem, run)
     other = search(found.prepared, found.trials, selection, start)
-    found = found.with_floor_of()
+    found = found.with_floor_of(other)
     return other if other.scores_better_than(found) else found
 
 

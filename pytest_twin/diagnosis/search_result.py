@@ -110,10 +110,19 @@ class SearchResult:
         lost = self.verdict in ("improved", "unexplained")
         return starts_in_motion and lost and not model_follows_recordings(problem, self.before)
 
-    def with_floor_of(self) -> SearchResult:
-        """The same result with errors of the present noise floor, which a search may lower."""
-        errors = joint_errors(self.prepared, self.before, self.after)
-        return replace(self, errors=errors, verdict=verdict(errors, self.explained.findings))
+    def with_floor_of(self, other: SearchResult) -> SearchResult:
+        """The same result with the noise floor of another one, which its search may have lowered.
+
+        Args:
+            other: a result of the same problem.
+        """
+        errors = joint_errors(other.prepared, self.before, self.after)
+        return replace(
+            self,
+            prepared=other.prepared,
+            errors=errors,
+            verdict=verdict(errors, self.explained.findings),
+        )
 
     def explains_more_than(self, other: SearchResult) -> bool:
         """Whether this result explains most of the mismatch and the other does not."""
@@ -151,30 +160,30 @@ def search(
     prepared: Prepared, trials: TrialSet, selection: EffectSelection, start: Hypothesis = EMPTY
 ) -> SearchResult:
     """Search for effects, from the nominal model or from a given hypothesis."""
-    return conclude(prepared, trials, selection, selection.run(start))
+    return conclude(prepared, trials, selection.diagnosis_run, selection.run(start))
 
 
 def conclude(
-    prepared: Prepared, trials: TrialSet, selection: EffectSelection, selected: SelectedModel
+    prepared: Prepared, trials: TrialSet, run: Run, selected: SelectedModel
 ) -> SearchResult:
     """Prune and test the chosen effects; search on first if they lower the noise floor.
 
     Pruning uses the reserved time once the time of the search is over.
     """
-    run, problem = selection.diagnosis_run, prepared.problem
-    goes_on = partial(_to_the_floor, prepared, selection, selected)
+    state = prepared, selected
     if not run.is_over:
-        selected = run.attempt("the search with a lower noise floor", goes_on, selected)
+        goes_on = partial(_to_the_floor, *state, run)
+        state = run.attempt("the search with a lower noise floor", goes_on, state)
+    prepared, selected = state
+    problem, comparison = prepared.problem, ModelComparison(prepared.problem, run)
     with run.budget.reserved():
         _weigh_untested(run, selected)
         best = selected.best
         if best.fitted.jacobian.shape[2] != best.hypothesis.theta.size:
-            selected.best = selection.comparison.score_without_fit(best.hypothesis, slopes=True)
+            selected.best = comparison.score_without_fit(best.hypothesis, slopes=True)
         pruned = prune(problem, selected, hurried=run.budget.is_out_of_time)
         if not run.budget.is_out_of_time:
-            selected, pruned = replace_closest_known(
-                problem, selection.comparison, selected, pruned
-            )
+            selected, pruned = replace_closest_known(problem, comparison, selected, pruned)
         for note in pruned.notes:
             run.step(problem, "pruning", "rejected", note, best=Scored(pruned.fitted.hypothesis))
         return _searched(prepared, trials, selected, pruned)
@@ -190,14 +199,15 @@ def _weigh_untested(run: Run, selected: SelectedModel) -> None:
 
 
 def _to_the_floor(
-    prepared: Prepared, selection: EffectSelection, selected: SelectedModel
-) -> SelectedModel:
+    prepared: Prepared, selected: SelectedModel, run: Run
+) -> tuple[Prepared, SelectedModel]:
     """Repeat the search from its own result while that lowers the noise floor."""
     while True:
         best = selected.best.hypothesis
-        if not best.terms or not prepared.lower_floor(best):
-            return selected
-        selected = selection.another().run(best)
+        lower = prepared.with_lower_floor(best) if best.terms else None
+        if lower is None:
+            return prepared, selected
+        prepared, selected = lower, EffectSelection(lower.problem, run).run(best)
 
 
 def confirm(
@@ -213,7 +223,7 @@ def confirm(
     before, after = (residuals_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
     if not all(e.is_explained for e in joint_errors(prepared, before, after).values()):
         return None
-    found = conclude(prepared, trials, selection, selection.refine(rival))
+    found = conclude(prepared, trials, run, selection.refine(rival))
     return found if found.verdict == "explained" else None
 
 
@@ -285,8 +295,7 @@ def _deepest(
     comparison: ModelComparison, starts: Sequence[Hypothesis], steps: FloatArray
 ) -> Hypothesis:
     """Result of an evolution from some starts; the integration error is that of the first."""
-    problem = comparison.problem
-    problem.refine_at(starts[0])
+    problem = comparison.problem.at(starts[0])
     return fit_by_evolution(problem, starts, comparison.weights(comparison.nominal), steps)
 
 
@@ -339,10 +348,10 @@ def build_problem(
         if not lost:
             idle = _idle(given.realization, problem)
             notes += _taken_for_granted(prepared, everything, given.outside_mjcf, idle)
-            for joint in {*trials.unseen, *idle}:
-                # Under this noise floor no residual counts, and no fit depends on the joint.
-                problem.floor[problem.joints.index(joint)] = UNSEEN
-            return prepared, trials
+            # Under this noise floor no residual counts, and no fit depends on the joint.
+            unseen = np.isin(problem.joints, [*trials.unseen, *idle])
+            floor = np.where(unseen, UNSEEN, problem.floor)
+            return replace(prepared, problem=replace(problem, floor=floor)), trials
         for i in sorted(lost):
             notes.append(f"left out: {everything[i].path}: the simulation of the model diverges")
         fit = tuple(t for i, t in enumerate(everything[: len(trials.fit)]) if i not in lost)
@@ -420,8 +429,7 @@ def _idle(realization: Realization, problem: Problem) -> list[str]:
 
 def residuals_everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     """(samples, signals) residuals of all segments, corrected for the integration error."""
-    problem.refine_at(hypothesis)
-    return problem.residuals([hypothesis], problem.everywhere)[0]
+    return problem.at(hypothesis).residuals([hypothesis], problem.everywhere)[0]
 
 
 def joint_errors(

@@ -7,7 +7,9 @@ other effects act between steps, on arrays of all rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -56,6 +58,14 @@ Motion = tuple[FloatArray, FloatArray, FloatArray]
 """(steps + 1, rows, joints) positions, velocities and efforts."""
 
 
+@dataclass(slots=True)
+class _StepCount:
+    """Number of simulated steps, and of those that came from the cache."""
+
+    stepped: int = 0
+    repeated: int = 0
+
+
 class BatchSimulator:
     """Simulates segments of trials under effects.
 
@@ -91,14 +101,35 @@ class BatchSimulator:
             [int(np.ceil((s.time[-1] - s.start) / self.timestep - 1e-6)) + 1 for s in segments]
         )
         self.fixed: EffectValues = fixed or {}
-        self.stepped = 0
-        """Simulated steps of all rows so far, those from the cache included."""
-        self.repeated = 0
-        """Steps of :attr:`stepped` that came from the cache."""
+        self._count = _StepCount()
         self._known = SimulationCache()
         idle = np.array([self._holding(s) for s in self.segments])
         followable = self.models.command_range(np.arange(len(self.segments)))
         self._held = CommandsOverSteps(self.segments, self.timestep, idle, *followable)
+
+    @property
+    def stepped(self) -> int:
+        """Simulated steps of all rows so far, those from the cache included."""
+        return self._count.stepped
+
+    @property
+    def repeated(self) -> int:
+        """Steps of :attr:`stepped` that came from the cache."""
+        return self._count.repeated
+
+    def with_motor_shifts(self, shifts: Mapping[int, FloatArray]) -> BatchSimulator:
+        """The same simulator with other initial motor positions; cache and counts are shared.
+
+        Args:
+            shifts: segment -> (joints,) shift, rad or m, as in :class:`Segment`; the motors of
+                other segments are not shifted.
+        """
+        other = copy(self)
+        other.segments = [
+            s if s.motor_shift is shifts.get(i) else replace(s, motor_shift=shifts.get(i))
+            for i, s in enumerate(self.segments)
+        ]
+        return other
 
     def _holding(self, segment: Segment) -> FloatArray:
         """(joints,) commands that hold position servos without recorded commands; 0 elsewhere."""
@@ -126,8 +157,8 @@ class BatchSimulator:
         first = {key: i for i, key in reversed(list(enumerate(keys)))}
         new = np.array(sorted(first[k] for k, known in found.items() if known is None), dtype=int)
         steps = self.steps[rows]
-        self.stepped += int(steps.sum())
-        self.repeated += int(steps.sum() - steps[new].sum())
+        self._count.stepped += int(steps.sum())
+        self._count.repeated += int(steps.sum() - steps[new].sum())
         if new.size:
             some = {e: {n: v[new] for n, v in vs.items()} for e, vs in values.items()}
             for i, predicted in zip(new, self._simulated(rows[new], some), strict=True):
@@ -253,9 +284,9 @@ class BatchSimulator:
     def count(self, rows: NDArray[np.int64], *, repeated: bool = False) -> None:
         """Add the steps of rows to :attr:`stepped`, and to :attr:`repeated` on request."""
         steps = int(self.steps[rows].sum())
-        self.stepped += steps
+        self._count.stepped += steps
         if repeated:
-            self.repeated += steps
+            self._count.repeated += steps
 
     def commands(
         self,

@@ -20,7 +20,8 @@ def elastic_elbow() -> tuple[Problem, Hypothesis]:
     size = {"compliance": 1 / 60.0, "damping_time": 0.001}
     problem = problem_of("position", {term: size})
     segments, joints = problem.simulator.segments, problem.joints
-    problem.refined = BatchSimulator(segments, joints, threads=1, refine=REFINE)
+    refined = BatchSimulator(segments, joints, threads=1, refine=REFINE)
+    problem = problem.with_simulator(problem.simulator, refined)
     theta = [size[p.name] / problem.scales.value(p, ELBOW) for p in term.parameters]
     return problem, EMPTY.with_term(term, np.array(theta))
 
@@ -45,7 +46,7 @@ def test_a_residual_that_the_integration_error_exceeds_has_a_note(
     elastic_elbow: tuple[Problem, Hypothesis], floors: float, has_note: bool
 ) -> None:
     problem, hypothesis = elastic_elbow
-    problem.refine_at(hypothesis)
+    problem = problem.at(hypothesis)
     floor = 0.02 * float(abs(problem.discretization_error[0].position[:, ELBOW]).max())
     errors = {"elbow": JointError(1.0, floors * floor, floor, "rad")}
     phrases = [
@@ -65,7 +66,7 @@ def test_findings_have_a_note_if_the_integration_error_explains_half_of_the_nomi
 ) -> None:
     """``mismatch`` is the error of the nominal model, in integration errors."""
     problem, hypothesis = elastic_elbow
-    problem.refine_at(hypothesis)
+    problem = problem.at(hypothesis)
     own = float(np.sqrt(np.mean(problem.discretization_error[0].position[:, ELBOW] ** 2)))
     errors = {"elbow": JointError(mismatch * own, 0.1 * own, 0.1 * own, "rad")}
     phrases = [

@@ -103,9 +103,9 @@ def test_a_contact_effect_that_friction_hid_is_found_by_a_second_search(
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
     prepared = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
     # As after a search whose simulations were used up before it reached contact effects.
-    prepared.problem.family = "friction"
-    found = search(prepared, trials, EffectSelection(prepared.problem))
-    prepared.problem.family = None
+    no_contact = replace(prepared, problem=replace(prepared.problem, family="friction"))
+    found = search(no_contact, trials, EffectSelection(no_contact.problem))
+    found = replace(found, prepared=prepared)
     friction = {t.effect for t in found.explained.hypothesis.terms}
     assert friction == {"viscous_friction"}
     assert found.has_diverged
@@ -209,7 +209,7 @@ def test_the_written_model_predicts_the_same_motion_as_the_contact_effect(
     ]
     found = Hypothesis(terms, np.array(theta))
     (nominal,) = problem.predict([EMPTY], np.array([0]))
-    problem.refine_at(found)
+    problem = problem.at(found)
     (expected,) = problem.predict([found], np.array([0]))
     out = tmp_path / "realization"
     out.mkdir()

@@ -27,8 +27,8 @@ def test_a_wrong_torque_speed_limit_is_replaced_by_the_true_rate_limit() -> None
     comparison = ModelComparison(problem)
     best = comparison.fit_to_convergence(comparison.score_without_fit(with_weak_drive(problem)))
     assert best.left[ELBOW] > (5.0 * problem.floor[ELBOW]) ** 2
-    assert doubtful_limits(problem, best) == [WEAK]
-    (other,) = limits_instead(problem, best, [WEAK])
+    assert doubtful_limits(best) == [WEAK]
+    (other,) = limits_instead(best, [WEAK])
     assert other.terms == (SLOW,)
     assert abs(other.theta[0] * problem.scales.value(SLOW.parameters[0], ELBOW) - 3.0) < 0.1
 
@@ -53,7 +53,7 @@ def test_a_limit_with_a_residual_at_the_noise_floor_is_not_exchanged() -> None:
     best = comparison.fit_to_convergence(
         comparison.score_without_fit(EMPTY.with_term(SLOW, np.array([size, 0.0, 0.0])))
     )
-    assert doubtful_limits(problem, best) == []
+    assert doubtful_limits(best) == []
 
 
 def test_only_limits_of_the_drive_are_exchanged_as_limits() -> None:
@@ -63,4 +63,4 @@ def test_only_limits_of_the_drive_are_exchanged_as_limits() -> None:
     others = ["cogging", "external_force", "joint_coupling", "viscous_friction"]
     sizes = {Term(e, ELBOW): starts_in_first_form(Term(e, ELBOW))[0] for e in limits + others}
     best = comparison.score_without_fit(EMPTY.with_terms(sizes))
-    assert [t.effect for t in doubtful_limits(problem, best)] == limits
+    assert [t.effect for t in doubtful_limits(best)] == limits

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -130,7 +131,7 @@ def test_candidates_are_effects_that_the_recordings_can_contain(
     realization = load_model(Path(words[0])).realization
     trials = read_trials([Path(w) for w in words[1:]], [], TOPICS, realization.structure)
     problem = prepare(realization, trials.fit, trials.held_out, threads=1).problem
-    problem.effort_floor = np.ones(2) if measured else None
+    problem = replace(problem, effort_floor=np.ones(2) if measured else None)
     problem.simulator.layout.slides = np.array([False, True])
     found = candidates(problem)
     assert [t.joint for t in found if t.effect == "effort_cogging"] == [0, 1]

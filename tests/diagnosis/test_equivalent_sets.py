@@ -117,8 +117,7 @@ def problem_of(xml: str, mode: str, hidden: dict[Term, dict[str, float]]) -> Pro
     ]
     simulator = BatchSimulator(measured, joints, threads=1)
     out = Problem(simulator, np.arange(2), np.zeros(0, np.int64), noise, scales)
-    out.refine_at(EMPTY)
-    return out
+    return out.at(EMPTY)
 
 
 def compared(problem: Problem, start: Hypothesis) -> ComparedSets:
@@ -275,7 +274,7 @@ def test_the_confidence_of_an_effect_follows_from_the_odds_of_the_sets_without_i
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
     h = EMPTY.with_term(COMMAND_DELAY, grid(COMMAND_DELAY)[0][0])
-    (best,) = comparison.rivals([h], comparison.weights(comparison.nominal), 0)
+    (best,) = comparison.rivals([h], comparison.nominal, 0)
     no_alternatives = ComparedSets(best, (), 1.0, 0.0)
     known = SelectedModel(
         best, comparison.nominal, {COMMAND_DELAY: 0.8}, {COMMAND_DELAY: [(DRAG, 0.2)]}
@@ -292,7 +291,7 @@ def test_an_unlikely_alternative_keeps_its_tempered_evidence() -> None:
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
     h = EMPTY.with_term(COMMAND_DELAY, grid(COMMAND_DELAY)[0][0])
-    (best,) = comparison.rivals([h], comparison.weights(comparison.nominal), 0)
+    (best,) = comparison.rivals([h], comparison.nominal, 0)
     selected = SelectedModel(best, comparison.nominal)
     removed = (COMMAND_DELAY,)
     selected.weigh({(removed, DRAG): -5000.0, (removed, DRY): -5000.0, (removed, None): -9000.0})
@@ -305,7 +304,7 @@ def test_evidence_of_the_linearized_motion_alone_does_not_lower_a_confidence() -
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
     h = EMPTY.with_term(COMMAND_DELAY, grid(COMMAND_DELAY)[0][0])
-    (best,) = comparison.rivals([h], comparison.weights(comparison.nominal), 0)
+    (best,) = comparison.rivals([h], comparison.nominal, 0)
     known = SelectedModel(
         best, comparison.nominal, {COMMAND_DELAY: 0.2}, {COMMAND_DELAY: [(DRAG, 0.8)]},
         evidence={COMMAND_DELAY: {DRAG: 50.0}}, not_simulated=frozenset({COMMAND_DELAY}),
@@ -322,7 +321,7 @@ def test_a_general_law_is_no_alternative_to_its_special_case() -> None:
     general = Term("asymmetric_friction", FIRST)
     own = with_values(problem, {DRY: {"coulomb": 0.1}})
     other = with_values(problem, {general: {"coulomb": 0.1}})
-    best, rival = comparison.rivals([own, other], comparison.weights(comparison.nominal), 0)
+    best, rival = comparison.rivals([own, other], comparison.nominal, 0)
     found = ComparedSets(best, (AlternativeSet(rival, 0.0, 0.0),), 1.0, 0.0)
     selected = share_confidence(SelectedModel(best, comparison.nominal), found)
     assert selected.confidence[DRY] == pytest.approx(1.0)

@@ -91,7 +91,9 @@ def test_an_effect_that_makes_the_prediction_diverge_is_rejected_and_the_others_
     def scored(hypothesis: Hypothesis) -> ScoredModel:
         fit, held = (problem.residuals([hypothesis], s)[0] for s in (problem.fit, problem.held_out))
         return ScoredModel(
-            Fitted(hypothesis, fit, np.zeros((*fit.shape, hypothesis.theta.size)), 1.0), held
+            Fitted(hypothesis, fit, np.zeros((*fit.shape, hypothesis.theta.size)), 1.0),
+            held,
+            problem,
         )
 
     best = scored(chosen)

@@ -243,10 +243,12 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
     noise = np.full(len(joints), NOISE)
     problem = Problem(simulator, np.arange(len(segments)), np.zeros(0, np.int64), noise, scales)
     if not servo:
-        problem.start_noise = noise
-        problem.free = lambda h: free_initial_states(segments, joints, noise, 1, h, scales)
-    problem.refine_at(EMPTY)
-    return problem
+        problem = replace(
+            problem,
+            start_noise=noise,
+            free=lambda h: free_initial_states(segments, joints, noise, 1, h, scales),
+        )
+    return problem.at(EMPTY)
 
 
 def test_external_forces_that_last_beyond_the_recording_have_one_sensitivity() -> None:
@@ -475,7 +477,7 @@ def test_effects_of_the_present_fit_change_the_linearized_dynamics() -> None:
 
     named = EMPTY.with_term(drag, size(drag, 1.5))
     more = named.with_term(other, size(other, 0.06))
-    problem.refine_at(named)
+    problem = problem.at(named)
     linear = linearize(problem, problem.fit, named)
     assert linear is not None
     first_order = linear.differences([more])[0]
@@ -541,12 +543,11 @@ def test_trajectories_with_readings_equal_the_predictions(
     mode: str, term: Term, rough: bool
 ) -> None:
     problem = problem_of(mode, {})
-    problem.refined = BatchSimulator(
-        problem.simulator.segments, problem.joints, threads=1, refine=REFINE
-    )
+    refined = BatchSimulator(problem.simulator.segments, problem.joints, threads=1, refine=REFINE)
+    problem = problem.with_simulator(problem.simulator, refined)
     hypothesis = EMPTY.with_term(term, np.array([p.starts[0] for p in term.parameters]))
     assert hypothesis.is_rough is rough
-    problem.refine_at(hypothesis)
+    problem = problem.at(hypothesis)
     assert problem.discretization_error
     _, _, followed = problem.trajectories_with_readings(hypothesis, problem.fit)
     for once, again in zip(followed, problem.predict([hypothesis], problem.fit)[0], strict=True):

@@ -61,7 +61,7 @@ def test_a_fit_finds_the_start_time_of_an_external_force(
 
 
 def test_the_linearized_fit_finds_the_start_time_of_an_external_force(problem: Problem) -> None:
-    linearized = linearize_around(problem, ModelComparison(problem).nominal)
+    linearized = linearize_around(ModelComparison(problem).nominal)
     assert linearized.linear is not None
     start = EMPTY.with_term(FORCE, parameters_with_late_start(problem, GRID))
     (found,) = fit_linearized(linearized.linear, linearized.view, [start], 6)

@@ -46,7 +46,7 @@ def result_with_dry_friction_only(prepared: Prepared, trials: TrialSet) -> Searc
     best = selection.comparison.score_without_fit(alone, slopes=True)
     chosen = SelectedModel(best, selection.comparison.nominal)
     chosen.weigh({((DRY_FRICTION,), Term("viscous_friction", 0)): -1.0})
-    found = conclude(prepared, trials, selection, chosen)
+    found = conclude(prepared, trials, selection.diagnosis_run, chosen)
     return replace(found, selected=chosen, explained=Explained((), alone))
 
 
@@ -63,7 +63,7 @@ def test_an_effect_that_was_compared_with_nothing_in_time_is_kept_with_low_confi
     best = selection.comparison.score_without_fit(alone, slopes=True)
     run.budget.stop()
     chosen = SelectedModel(best, selection.comparison.nominal)
-    found = conclude(prepared, trials, selection, chosen)
+    found = conclude(prepared, trials, selection.diagnosis_run, chosen)
     (finding,) = found.explained.findings
     assert (finding.effect, finding.confidence) == ("coulomb_friction", 0.5)
     assert found.verdict == "improved", found.pruned.notes

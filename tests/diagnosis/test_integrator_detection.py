@@ -185,7 +185,7 @@ def test_a_simulation_is_not_searched_for_if_the_findings_contain_an_elastic_tra
     comparison = selection.comparison
     damped = comparison.score_without_fit(EMPTY.with_term(DAMPING, grid(DAMPING)[0][0]))
     selected = SelectedModel(comparison.fit_to_convergence(damped), comparison.nominal)
-    found = conclude(prepared, trials, selection, selected)
+    found = conclude(prepared, trials, selection.diagnosis_run, selected)
     assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
     assert detect_integrator(found, given) == replace(given, substeps=1)
     best = found.selected.best

@@ -80,7 +80,7 @@ def test_a_torque_speed_limit_without_slope_is_simplified_to_a_saturation() -> N
     stall = 4.0 / problem.scales.value(curve.parameters[1], SHOULDER)
     comparison = ModelComparison(problem)
     general = Hypothesis((curve,), np.array([1e-4, stall]))
-    model = comparison.rivals([general], np.ones(2) / problem.floor, 2, slopes=True)[0]
+    model = comparison.rivals([general], comparison.nominal, 2, slopes=True)[0]
     found = eliminate(comparison, model).best.hypothesis
     assert found.terms == (flat,)
     limit = 1.0 / (found.theta[0] * problem.scales.value(flat.parameters[0], SHOULDER))

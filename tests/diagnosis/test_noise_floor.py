@@ -103,8 +103,7 @@ def test_an_error_of_the_first_position_under_a_velocity_servo_is_no_model_error
     problem = prepared(tmp_path, trial).problem
     residual = problem.residuals([EMPTY], problem.fit)[0][:, 0]
     assert np.sqrt(np.mean(residual**2)) < 1.2 * problem.floor[0]
-    problem.starts = {}
-    kept = problem.residuals([EMPTY], problem.fit)[0][:, 0]
+    kept = replace(problem, starts={}).residuals([EMPTY], problem.fit)[0][:, 0]
     assert np.sqrt(np.mean(kept**2)) > 2.0 * problem.floor[0]
 
 
@@ -166,14 +165,15 @@ def test_a_scale_error_of_efforts_is_detected_between_jumps(
     level = float(np.sqrt(np.mean(off**2))) / problem.effort_floor[0]
     assert bool(level > 2.0) is is_detected, level
     # Effects of effort sensors are simulated until they are in the fit.
-    problem.effort_floor *= level / (1.6 if is_detected else 1.4)
+    floor = problem.effort_floor * level / (1.6 if is_detected else 1.4)
+    problem = replace(problem, effort_floor=floor)
     best = ModelComparison(problem).nominal
-    starts = effort_sensor_terms(problem, best)
+    starts = effort_sensor_terms(best)
     effects = {h.terms[-1].effect for h in starts}
     assert effects == ({"effort_scale", "effort_bias"} if is_detected else set())
     for start in starts:
         named = replace(best, fitted=replace(best.fitted, hypothesis=start))
-        others = [h.terms for h in effort_sensor_terms(problem, named)]
+        others = [h.terms for h in effort_sensor_terms(named)]
         assert [t[-1].effect for t in others] == [*(effects - {start.terms[-1].effect})]
 
 
@@ -217,40 +217,39 @@ def test_the_timing_noise_is_at_most_the_sensor_noise(tmp_path: Path) -> None:
     assert timing[0] == usual[0]
 
 
-def with_raised_floor(found: Prepared, times: float) -> float:
-    """Set the discretization error to ``times`` the sensor noise, and return the floor, rad."""
-    problem = found.problem
-    steps = times * found.floor_parts[SENSOR] / problem.step_left
-    found.floor_parts[STEPS] = steps
-    problem.floor = np.hypot(found.floor_parts[SENSOR], problem.step_left * steps)
-    return float(problem.floor[0])
+def with_raised_floor(found: Prepared, times: float) -> Prepared:
+    """The problem with a floor for a discretization error of ``times`` the sensor noise."""
+    sensor, share = found.floor_parts[SENSOR], found.problem.step_left
+    steps = times * sensor / share
+    return replace(
+        found,
+        problem=replace(found.problem, floor=np.hypot(sensor, share * steps)),
+        floor_parts=found.floor_parts | {STEPS: steps},
+    )
 
 
 def test_the_floor_of_a_diverging_nominal_model_is_lowered_at_the_found_model(
     tmp_path: Path,
 ) -> None:
     found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
-    measured, steps = found.problem.floor.copy(), found.floor_parts[STEPS].copy()
-    with_raised_floor(found, 10.0)
-    assert found.lower_floor(EMPTY)
-    np.testing.assert_allclose(found.problem.floor, measured, rtol=1e-6)
-    np.testing.assert_allclose(found.floor_parts[STEPS], steps, rtol=1e-6)
-    assert not found.lower_floor(EMPTY), "the floor must be lowered once only"
+    high = with_raised_floor(found, 10.0)
+    lower = high.with_lower_floor(EMPTY)
+    assert lower is not None
+    np.testing.assert_allclose(lower.problem.floor, found.problem.floor, rtol=1e-6)
+    np.testing.assert_allclose(lower.floor_parts[STEPS], found.floor_parts[STEPS], rtol=1e-6)
+    assert lower.with_lower_floor(EMPTY) is None, "the floor must be lowered once only"
 
 
 def test_a_floor_that_is_slightly_too_high_is_kept(tmp_path: Path) -> None:
     found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
-    high = with_raised_floor(found, 1.2)
-    assert not found.lower_floor(EMPTY)
-    assert found.problem.floor[0] == high
+    assert with_raised_floor(found, 1.2).with_lower_floor(EMPTY) is None
 
 
 def test_the_floor_of_a_stuck_encoder_is_kept(tmp_path: Path) -> None:
     found = prepared(tmp_path, trial_of(tmp_path, POSITION, wave(300, 0.8)))
-    with_raised_floor(found, 10.0)
-    found.problem.floor = np.array([1e6])
-    assert not found.lower_floor(EMPTY)
-    assert found.problem.floor[0] == 1e6
+    high = with_raised_floor(found, 10.0)
+    stuck = replace(high, problem=replace(high.problem, floor=np.array([1e6])))
+    assert stuck.with_lower_floor(EMPTY) is None
 
 
 def test_an_effect_below_a_floor_that_was_too_high_is_found_after_the_floor_is_lowered(
@@ -264,10 +263,11 @@ def test_an_effect_below_a_floor_that_was_too_high_is_found_after_the_floor_is_l
     loaded = load_model(model)
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
     found = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
-    problem = found.problem
-    measured = problem.floor.copy()
-    hidden = with_raised_floor(found, 40.0)
-    best = search(found, trials, EffectSelection(problem)).selected.best
+    measured = found.problem.floor
+    raised = with_raised_floor(found, 40.0)
+    hidden = raised.problem.floor[0]
+    result = search(raised, trials, EffectSelection(raised.problem))
+    best = result.selected.best
     assert {t.effect for t in best.hypothesis.terms} == {"viscous_friction", "command_delay"}
     assert float(np.sqrt(best.fitted.mean_square[0])) < measured[0] < 0.3 * hidden
-    assert problem.floor[0] <= measured[0]
+    assert result.prepared.problem.floor[0] <= measured[0]

@@ -111,7 +111,7 @@ def test_the_written_model_predicts_the_same_motion_as_the_effect(
     problem = prepared.problem
     found = hypothesis(prepared, effect, joint, values)
     (nominal,) = problem.predict([EMPTY], np.array([0]))
-    problem.refine_at(found)
+    problem = problem.at(found)
     (expected,) = problem.predict([found], np.array([0]))
     out = tmp_path / "realization"
     out.mkdir()
@@ -141,8 +141,7 @@ def test_several_effects_on_one_actuator_are_written_together(
     found = Hypothesis(
         tuple(t for h in parts for t in h.terms), np.concatenate([h.theta for h in parts])
     )
-    prepared.problem.refine_at(found)
-    (expected,) = prepared.problem.predict([found], np.array([0]))
+    (expected,) = prepared.problem.at(found).predict([found], np.array([0]))
     (tmp_path / "realization").mkdir()
     write_realization(
         tmp_path / "realization", load_model(folder / "model.xml").realization,
@@ -162,7 +161,7 @@ def test_a_diagnosis_of_a_patched_model_uses_the_discretization_error_of_its_eff
     found = hypothesis(
         prepared, "joint_elasticity", 0, {"compliance": 1 / 40.0, "damping_time": 0.002}
     )
-    problem.refine_at(found)
+    problem = problem.at(found)
     (first,) = problem.predict([found], np.array([0]))[0]
     uncorrected = first.position - problem.discretization_error[0].position
     assert np.abs(problem.discretization_error[0].position).max() > 1e-5, (
@@ -178,10 +177,9 @@ def test_a_diagnosis_of_a_patched_model_uses_the_discretization_error_of_its_eff
     (later,) = reloaded.problem.predict([EMPTY], np.array([0]))[0]
     assert np.abs(later.position - first.position).max() < 1e-8
     assert np.abs(later.position - uncorrected).max() > 1e-5
-    # A refinement at another hypothesis in between changes nothing.
-    reloaded.problem.refine_at(hypothesis(reloaded, "armature", 1, {"inertia": 0.004}))
-    reloaded.problem.refine_at(EMPTY)
-    (back,) = reloaded.problem.predict([EMPTY], np.array([0]))[0]
+    # Corrections at another hypothesis in between change nothing.
+    reloaded.problem.at(hypothesis(reloaded, "armature", 1, {"inertia": 0.004}))
+    (back,) = reloaded.problem.at(EMPTY).predict([EMPTY], np.array([0]))[0]
     assert (back.position == later.position).all()
 
 
@@ -225,8 +223,7 @@ def test_a_servo_gain_error_scales_the_gains_of_a_controller_of_the_twin(tmp_pat
     found = hypothesis(
         prepared, "controller_gain", 0, {"stiffness_error": 0.5, "damping_error": 0.0}
     )
-    prepared.problem.refine_at(found)
-    (expected,) = prepared.problem.predict([found], np.array([0]))
+    (expected,) = prepared.problem.at(found).predict([found], np.array([0]))
     (tmp_path / "out" / "realization").mkdir(parents=True)
     write_realization(tmp_path / "out" / "realization", loaded.realization, prepared.problem, found)
     reloaded = load_model(find_model(tmp_path / "out"))

@@ -98,7 +98,7 @@ def test_a_shape_parameter_within_the_identifiable_range_is_accepted(
 
 
 def test_no_starting_value_is_outside_the_identifiable_range(problem: Problem) -> None:
-    linearized = linearize_around(problem, ModelComparison(problem).nominal)
+    linearized = linearize_around(ModelComparison(problem).nominal)
     p = next(p for p in WARM_UP.parameters if p.name == "warm_up_time")
     k = WARM_UP.parameters.index(p)
     starts = [

@@ -64,7 +64,8 @@ def selected_term(
 
     def rival(hypothesis: Hypothesis, iterations: int) -> ScoredModel:
         found = fit(problem, [hypothesis], weights, problem.fit, iterations=iterations)[0]
-        return ScoredModel(found, problem.residuals([found.hypothesis], problem.held_out)[0])
+        held = problem.residuals([found.hypothesis], problem.held_out)[0]
+        return ScoredModel(found, held, problem)
 
     best = rival(EMPTY.with_term(term, np.array([start])), 8 if fitted else 0)
     return SelectedModel(best, rival(EMPTY, 0), confidence={term: 1.0})
@@ -357,7 +358,8 @@ def test_an_effect_that_does_not_improve_whole_motions_is_rejected(tmp_path: Pat
     right, unneeded = Term("viscous_friction", 0), Term("quadratic_drag", 1)
     start = EMPTY.with_term(right, np.array([0.1])).with_term(unneeded, np.array([1e-3]))
     comparison = ModelComparison(problem)
-    (best,) = comparison.rivals([start], 1.0 / problem.signal_floor, 8, slopes=True)
+    weights = 1.0 / problem.signal_floor
+    (best,) = comparison.rivals([start], comparison.nominal, 8, weights=weights, slopes=True)
     pruned = keep_named(comparison, best)
     assert pruned.fitted.hypothesis.terms == (right,)
     assert [h.terms for h in pruned.reduced_models] == [()]
@@ -404,8 +406,7 @@ def test_without_validation_recordings_an_effect_must_remove_more_error(tmp_path
     problem = prepared.problem
     selected = selected_term(prepared, Term("viscous_friction", 0), 0.01)
     assert prune(problem, selected).fitted.hypothesis.terms
-    problem.held_out = problem.held_out[:0]
-    pruned = prune(problem, selected)
+    pruned = prune(replace(problem, held_out=problem.held_out[:0]), selected)
     assert not pruned.fitted.hypothesis.terms
     assert pruned.notes == [
         "rejected: viscous_friction at left: it reduces the residual by less than 3 times the "
@@ -432,12 +433,12 @@ def test_effects_at_several_joints_allow_more_simulations(tmp_path: Path) -> Non
     names = ("viscous_friction", "coulomb_friction", "armature", "joint_spring", "effort_bias")
     at_one_joint = [Term(name, 0) for name in names]
     at_two_joints = [*at_one_joint[:3], Term("viscous_friction", 1)]
-    once = int(problem.simulator.steps.sum())
-    problem.simulator.stepped += 475 * once
+    once, first = int(problem.simulator.steps.sum()), int(problem.simulator.steps[0])
+    problem.simulator.count(np.zeros(475 * once // first, dtype=int))
     assert comparison.is_spent([])
     assert comparison.is_spent(at_one_joint), "effects at one joint must count as three at most"
     assert not comparison.is_spent(at_two_joints)
-    problem.simulator.stepped += 50 * once
+    problem.simulator.count(np.zeros(50 * once // first, dtype=int))
     assert comparison.is_spent(at_two_joints)
 
 
@@ -447,12 +448,13 @@ def test_findings_are_sorted_by_the_change_of_the_prediction_without_them(tmp_pa
     problem = prepared.problem
     terms = (Term("command_delay", 0), Term("viscous_friction", 0))
     hypothesis = with_sizes(problem, terms, (0.002, 0.6))
-    problem.refine_at(hypothesis)
+    problem = problem.at(hypothesis)
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [hypothesis], weights, problem.fit, iterations=12)[0]
-    best = ScoredModel(fitted, problem.residuals([fitted.hypothesis], problem.held_out)[0])
+    held = [problem.residuals([h], problem.held_out)[0] for h in (fitted.hypothesis, EMPTY)]
+    best = ScoredModel(fitted, held[0], problem)
     bare = fit(problem, [EMPTY], weights, problem.fit, iterations=0)[0]
-    nominal = ScoredModel(bare, problem.residuals([EMPTY], problem.held_out)[0])
+    nominal = ScoredModel(bare, held[1], problem)
     selected = SelectedModel(best, nominal, confidence=dict.fromkeys(terms, 1.0))
     found = explain(prepared, selected, prune(prepared.problem, selected), trials).findings
     assert [f.effect for f in found] == ["viscous_friction", "command_delay"]
@@ -562,9 +564,9 @@ def test_a_very_small_effect_in_addition_to_a_large_one_is_rejected(
     problem = prepared.problem
     terms = (Term("viscous_friction", 0), Term("actuator_lag", 0))
     hypothesis = with_sizes(problem, terms, (0.6, lag))
-    problem.refine_at(hypothesis)
+    problem = problem.at(hypothesis)
     best, bare = (
-        ScoredModel(found, problem.residuals([found.hypothesis], problem.held_out)[0])
+        ScoredModel(found, problem.residuals([found.hypothesis], problem.held_out)[0], problem)
         for found in (
             fit(problem, [h], 1.0 / problem.signal_floor, problem.fit, iterations=3)[0]
             for h in (hypothesis, EMPTY)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,10 +22,10 @@ RNG = np.random.default_rng(3)
 def with_efforts(problem: Problem) -> Problem:
     """The problem with measured efforts of different weights."""
     joints = len(problem.joints)
-    problem.effort_floor = np.full(joints, 0.01)
-    for i, n in enumerate(problem.lengths(problem.fit)):
-        problem.effort_weights[i] = RNG.uniform(0.1, 1.0, (n, joints))
-    return problem
+    weights = {
+        i: RNG.uniform(0.1, 1.0, (n, joints)) for i, n in enumerate(problem.lengths(problem.fit))
+    }
+    return replace(problem, effort_floor=np.full(joints, 0.01), effort_weights=weights)
 
 
 def random_columns(linear: Linear, signals: int) -> list[Column]:

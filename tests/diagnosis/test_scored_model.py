@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_first_order import problem_of
 
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.scored_model import Place, ScoredModel, SelectedModel
 
 COULOMB, VISCOUS = Term("coulomb_friction", 0), Term("viscous_friction", 0)
 STRIBECK, GAIN = Term("stribeck_friction", 0), Term("controller_gain", 0)
 
 
-def scored(evidence: float, *terms: Term) -> ScoredModel:
+def scored(problem: Problem, *terms: Term) -> ScoredModel:
     hypothesis = EMPTY
     for term in terms:
         hypothesis = hypothesis.with_term(term, np.zeros(len(term.parameters)))
     none = np.zeros((1, 1))
-    return ScoredModel(Fitted(hypothesis, none, none[..., None], 0.0), none, evidence)
+    return ScoredModel(Fitted(hypothesis, none, none[..., None], 0.0), none, problem)
 
 
 def test_the_confidence_of_an_effect_follows_from_the_evidence_of_its_single_alternatives() -> None:
-    selected = SelectedModel(scored(0.0, COULOMB, GAIN), scored(0.0))
+    problem = problem_of("position", {})
+    selected = SelectedModel(scored(problem, COULOMB, GAIN), scored(problem))
     evidence: dict[Place, float] = {
         ((COULOMB,), VISCOUS): -np.log(4.0),
         ((COULOMB,), None): -np.log(4.0),

@@ -141,9 +141,7 @@ def test_a_heavier_link_is_reduced_to_its_simplest_form() -> None:
     problem = problem_of("position", {LINK: link(0, relative_error=0.4)})
     comparison = ModelComparison(problem)
     start = single_effect(problem, LINK, link(3, mass_error=0.4, inertia_error=0.4))
-    best = comparison.fit_to_convergence(
-        comparison.rivals([start], comparison.weights(comparison.nominal), 2)[0]
-    )
+    best = comparison.fit_to_convergence(comparison.rivals([start], comparison.nominal, 2)[0])
     assert form_of(best.hypothesis, LINK) == 3.0
     simplest = eliminate(comparison, best).best.hypothesis
     assert form_of(simplest, LINK) == 0.0
@@ -206,9 +204,7 @@ def test_inertia_of_link_or_rotor_that_cannot_be_distinguished_is_assigned_to_th
     problem = problem_of("effort", {CRANK_ROTOR: {"inertia": 0.02}})
     comparison = ModelComparison(problem)
     start = single_effect(problem, CRANK_LINK, link(2, inertia_error=2.0))
-    best = comparison.fit_to_convergence(
-        comparison.rivals([start], comparison.weights(comparison.nominal), 2)[0]
-    )
+    best = comparison.fit_to_convergence(comparison.rivals([start], comparison.nominal, 2)[0])
     assert best.hypothesis.terms == (CRANK_LINK,)
     simplest = eliminate(comparison, best).best.hypothesis
     assert simplest.terms == (CRANK_ROTOR,)

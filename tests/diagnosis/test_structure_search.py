@@ -91,7 +91,7 @@ def test_a_small_effect_of_another_signal_is_accepted_beside_a_large_one(tmp_pat
     def model(effects: int, *levels: float) -> Model:
         terms = [Term("viscous_friction", 0), Term("command_delay", 0)][:effects]
         h = EMPTY.with_terms({t: np.array([1.0]) for t in terms})
-        return Model(h, noise * np.array(levels), np.zeros((0, 2)))
+        return Model(h, noise * np.array(levels), np.zeros((0, 2)), problem)
 
     scorer.nominal = model(0, 1.0, 2e-4)
     one, same_joint = model(1, 1e-4, 2e-4), model(2, 0.9e-4, 2e-4)
@@ -108,8 +108,8 @@ def test_where_the_linearization_shows_nothing_candidates_are_simulated(
 ) -> None:
     nothing = CandidateSensitivities([])
 
-    def blind(problem: Problem, best: ScoredModel) -> LinearizedView:
-        return replace(linearize_around(problem, best), candidate_sensitivities=nothing)
+    def blind(best: ScoredModel) -> LinearizedView:
+        return replace(linearize_around(best), candidate_sensitivities=nothing)
 
     problem = problem_of(tmp_path, viscous=0.03)
     monkeypatch.setattr(search_module, "linearize_around", blind)
@@ -153,8 +153,8 @@ def test_without_time_for_exchanges_elastic_transmissions_are_no_alternatives(
 
     friction, gear = Term("viscous_friction", 0), Term("joint_elasticity", 0)
 
-    def with_gear(problem: Problem, best: ScoredModel, *more: Any) -> list[TermExchange]:
-        rigid = find_exchanges(problem, best, *more)
+    def with_gear(best: ScoredModel, *more: Any) -> list[TermExchange]:
+        rigid = find_exchanges(best, *more)
         (start, _), *_ = grid(gear)
         elastic = EMPTY.with_term(gear, start)
         return [*rigid, TermExchange((friction,), gear, elastic, 500.0, is_doubtful=False)]

@@ -53,17 +53,13 @@ def converged(comparison: ModelComparison, *terms: Term) -> ScoredModel:
     start = EMPTY
     for t in terms:
         start = start.with_term(t, grid(t)[0][0])
-    return comparison.fit_to_convergence(
-        comparison.rivals([start], comparison.weights(comparison.nominal), FAIR)[0]
-    )
+    return comparison.fit_to_convergence(comparison.rivals([start], comparison.nominal, FAIR)[0])
 
 
 def exchanges(
     problem: Problem, comparison: ModelComparison, best: ScoredModel
 ) -> list[TermExchange]:
-    return find_exchanges(
-        problem, best, linearize_around(problem, best), comparison.penalty_per_effect
-    )
+    return find_exchanges(best, linearize_around(best), comparison.penalty_per_effect)
 
 
 def payload_of(problem: Problem, exchange: TermExchange) -> Hypothesis:
@@ -113,16 +109,20 @@ def test_an_alternative_is_scored_with_its_own_discretization_error(
     best = scored_model(comparison, EMPTY)
     # The discretization errors of both models differ.
     rival = scored_model(comparison, single_effect(with_payload, MASS, CARRIED))
-    refined_at: list[Hypothesis] = []
-    monkeypatch.setattr(Problem, "refine_at", lambda self, h: refined_at.append(h))
+    corrected_at: list[Hypothesis] = []
+
+    def at(problem: Problem, hypothesis: Hypothesis) -> Problem:
+        corrected_at.append(hypothesis)
+        return problem
+
+    monkeypatch.setattr(Problem, "at", at)
     for evidence in (-3.0, -1e5, 10.0):
         rival.evidence = evidence
         assert AlternativeComparison(comparison).judge_with_own_correction(rival, best) is rival
-    assert refined_at == []
+    assert corrected_at == []
     rival.evidence = -400.0
     assert AlternativeComparison(comparison).judge_with_own_correction(rival, best).evidence > 0.0
-    # Afterwards the discretization error of the best model is restored.
-    assert refined_at == [rival.hypothesis, best.hypothesis]
+    assert corrected_at == [rival.hypothesis]
 
 
 def test_both_effects_of_an_exchange_are_kept_if_together_they_are_better() -> None:
@@ -159,7 +159,7 @@ def test_an_effect_that_explains_another_part_of_the_residual_is_no_alternative(
     problem = problem_of("position", {DRAG: FRICTION[DRAG], dry_friction: {"coulomb": 1.0}})
     comparison = ModelComparison(problem)
     best = converged(comparison, DRAG)
-    linearized = linearize_around(problem, best)
+    linearized = linearize_around(best)
     found = exchanges(problem, comparison, best)
     penalty = comparison.penalty_per_effect
     additions = better_as_addition(best, linearized, found, 30.0, penalty)
@@ -194,7 +194,7 @@ def test_a_clearly_better_addition_is_tried_instead_of_several_effects() -> None
     comparison = ModelComparison(problem)
     limit, drag = Term("torque_saturation", ELBOW), Term("quadratic_drag", ELBOW)
     best = converged(comparison, limit, drag)
-    linearized, penalty = linearize_around(problem, best), comparison.penalty_per_effect
+    linearized, penalty = linearize_around(best), comparison.penalty_per_effect
     true = single_effect(problem, torque_speed, hidden)
     both = best.hypothesis.with_term_of(true, torque_speed)
     old = TermExchange((limit, drag), torque_speed, EMPTY, -85.0, False)
@@ -224,7 +224,7 @@ def test_the_right_effect_is_an_alternative_although_it_is_also_better_as_an_add
     best = converged(comparison, DRAG)
     found = exchanges(problem, comparison, best)
     additions = better_as_addition(
-        best, linearize_around(problem, best), found, 30.0, comparison.penalty_per_effect
+        best, linearize_around(best), found, 30.0, comparison.penalty_per_effect
     )
     (exchange_of_drag,) = [x for x in found if x.removed == (DRAG,) and x.new == DRY]
     assert 30.0 < additions[DRY][1] < exchange_of_drag.evidence, (

@@ -40,7 +40,7 @@ def test_trial_simulations_use_the_half_of_the_windows_with_the_largest_residual
     comparison = ModelComparison(with_external_force)
     nominal = comparison.nominal
     left = np.mean(nominal.fitted.residual**2, axis=0)
-    trial = TrialSimulation(with_external_force, nominal, left)
+    trial = TrialSimulation(nominal, left)
     assert len(trial.segments) == 5
     assert {2, 3} <= set(trial.segments)
     (cost,) = trial.costs([EMPTY])
@@ -56,7 +56,7 @@ def test_each_effect_keeps_its_size_with_the_smallest_cost_and_diverging_sizes_a
     left = np.mean(best.fitted.residual**2, axis=0)
     sizes = [EMPTY.with_term(DELAY, np.array([x])) for x in (0.0, 0.03, 0.1)]
     diverging = EMPTY.with_term(Term("armature", ELBOW), np.array([np.nan]))
-    (found,) = TrialSimulation(with_delay_and_friction, best, left).cheapest([*sizes, diverging])
+    (found,) = TrialSimulation(best, left).cheapest([*sizes, diverging])
     assert found is sizes[1]
 
 

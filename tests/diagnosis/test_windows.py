@@ -117,7 +117,7 @@ def test_effects_found_in_windows_are_fitted_to_whole_motions(
     outdated = replace(
         whole, errors=with_larger_errors(whole.errors, times=30.0), verdict="improved"
     )
-    updated = outdated.with_floor_of()
+    updated = outdated.with_floor_of(whole)
     assert (updated.errors, updated.verdict) == (whole.errors, whole.verdict)
 
 

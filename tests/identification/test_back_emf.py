@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from test_further_effects import Drive, found_by_the_drive_stage
@@ -68,8 +66,8 @@ def test_the_other_parameters_are_fitted_with_the_back_emf_at_its_bound(
     problem, drive = found
 
     def cost(hypothesis: Hypothesis) -> float:
-        problem.refine_at(hypothesis)
-        return float(np.mean(problem.residuals([hypothesis], problem.fit)[0] ** 2))
+        (residual,) = problem.at(hypothesis).residuals([hypothesis], problem.fit)
+        return float(np.mean(residual**2))
 
     others = [cost(rolloff(problem, DAMPING, knee)) for knee in np.linspace(1.0, 3.0, 41)]
     assert cost(drive) < 1.001 * min(others)
@@ -99,8 +97,8 @@ def test_friction_that_an_earlier_stage_added_is_part_of_the_damping(
     problem = found[0]
     simulator = problem.simulator
     frozen = {**simulator.fixed, "viscous_friction": {"coefficient": np.array([[0.1]])}}
-    later = replace(problem)
-    later.simulator = type(simulator)(simulator.segments, simulator.joints, threads=1, fixed=frozen)
+    other = type(simulator)(simulator.segments, simulator.joints, threads=1, fixed=frozen)
+    later = problem.with_simulator(other, None)
     hypothesis = rolloff(problem, DAMPING + 0.09)
     assert impossible(problem, hypothesis)
     assert not impossible(later, hypothesis)

@@ -64,7 +64,6 @@ def written(bench: tuple, folder: Path, effect: str, joint: int, values: dict) -
     scales = prepared.problem.scales
     theta = [values[p.name] / scales.value(p, joint) for p in catalogue()[effect].parameters]
     found = Hypothesis((Term(effect, joint),), np.array(theta))
-    prepared.problem.refine_at(found)
     (folder / "fit").mkdir(parents=True)
     realization = load_model(nominal / "model.xml").realization
     write_realization(folder / "fit", realization, prepared.problem, found)

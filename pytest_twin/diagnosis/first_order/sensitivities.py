@@ -49,7 +49,7 @@ from pytest_twin.effects.active_effects import (
     in_reading_order,
     with_fixed,
 )
-from pytest_twin.effects.base import Effect, Values
+from pytest_twin.effects.base import Effect, Parameter, Values
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
@@ -389,7 +389,6 @@ class Linear:
         """Changes of total force and drive effort by each effect, (rows, segments, samples, joints)
         each, N*m or N; None for an effect that changes neither.
         """
-        joints = len(self.problem.joints)
         values, rows = [], []
         for terms, sizes in plans:
             if terms[0].law.overrides(*_IN_FORCES):
@@ -404,7 +403,7 @@ class Linear:
         for effect, v, first, last in zip(effects, values, ends, ends[1:], strict=False):
             own = every.setdefault(
                 effect.id,
-                {p.name: np.full((ends[-1], joints), p.neutral or 0.0) for p in effect.parameters},
+                {p.name: np.tile(self._absent(p), (ends[-1], 1)) for p in effect.parameters},
             )
             for name, x in v.items():
                 own[name][first:last] = x
@@ -499,12 +498,17 @@ class Linear:
         for i, p in enumerate(effect.parameters):
             array = np.empty((len(rows), joints))
             own = self.own.get(effect.id)
-            array[:] = (p.neutral or 0.0) if own is None else own[p.name]
+            array[:] = self._absent(p) if own is None else own[p.name]
             for term in terms:
                 column = slice(None) if term.joint < 0 else slice(term.joint, term.joint + 1)
                 array[:, column] = [[r[i] * scales.value(p, term.joint)] for r in rows]
             out[p.name] = array
         return out
+
+    def _absent(self, parameter: Parameter) -> FloatArray:
+        """(joints,) values of a parameter at joints where its effect is absent, SI units."""
+        scales, joints = self.problem.scales, range(len(self.problem.joints))
+        return parameter.absent * np.array([scales.value(parameter, j) for j in joints])
 
     def _wide(self, rows: int) -> dict[str, Values]:
         """The hypothesis's parameters, repeated for each row."""

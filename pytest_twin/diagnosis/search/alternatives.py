@@ -68,9 +68,9 @@ class AlternativeComparison:
         if not best.hypothesis.terms:
             selected.weigh({})
             return None
-        linearized = linearize_around(self.problem, best)
+        linearized = linearize_around(best)
         price = self.comparison.penalty_per_effect
-        found = find_exchanges(self.problem, best, linearized, price)
+        found = find_exchanges(best, linearized, price)
         additions = better_as_addition(best, linearized, found, SELECTION.clear, price)
         found = [
             replace(x, evidence=x.evidence - additions[x.new][1]) if x.new in additions else x
@@ -130,12 +130,12 @@ class AlternativeComparison:
                     best = selected.best = self.comparison.score_without_fit(
                         best.hypothesis, slopes=True
                     )
-                self.problem.refine_at(best.hypothesis)
-                linearized = linearize_around(self.problem, best)
+                best = replace(best, problem=self.problem.at(best.hypothesis))
+                linearized = linearize_around(best)
                 price = self.comparison.penalty_per_effect
                 found = [
                     x
-                    for x in find_exchanges(self.problem, best, linearized, price)
+                    for x in find_exchanges(best, linearized, price)
                     # Only a simulation can compare an elastic transmission with other effects.
                     if x.new is None or not x.new.law.is_elastic_transmission
                 ]
@@ -186,9 +186,7 @@ class AlternativeComparison:
                 elif len(place) > 1 and x.evidence > least:
                     behind.append(x)
         near += sorted(behind, key=lambda x: -x.evidence)[:1]
-        rivals = self.comparison.rivals(
-            [x.hypothesis for x in near], self.comparison.weights(best), FAIR
-        )
+        rivals = self.comparison.rivals([x.hypothesis for x in near], best, FAIR)
         self.comparison.judge(rivals, best)
         rivals += self.comparison.score_against([x.hypothesis for x in doubtful], best, FAIR, QUICK)
         rivals = [self.judge_with_own_correction(r, best) for r in rivals]
@@ -260,7 +258,7 @@ class AlternativeComparison:
         self, start: Hypothesis, weights: FloatArray, best: ScoredModel
     ) -> ScoredModel:
         """A hypothesis, fitted and scored against ``best``."""
-        (rival,) = self.comparison.rivals([start], weights, FAIR)
+        (rival,) = self.comparison.rivals([start], best, FAIR, weights=weights)
         self.comparison.judge([rival], best)
         return rival
 
@@ -351,8 +349,6 @@ class AlternativeComparison:
         bare = [x for x in found if x.new is None and x.removed in places]
         if not bare:
             return {}
-        rivals = self.comparison.rivals(
-            [x.hypothesis for x in bare], self.comparison.weights(best), 0
-        )
+        rivals = self.comparison.rivals([x.hypothesis for x in bare], best, 0)
         self.comparison.judge(rivals, best)
         return {x.removed: max(-r.evidence, 0.0) for x, r in zip(bare, rivals, strict=True)}

@@ -15,7 +15,6 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
 from pytest_twin.diagnosis.verdict_settings import VERDICT
@@ -24,29 +23,29 @@ from pytest_twin.diagnosis.verdict_settings import VERDICT
 _SIZES, _REFINEMENTS = 9, (1.25, 1.05)
 
 
-def doubtful_limits(problem: Problem, best: ScoredModel) -> list[Term]:
+def doubtful_limits(best: ScoredModel) -> list[Term]:
     """Limits in the fit at joints whose residual is above the noise floor."""
+    problem = best.problem
     out = (best.left > VERDICT.stands_out**2 * problem.signal_floor**2).reshape(
         -1, len(problem.joints)
     )
     return [t for t in best.hypothesis.terms if _is_limit(t) and out[:, t.joint].any()]
 
 
-def limits_instead(problem: Problem, best: ScoredModel, places: Sequence[Term]) -> list[Hypothesis]:
+def limits_instead(best: ScoredModel, places: Sequence[Term]) -> list[Hypothesis]:
     """For each limit in ``places``: the fit with the best other limit of the same drive instead.
 
     The other limit has the size with the smallest error; the remaining parameters are not fitted.
 
     Args:
-        problem: the problem.
         best: the present fit.
         places: limits in the present fit.
     """
-    own, trial_simulation = best.hypothesis, TrialSimulation(problem, best, best.left)
+    own, trial_simulation = best.hypothesis, TrialSimulation(best, best.left)
     found = []
     for removed in places:
         others = [
-            t for t in candidates(problem)
+            t for t in candidates(best.problem)
             if t.joint == removed.joint and _is_limit(t) and t not in own.terms
         ]  # fmt: skip
         rows = [

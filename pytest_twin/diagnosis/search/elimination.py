@@ -44,9 +44,9 @@ def eliminate(comparison: ModelComparison, best: ScoredModel) -> Eliminated:
     and simpler forms that explain as much. A simplification that clearly loses in the linearized
     motion is not simulated, except that of an elastic transmission.
     """
-    problem, losses = comparison.problem, dict[tuple[Term, ...], float]()
+    losses = dict[tuple[Term, ...], float]()
     while best.hypothesis.terms:
-        losses = {}
+        losses, problem = {}, best.problem
         terms = best.hypothesis.terms
         fewer = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
         linear = linearize(problem, problem.fit, best.hypothesis)
@@ -95,7 +95,7 @@ def tolerances(
     own, lost_of = best.hypothesis, dict[Term, float]()
     several = [t for t in own.terms if t.law.has_forms]
     if linear is not None and several:
-        view = residual_view(comparison.problem, best, linear.residual(best.fitted.residual))
+        view = residual_view(best, linear.residual(best.fitted.residual))
         removed = [own.without(t) for t in several]
         _, evidence = fit_and_score_linearized(
             linear, view, best, removed, comparison.penalty_per_effect
@@ -131,7 +131,7 @@ def undecided(
     linearized = [h for h in others if gears <= set(h.terms)]
     if linear is None or not linearized:
         return list(others)
-    view = residual_view(comparison.problem, best, linear.residual(best.fitted.residual))
+    view = residual_view(best, linear.residual(best.fitted.residual))
     fitted, evidence = fit_and_score_linearized(
         linear, view, best, linearized, comparison.penalty_per_effect
     )

@@ -44,14 +44,15 @@ class LinearizedView:
     candidate_sensitivities: CandidateSensitivities
 
 
-def linearize_around(problem: Problem, best: ScoredModel) -> LinearizedView:
+def linearize_around(best: ScoredModel) -> LinearizedView:
     """The residual of a fit and its sensitivities to all candidates."""
+    problem = best.problem
     linear = linearize(problem, problem.fit, best.hypothesis)
-    terms = _other_candidates(problem, best)
+    terms = _other_candidates(best)
     found, left = sensitivities_around(
         linear, problem, terms, problem.fit, best.hypothesis, best.fitted.residual
     )
-    view = residual_view(problem, best, left)
+    view = residual_view(best, left)
     found = _identifiable(problem, found)
     if linear is not None and found:
         found += _identifiable(
@@ -64,29 +65,29 @@ def linearize_around(problem: Problem, best: ScoredModel) -> LinearizedView:
     return LinearizedView(best, linear, view, CandidateSensitivities(found))
 
 
-def simulate_around(problem: Problem, best: ScoredModel, closest: int) -> LinearizedView:
+def simulate_around(best: ScoredModel, closest: int) -> LinearizedView:
     """As :func:`linearize_around`, with candidates that are simulated at one size.
 
     The linearization holds along the measured motion. Where the simulated motion is another (dry
     friction holds the joint elsewhere), it can miss what explains the difference.
 
     Args:
-        problem: the problem.
         best: the fit.
         closest: number of candidates that are simulated at all sizes.
     """
+    problem = best.problem
     left = bins(problem, problem.fit).mean(best.fitted.residual)
     found = simulated_sensitivities(
-        problem, _other_candidates(problem, best), problem.fit, best.hypothesis, left, closest
+        problem, _other_candidates(best), problem.fit, best.hypothesis, left, closest
     )
     sensitivities = CandidateSensitivities(_identifiable(problem, found))
-    return LinearizedView(best, None, residual_view(problem, best, left), sensitivities)
+    return LinearizedView(best, None, residual_view(best, left), sensitivities)
 
 
-def _other_candidates(problem: Problem, best: ScoredModel) -> list[Term]:
+def _other_candidates(best: ScoredModel) -> list[Term]:
     """Candidates that the fit does not contain."""
     named = set(best.hypothesis.terms)
-    return [t for t in candidates(problem) if t not in named]
+    return [t for t in candidates(best.problem) if t not in named]
 
 
 def _identifiable(problem: Problem, found: Sequence[Sensitivity]) -> list[Sensitivity]:
@@ -95,8 +96,9 @@ def _identifiable(problem: Problem, found: Sequence[Sensitivity]) -> list[Sensit
     return [r for r in found if not hidden_at(problem, recorded, r.term, r.start)]
 
 
-def residual_view(problem: Problem, best: ScoredModel, left: FloatArray) -> ResidualView:
+def residual_view(best: ScoredModel, left: FloatArray) -> ResidualView:
     """Residual ``left``, (bins, signals), with the Jacobian of a fit averaged over the bins."""
+    problem = best.problem
     binned = bins(problem, problem.fit)
     slope = binned.mean(best.fitted.jacobian)
     return ResidualView(left, slope, problem.signal_floor, binned.lengths)

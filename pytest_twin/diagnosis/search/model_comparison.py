@@ -55,7 +55,6 @@ class ModelComparison:
         self.has_validation = bool(len(problem.held_out))
         self.tried = len(candidates(problem))
         self.penalty_per_effect = effect_penalty(self.tried)
-        # An earlier search may have left the discretization error of its own result.
         with self.run.budget.reserved():
             self.nominal = self.score_without_fit(EMPTY)
         self._scored = self.nominal, 0.0
@@ -74,32 +73,46 @@ class ModelComparison:
     def rivals(
         self,
         starts: Sequence[Hypothesis],
-        weights: FloatArray,
+        best: ScoredModel,
         iterations: int,
         *,
+        weights: FloatArray | None = None,
         slopes: bool = False,
     ) -> list[ScoredModel]:
         """Hypotheses fitted by a number of iterations, with their residuals on all recordings.
 
         Args:
             starts: the hypotheses with the parameters at which the fits start.
-            weights: (signals,) reciprocal standard deviations.
+            best: the model whose corrections their predictions have.
             iterations: of the fit; 0 only simulates.
+            weights: (signals,) reciprocal standard deviations; from the residual of ``best`` by
+                default.
             slopes: whether the Jacobian at the result is computed.
         """
-        problem = self.problem
+        weights = self.weights(best) if weights is None else weights
+        return self._fitted(best.problem, starts, weights, iterations, slopes=slopes)
+
+    def _fitted(
+        self,
+        problem: Problem,
+        starts: Sequence[Hypothesis],
+        weights: FloatArray,
+        iterations: int,
+        *,
+        slopes: bool = False,
+    ) -> list[ScoredModel]:
         fitted = fit(problem, starts, weights, problem.fit, iterations=iterations, slopes=slopes)
         if self.has_validation:
             held = problem.residuals([f.hypothesis for f in fitted], problem.held_out)
         else:
             held = [np.zeros((0, len(problem.signal_floor)))] * len(fitted)
-        return [ScoredModel(f, h) for f, h in zip(fitted, held, strict=True)]
+        return [ScoredModel(f, h, problem) for f, h in zip(fitted, held, strict=True)]
 
     def score_without_fit(self, hypothesis: Hypothesis, *, slopes: bool = False) -> ScoredModel:
         """A fitted hypothesis, simulated with the discretization error at its own parameters."""
-        self.problem.refine_at(hypothesis)
-        weights = np.ones(len(self.problem.signal_floor))
-        return self.rivals([hypothesis], weights, 0, slopes=slopes)[0]
+        problem = self.problem.at(hypothesis)
+        weights = np.ones(len(problem.signal_floor))
+        return self._fitted(problem, [hypothesis], weights, 0, slopes=slopes)[0]
 
     def judge(
         self,
@@ -141,11 +154,10 @@ class ModelComparison:
 
         A fit ends after the ``first`` iterations if the model is then far behind.
         """
-        weights = self.weights(best)
-        rivals = self.rivals(starts, weights, first)
+        rivals = self.rivals(starts, best, first)
         self.judge(rivals, best)
         near = [i for i, r in enumerate(rivals) if r.evidence > -COMPARISON.hopeless]
-        again = self.rivals([rivals[i].hypothesis for i in near], weights, iterations - first)
+        again = self.rivals([rivals[i].hypothesis for i in near], best, iterations - first)
         self.judge(again, best)
         for i, r in zip(near, again, strict=True):
             rivals[i] = r
@@ -190,14 +202,8 @@ class ModelComparison:
         return own_mismatch(self.problem.signal_floor, whole, left, acting)
 
     def fit_with_own_correction(self, start: Hypothesis, best: ScoredModel) -> ScoredModel:
-        """A hypothesis, fitted with the discretization error at its own parameters.
-
-        The problem then has that of ``best`` again.
-        """
-        self.problem.refine_at(start)
-        (rival,) = self.rivals([start], self.weights(best), FAIR)
-        self.problem.refine_at(best.hypothesis)
-        return rival
+        """A hypothesis, fitted with the discretization error at its own parameters."""
+        return self._fitted(self.problem.at(start), [start], self.weights(best), FAIR)[0]
 
     def fit_to_convergence(self, rival: ScoredModel) -> ScoredModel:
         """A model fitted until convergence, with the discretization error at its parameters.
@@ -212,14 +218,13 @@ class ModelComparison:
     def _fit_to_convergence(self, rival: ScoredModel) -> ScoredModel:
         # The time of an impact within a step depends on the parameters, and the error on that time.
         for _ in range(COMPARISON.rough_rounds if rival.hypothesis.is_rough else 1):
-            self.problem.refine_at(rival.hypothesis)
-            fit_to_convergence = self.rivals(
-                [rival.hypothesis], self.weights(rival), LONG, slopes=True
-            )[0]
-            if not np.isfinite(fit_to_convergence.held_residual).all():
+            start, weights = rival.hypothesis, self.weights(rival)
+            problem = self.problem.at(start)
+            (converged,) = self._fitted(problem, [start], weights, LONG, slopes=True)
+            if not np.isfinite(converged.held_residual).all():
                 # A fit that diverges on what it has not seen is none: stay where it did not.
-                return self.rivals([rival.hypothesis], self.weights(rival), 0, slopes=True)[0]
-            rival = fit_to_convergence
+                return self._fitted(problem, [start], weights, 0, slopes=True)[0]
+            rival = converged
         return rival
 
     def is_spent(self, found: Sequence[Term]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -61,12 +61,12 @@ def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -
     judged = False
     fitted = selected.best.fitted
     rivals = {t: _likeliest_rival(selected, t) for t in fitted.hypothesis.terms}
-    problem.refine_at(EMPTY)
-    (before,) = levels_on(problem, [EMPTY], problem.tested)
+    (before,) = levels_on(problem.at(EMPTY), [EMPTY], problem.tested)
     while fitted.hypothesis.terms:
-        refitted, weights, base, levels = refit_without_each(problem, fitted, hurried)
+        here = problem.at(fitted.hypothesis)
+        refitted, weights, base, levels = refit_without_each(here, fitted, hurried)
         tested = RefitComparison(
-            problem, fitted, selected.confidence, before, base, refitted, levels, weights, rivals,
+            here, fitted, selected.confidence, before, base, refitted, levels, weights, rivals,
             selected.not_simulated,
         )  # fmt: skip
         rule, removed = next(((r, removed) for r in RULES if (removed := r(tested))), (None, {}))
@@ -78,7 +78,7 @@ def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -
             return PrunedModel(fitted, reduced_models, notes, closest=tuple(closest))
         notes += removed.values()
         closest += [tested.terms[k] for k in removed] if rule in CLOSEST_KNOWN else []
-        fitted = _with_slopes(problem, tested.without(list(removed)), weights)
+        fitted = _with_slopes(here, tested.without(list(removed)), weights)
     return PrunedModel(fitted, [], notes, closest=tuple(closest))
 
 
@@ -97,11 +97,9 @@ def keep_named(comparison: ModelComparison, best: ScoredModel) -> PrunedModel:
     notes: list[str] = []
     while best.hypothesis.terms:
         terms = best.hypothesis.terms
-        comparison.problem.refine_at(best.hypothesis)
+        best = replace(best, problem=comparison.problem.at(best.hypothesis))
         starts = [best.hypothesis.without(t) for t in terms]
-        reduced_models = comparison.rivals(
-            starts, comparison.weights(best), SETTINGS.refit_iterations
-        )
+        reduced_models = comparison.rivals(starts, best, SETTINGS.refit_iterations)
         comparison.judge(reduced_models, best, likelihood=laplace_log_likelihood)
         least = max(range(len(terms)), key=lambda k: reduced_models[k].evidence)
         if reduced_models[least].evidence < 0.0:
@@ -111,9 +109,7 @@ def keep_named(comparison: ModelComparison, best: ScoredModel) -> PrunedModel:
             f"rejected: {label(comparison.problem, terms[least])}: it reduces the error over whole "
             "recordings too little"
         )
-        (best,) = comparison.rivals(
-            [reduced_models[least].hypothesis], comparison.weights(best), 0, slopes=True
-        )
+        (best,) = comparison.rivals([reduced_models[least].hypothesis], best, 0, slopes=True)
     return PrunedModel(best.fitted, [], notes)
 
 
@@ -128,7 +124,6 @@ def refit_without_each(
         The refits; their (signals,) weights; (signals,) residual of the model on the tested
         recordings, in noise floors; and that of each refit.
     """
-    problem.refine_at(fitted.hypothesis)
     weights = 1.0 / (problem.signal_floor * np.hypot(_finite_levels(fitted, problem), 1.0))
     starts = [fitted.hypothesis.without(t) for t in fitted.hypothesis.terms]
     shared = [

@@ -377,9 +377,7 @@ def _levels_that_count(tested: RefitComparison, term: Term) -> tuple[FloatArray,
     hardly = tested.before[_signals_of(problem, term)].max() <= VERDICT.at_floor
     if not hardly or not len(problem.held_out):
         return tested.before, tested.base
-    problem.refine_at(EMPTY)
-    (before,) = levels_on(problem, [EMPTY], problem.everywhere)
-    problem.refine_at(tested.fitted.hypothesis)
+    (before,) = levels_on(problem.at(EMPTY), [EMPTY], problem.everywhere)
     (base,) = levels_on(problem, [tested.fitted.hypothesis], problem.everywhere)
     return before, base
 

@@ -10,6 +10,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.fit import Fitted
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.settings import SELECTION
 
 Place = tuple[tuple[Term, ...], Term | None]
@@ -23,12 +24,14 @@ class ScoredModel:
     Attributes:
         fitted: the fit to the fit recordings.
         held_residual: (samples, signals) residual on the validation recordings.
+        problem: the problem with the corrections of its predictions.
         evidence: penalized log-likelihood relative to a reference; comparable within one round.
         held_gain: log-likelihood on the validation recordings relative to the same reference.
     """
 
     fitted: Fitted
     held_residual: FloatArray
+    problem: Problem
     evidence: float = 0.0
     held_gain: float = 0.0
 

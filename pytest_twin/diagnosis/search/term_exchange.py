@@ -63,7 +63,6 @@ class TermExchange:
 
 
 def find_exchanges(
-    problem: Problem,
     best: ScoredModel,
     linearized: LinearizedView,
     penalty_per_effect: float,
@@ -71,7 +70,6 @@ def find_exchanges(
     """The best exchanges of each term, and of several terms of one joint.
 
     Args:
-        problem: the problem.
         best: the present fit.
         linearized: the linearization around it.
         penalty_per_effect: penalty of the log-likelihood for each effect.
@@ -79,11 +77,11 @@ def find_exchanges(
     terms = best.hypothesis.terms
     singles: list[tuple[Term, ...]] = [(t,) for t in terms]
     found = _exchanges_in_places(
-        problem, best, linearized, singles, EXCHANGE.alternatives, penalty_per_effect
+        best, linearized, singles, EXCHANGE.alternatives, penalty_per_effect
     )
     several = _groups_of_joint(terms) if linearized.linear is not None else []
     if several:
-        more = _exchanges_in_places(problem, best, linearized, several, 1, penalty_per_effect)
+        more = _exchanges_in_places(best, linearized, several, 1, penalty_per_effect)
         more = [x for x in more if x.new is not None]
         for is_doubtful in (False, True):
             alike = [x for x in more if x.is_doubtful == is_doubtful]
@@ -272,7 +270,6 @@ def _chance_gain(
 
 
 def _exchanges_in_places(
-    problem: Problem,
     best: ScoredModel,
     linearized: LinearizedView,
     places: Sequence[tuple[Term, ...]],
@@ -284,7 +281,7 @@ def _exchanges_in_places(
     reduced = [own.without(*removed) for removed in places]
     gears = [any(t.law.is_elastic_transmission for t in removed) for removed in places]
     out = []
-    lefts = _residuals_of(problem, linearized.linear, view, reduced, gears)
+    lefts = _residuals_of(best.problem, linearized.linear, view, reduced, gears)
     for removed, rest, gear, left in zip(places, reduced, gears, lefts, strict=True):
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
         lens = NormalEquations(

@@ -9,7 +9,6 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.fit import weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 
 
@@ -22,9 +21,10 @@ class TrialSimulation:
         segments: indices of the segments, those with the largest weighted residual.
     """
 
-    def __init__(self, problem: Problem, best: ScoredModel, left: FloatArray) -> None:
+    def __init__(self, best: ScoredModel, left: FloatArray) -> None:
         """Choose segments by the residual of ``best``, with weights from mean squares ``left``."""
-        self.problem, self.weights = problem, problem.weights(left)
+        self.problem = problem = best.problem
+        self.weights = problem.weights(left)
         ends = np.cumsum(problem.lengths(problem.fit))[:-1]
         parts = np.split(best.fitted.residual, ends)
         missing = [np.nansum((part * self.weights) ** 2) for part in parts]

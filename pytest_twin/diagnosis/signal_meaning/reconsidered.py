@@ -54,7 +54,7 @@ def with_fewer_effects(
             continue
         selection.is_complete = True
         selected = selection.refine(selection.comparison.fit_to_convergence(least))
-        other = conclude(prepared, trials, selection, selected)
+        other = conclude(prepared, trials, run, selected)
         if _has_fewer_effects(other, found if best is None else best[0]):
             best = other, between
     return best
@@ -64,7 +64,7 @@ def _without_one(found: SearchResult, comparison: ModelComparison) -> ScoredMode
     """The best fit with one effect fewer whose error is not larger in any signal; else None."""
     start = found.explained.hypothesis
     fewer = [start.without(t) for t in start.terms]
-    rivals = comparison.rivals(fewer, comparison.weights(comparison.nominal), FAIR)
+    rivals = comparison.rivals(fewer, comparison.nominal, FAIR)
     before, floor = found.pruned.fitted.residual, comparison.problem.signal_floor
     as_good = [r for r in rivals if explains_as_much(r.fitted.residual, before, floor)]
     comparison.judge(as_good, comparison.nominal)

@@ -84,7 +84,7 @@ class StepTimes:
         early, late = (
             np.array([s for s, t in enumerate(prepared.segment_trial) if t == k]) for k in (0, 1)
         )
-        problem.refine_at(hypothesis)
+        problem = problem.at(hypothesis)
         residuals = [problem.residuals([hypothesis], rows)[0] for rows in (early, late)]
         time = np.concatenate([problem.simulator.segments[s].time for s in early])
         if residuals[0].shape != residuals[1].shape or not np.isfinite(residuals).all():

@@ -26,7 +26,6 @@ from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.linearized_fit import LinearizedFit, fit_linearized
 from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.linearized_evidence import linearized_evidence
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
@@ -76,7 +75,7 @@ def proposals(
     for hypothesis in itertools.chain(
         _exchanged(scorer, linearized, settings),
         _rewritten(scorer, own),
-        effort_sensor_terms(scorer.problem, linearized.around),
+        effort_sensor_terms(linearized.around),
     ):
         form = np.array([m for t in sorted(hypothesis.terms)
                          for m in t.movable(hypothesis.theta[hypothesis.slice_of(t)])])  # fmt: skip
@@ -168,7 +167,7 @@ def _exchanged(
     own, view = linearized.around.hypothesis, linearized.view
     removed_sets = removals(own)
     reduced = [own.without(*removed) for removed in removed_sets]
-    lefts = _residuals(scorer, linearized, removed_sets, reduced)
+    lefts = _residuals(linearized, removed_sets, reduced)
     candidate_sensitivities = linearized.candidate_sensitivities
     elastic = candidate_sensitivities.elastic_transmissions
     rigid = {r.term for r in candidate_sensitivities.responses} - elastic
@@ -208,13 +207,12 @@ def removals(own: Hypothesis) -> list[tuple[Term, ...]]:
 
 
 def _residuals(
-    scorer: Scorer,
     linearized: LinearizedView,
     removed_sets: Sequence[tuple[Term, ...]],
     reduced: Sequence[Hypothesis],
 ) -> list[FloatArray]:
     """(bins, signals) residual of each rest; simulated where the motion then differs widely."""
-    problem, view = scorer.problem, linearized.view
+    problem, view = linearized.around.problem, linearized.view
     out: dict[int, FloatArray] = {}
     if linearized.linear is not None:
         for k, d in enumerate(linearized.linear.differences(reduced)):
@@ -243,12 +241,13 @@ def _rewritten(scorer: Scorer, own: Hypothesis) -> list[Hypothesis]:
     ]
 
 
-def effort_sensor_terms(problem: Problem, best: ScoredModel) -> list[Hypothesis]:
+def effort_sensor_terms(best: ScoredModel) -> list[Hypothesis]:
     """The fit with one effort sensor effect in addition, at joints with a large effort residual.
 
     The linearized search compares means over bins with the noise floor of single samples, so it may
     miss an offset of the effort that is below the floor in each bin.
     """
+    problem = best.problem
     joints = len(problem.joints)
     (out,) = np.nonzero((best.left > VERDICT.stands_out**2 * problem.signal_floor**2)[joints:])
     return [

@@ -53,7 +53,7 @@ def corrected_fits(
             _ITERATIONS,
             targets,
         )
-        tried = scorer.simulate([p.hypothesis for p in fitted])
+        tried = scorer.simulate([p.hypothesis for p in fitted], models[0])
         still = []
         for i, model in zip(active, tried, strict=True):
             before, after = (_misfit(scorer.problem, m) for m in (best[i], model))
@@ -67,12 +67,11 @@ def corrected_fits(
 
 def fit_by_simulation(scorer: Scorer, model: Model, iterations: int) -> tuple[Model, FloatArray]:
     """A model fitted by simulation, and its (samples, signals, parameters) Jacobian."""
-    problem = scorer.problem
-    problem.refine_at(model.hypothesis)
-    (here,) = scorer.simulate([model.hypothesis])
+    here = scorer.at(model.hypothesis)
+    problem = here.problem
     weights = problem.weights(np.mean(here.residual**2, axis=0))
     (found,) = fit(problem, [model.hypothesis], weights, problem.fit, iterations=iterations)
-    return scorer.simulate([found.hypothesis])[0], found.jacobian
+    return scorer.simulate([found.hypothesis], here)[0], found.jacobian
 
 
 def as_fitted(problem: Problem, model: Model, jacobian: FloatArray) -> Fitted:

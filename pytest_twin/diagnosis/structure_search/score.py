@@ -16,7 +16,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.first_order.beam_search import effect_penalty, parameter_penalty
-from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 
 
@@ -28,11 +28,13 @@ class Model:
         hypothesis: terms and parameters.
         residual: (samples, signals) on the fit recordings.
         validation: (samples, signals) on the validation recordings; no rows if there are none.
+        problem: the problem with the corrections of these residuals.
     """
 
     hypothesis: Hypothesis
     residual: FloatArray
     validation: FloatArray
+    problem: Problem
 
     @property
     def mean_square(self) -> FloatArray:
@@ -57,16 +59,27 @@ class Scorer:
         self.problem = problem
         self.penalty_per_effect = effect_penalty(candidates)
         self.earns, self.share = earns, share
-        self.nominal = self.simulate([Hypothesis((), np.empty(0))])[0]
+        self.nominal = self.at(EMPTY)
 
-    def simulate(self, hypotheses: Sequence[Hypothesis]) -> list[Model]:
-        """Simulate hypotheses on all recordings, without fitting them."""
-        problem = self.problem
+    def simulate(self, hypotheses: Sequence[Hypothesis], beside: Model) -> list[Model]:
+        """Simulate hypotheses on all recordings, without fitting them.
+
+        Args:
+            hypotheses: the hypotheses.
+            beside: the model whose corrections their predictions have.
+        """
+        return self._simulated(beside.problem, hypotheses)
+
+    @staticmethod
+    def _simulated(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Model]:
         everywhere = problem.everywhere
         residuals = problem.residuals(hypotheses, everywhere)
         lengths = np.array(problem.lengths(everywhere))
         fitted = np.repeat(np.isin(everywhere, problem.fit), lengths)
-        return [Model(h, r[fitted], r[~fitted]) for h, r in zip(hypotheses, residuals, strict=True)]
+        return [
+            Model(h, r[fitted], r[~fitted], problem)
+            for h, r in zip(hypotheses, residuals, strict=True)
+        ]
 
     def misfits_where(self, hypotheses: Sequence[Hypothesis], model: Model) -> list[float]:
         """Misfit of each hypothesis on the fit recording that ``model`` fits worst.
@@ -74,7 +87,7 @@ class Scorer:
         The misfit is the sum over signals of log(mean squared residual), where no mean square is
         below the squared noise floor; infinite if the simulation diverges.
         """
-        problem, floor = self.problem, self.problem.signal_floor
+        problem, floor = model.problem, self.problem.signal_floor
         lengths = problem.lengths(problem.fit)
         parts = np.split(model.residual, np.cumsum(lengths)[:-1])
         worst = int(np.argmax([np.nan_to_num(np.sum((p / floor) ** 2)) for p in parts]))
@@ -161,8 +174,7 @@ class Scorer:
 
     def at(self, hypothesis: Hypothesis) -> Model:
         """Simulate a hypothesis with the discretization error measured at its parameters."""
-        self.problem.refine_at(hypothesis)
-        return self.simulate([hypothesis])[0]
+        return self._simulated(self.problem.at(hypothesis), [hypothesis])[0]
 
 
 def _size(model: Model) -> tuple[int, int]:

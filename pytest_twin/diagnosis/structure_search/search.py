@@ -121,8 +121,7 @@ class StructureSearch:
                 if self.leave(result.model):
                     return replace(result, has_left=True)
         except OutOfTime:
-            with self.diagnosis_run.budget.reserved():
-                self.problem.refine_at(result.model.hypothesis)
+            pass
         return result
 
     def can_explain(self, share: float) -> bool:
@@ -146,8 +145,9 @@ class StructureSearch:
         return left <= (1.0 - share) * whole
 
     def _view(self, result: Result) -> LinearizedView:
-        fitted = as_fitted(self.problem, result.model, result.jacobian)
-        return linearize_around(self.problem, ScoredModel(fitted, result.model.validation))
+        model = result.model
+        fitted = as_fitted(self.problem, model, result.jacobian)
+        return linearize_around(ScoredModel(fitted, model.validation, model.problem))
 
     @staticmethod
     def _without_fit(model: Model) -> Result:
@@ -179,13 +179,11 @@ class StructureSearch:
         except OutOfTime:
             # The winner passed the test by simulation; only its last fit is missing.
             return self._without_fit(winner)
-        scorer.problem.refine_at(better.hypothesis)
         if not scorer.is_better(better, refined_incumbent):
             gain = scorer.gain(better, refined_incumbent)
             self._record(better, gain, refined_incumbent, taken=False)
-            scorer.problem.refine_at(incumbent.hypothesis)
             return None
-        return Result(better, jacobian)
+        return Result(replace(better, problem=self.problem.at(better.hypothesis)), jacobian)
 
     def _simulated_proposals(
         self, view: LinearizedView, incumbent: Model
@@ -201,10 +199,10 @@ class StructureSearch:
         scorer, settings = self.scorer, self.settings
         found = proposals(scorer, view, settings)
         if self._explains_nothing(found, view):
-            seen = simulate_around(self.problem, view.around, settings.simulated_at_all_sizes)
+            seen = simulate_around(view.around, settings.simulated_at_all_sizes)
             found += proposals(scorer, seen, settings)
         chosen = self._promising(found, incumbent)
-        models = scorer.simulate([p.hypothesis for p in chosen])
+        models = scorer.simulate([p.hypothesis for p in chosen], incumbent)
         try:
             models = self._fitted(view, models, incumbent, settings.finalists)
             best = min(
@@ -216,7 +214,8 @@ class StructureSearch:
             if (left & (best.mean_square > settings.explained * before)).any():
                 scanned = self._scanned(view, best)
                 models += self._fitted(view, scanned, incumbent, 3)
-                models += scorer.simulate(self._far(view))
+            if left.any():
+                models += scorer.simulate(self._far(view), incumbent)
         except OutOfTime:
             return models, False
         return models, True
@@ -225,8 +224,8 @@ class StructureSearch:
         """Hypotheses so far from the incumbent that no linearization leads to them."""
         own, left = view.around.hypothesis, view.around.left
         if not own.terms:
-            return distant(self.problem, EMPTY, left)
-        return compensated(TrialSimulation(self.problem, view.around, left), own)
+            return distant(view.around.problem, EMPTY, left)
+        return compensated(TrialSimulation(view.around, left), own)
 
     def _explains_nothing(self, found: Sequence[Proposal], view: LinearizedView) -> bool:
         """Whether the linearization explains nothing of a residual that stands out."""
@@ -293,15 +292,13 @@ class StructureSearch:
                  for each in rows.values()]  # fmt: skip
         found.sort(key=lambda x: x[0])
         chosen = [(m, h) for m, h in found[:_SCANNED] if np.isfinite(m)]
-        trial = TrialSimulation(
-            self.problem, view.around, np.mean(view.around.fitted.residual**2, axis=0)
-        )
+        trial = TrialSimulation(view.around, np.mean(view.around.fitted.residual**2, axis=0))
         refined = [
             h for m, start in chosen if start.terms[-1].law.is_limit and m < bare
             for h in refine_limit_sizes(trial, [start])
             if h is not start
         ]  # fmt: skip
-        return scorer.simulate([*(h for _, h in chosen), *refined])
+        return scorer.simulate([*(h for _, h in chosen), *refined], best)
 
     def _winner(self, incumbent: Model, models: Sequence[Model]) -> Model:
         """The model that passes the acceptance test against all others; smaller ones come first.

@@ -22,6 +22,9 @@ from pytest_twin.identification.simulation.stage_effects import start, starts_of
 
 ITERATIONS = 8
 """Largest number of iterations of a fit."""
+_ROUNDS, _SETTLED = 5, 1e-3
+"""Largest number of fits until convergence; changes of parameters, in multiples of their sizes, at
+which they end."""
 _FIRST_ITERATIONS = 3
 """Number of iterations from each start; then only the best fit is continued."""
 _FITTED = 2
@@ -57,15 +60,30 @@ def fit_best_start(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis
     return refitted(problem, with_possible_totals(problem, found.hypothesis))
 
 
-def refitted(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) -> Hypothesis:
+def refitted(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
     """Fit a hypothesis again with the discretization error of the simulator at its parameters.
 
     That error depends on the motion: at the limit of a drive it is not that of the model's motion.
     """
-    problem.refine_at(hypothesis)
+    problem = problem.at(hypothesis)
     weights = _weights(problem, [hypothesis])
-    (found,) = _fit(problem, [hypothesis], weights, iterations)
+    (found,) = _fit(problem, [hypothesis], weights, ITERATIONS)
     return with_possible_totals(problem, found.hypothesis)
+
+
+def fit_to_convergence(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """Fit a hypothesis until neither its parameters nor the discretization error there change.
+
+    Parameters that compensate for one another (viscous friction and the roll-off of a drive) lie in
+    a long valley, along which the discretization error changes.
+    """
+    for _ in range(_ROUNDS):
+        found = refitted(problem, hypothesis)
+        moved = np.abs(found.theta - hypothesis.theta)
+        hypothesis = found
+        if (moved <= _SETTLED * found.sizes).all():
+            break
+    return hypothesis
 
 
 def _fit(
@@ -111,15 +129,15 @@ def add_effects(
     present = {term.effect for term in base.terms}
     untried = [name for name in effects if name not in present and terms_at([name], modes)]
     while untried:
-        problem.refine_at(base)
-        stepped = _try_one_step(problem, base, {n: _added(base, n, modes) for n in untried})
+        here = problem.at(base)
+        stepped = _try_one_step(here, base, {n: _added(base, n, modes) for n in untried})
         untried = [name for name in untried if name in stepped]
         if not untried:
             break
         best_of_step = sorted(untried, key=lambda each: stepped[each].cost)[:_FITTED]
-        weights = _weights(problem, [base])
+        weights = _weights(here, [base])
         starts = [stepped[each].hypothesis for each in best_of_step]
-        tried = _fit(problem, starts, weights, ITERATIONS)
+        tried = _fit(here, starts, weights, ITERATIONS)
         best = min(range(len(tried)), key=lambda k: tried[k].cost)
         untried.remove(best_of_step[best])
         better = refitted(problem, with_possible_totals(problem, tried[best].hypothesis))
@@ -151,7 +169,7 @@ def take_better_terms(problem: Problem, before: Hypothesis, after: Hypothesis) -
 
 def with_derivatives(problem: Problem, hypothesis: Hypothesis) -> Fitted:
     """Compute the derivatives of a prediction, without changing the hypothesis."""
-    problem.refine_at(hypothesis)
+    problem = problem.at(hypothesis)
     weights = _weights(problem, [hypothesis])
     return fit(problem, [hypothesis], weights, problem.fit, iterations=0)[0]
 
@@ -167,8 +185,7 @@ def _in_floors(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
 
     They are corrected for the discretization error at the parameters of the hypothesis.
     """
-    problem.refine_at(hypothesis)
-    residual = problem.residuals([hypothesis], problem.tested)[0]
+    residual = problem.at(hypothesis).residuals([hypothesis], problem.tested)[0]
     return np.asarray(residual[:, : len(problem.joints)] / problem.floor)
 
 

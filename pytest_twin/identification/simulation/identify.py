@@ -105,19 +105,17 @@ def identify_simulation(
             for j, joint in enumerate(problem.joints)
         ]
         first = first_values(problem)
-        problem.position_weights = _segment_weights(
-            problem, start(_drives(modes), problem.scales, first)
-        )
-        staged = StagedFit(given, used, prepared, modes, first, plan)
+        weights = _segment_weights(problem, start(_drives(modes), problem.scales, first))
+        weighted = replace(problem, position_weights=weights)
+        staged = StagedFit(given, used, replace(prepared, problem=weighted), modes, first, plan)
         staged.run(progress)
         found, stage_of = staged.found, staged.stage_of
-        undetermined = undetermined_terms(problem, found, modes, plan.order)
+        undetermined = undetermined_terms(weighted, found, modes, plan.order)
         stages = [_as_the_model_says(one, undetermined) for one in staged.stages.values()]
-        slopes = with_derivatives(problem, found)
-        spread = parameter_spread(problem, slopes)
-        stages = [_with_data(one, problem, slopes, stage_of, used) for one in stages]
+        slopes = with_derivatives(weighted, found)
+        spread = parameter_spread(weighted.at(found), slopes)
+        stages = [_with_data(one, weighted, slopes, stage_of, used) for one in stages]
         # The errors that are reported count every recording alike.
-        problem.position_weights = {}
         before, after = (residuals_everywhere(problem, h) for h in (EMPTY, found))
         errors = joint_errors(prepared, before, after)
     return SimulationResult(

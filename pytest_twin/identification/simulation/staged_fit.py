@@ -20,8 +20,8 @@ from pytest_twin.identification.simulation.fitting import (
     LEAST_GAIN,
     add_effects,
     fit_terms,
+    fit_to_convergence,
     held_out_error,
-    refitted,
     take_better_terms,
     with_derivatives,
 )
@@ -34,8 +34,6 @@ from pytest_twin.identification.simulation.stage_effects import (
 )
 from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_stage
 
-_LAST = 10
-"""Iterations of the fit of all accepted terms together."""
 _TOGETHER: StageName = "closed_loop"
 
 
@@ -111,11 +109,16 @@ class StagedFit:
             )
             .problem
         )
-        problem.floor = self._problem.floor
-        problem.position_weights = self._problem.position_weights
+        problem = replace(
+            problem,
+            floor=self._problem.floor,
+            position_weights=self._problem.position_weights,
+        )
         own, free = terms_of(name, self.modes), nuisance_of(name, frozen.terms, self.modes)
         without = fit_terms(problem, free, self.first)
-        fitted = take_better_terms(problem, without, fit_terms(problem, [*own, *free], self.first))
+        # The motion of the model alone may be far off, and with it its discretization error.
+        both = fit_terms(problem.at(without), [*own, *free], self.first)
+        fitted = take_better_terms(problem, without, both)
         fitted = add_effects(problem, fitted, self.plan.further.get(name, ()), self.modes)
         kept = fitted.without(*(t for t in fitted.terms if t in free))
         held = HeldOut(
@@ -140,7 +143,7 @@ class StagedFit:
                 _TOGETHER, "not_observable", why, (), None, EXCLUDES[_TOGETHER]
             )
             return
-        moved = refitted(problem, found, _LAST)
+        moved = fit_to_convergence(problem, found)
         before = self._error(found)
         if self._error(moved) > before:
             moved = found
@@ -176,7 +179,9 @@ class StagedFit:
 
     def _moved_terms(self, whole: Hypothesis) -> list[Term]:
         """Terms that are new, or whose parameters are beyond the 95 % intervals of a fit."""
-        half = parameter_spread(self._problem, with_derivatives(self._problem, whole)).half_width
+        half = parameter_spread(
+            self._problem.at(whole), with_derivatives(self._problem, whole)
+        ).half_width
         moved = []
         for term in whole.terms:
             own = whole.slice_of(term)
@@ -220,7 +225,9 @@ class StagedFit:
             proposed = others
             for term in accepted.terms:
                 proposed = proposed.with_term_of(accepted, term)
-            merged = take_better_terms(self._problem, self.found, refitted(self._problem, proposed))
+            merged = take_better_terms(
+                self._problem, self.found, fit_to_convergence(self._problem, proposed)
+            )
             less = self._error(merged)
             if less > (1.0 - LEAST_GAIN) * error:
                 continue

@@ -46,7 +46,7 @@ def undetermined_terms(
         kept = whole.hypothesis.without(*others)
         columns = whole.hypothesis.parameters_without(*others)
         part = replace(whole, hypothesis=kept, jacobian=whole.jacobian[..., columns])
-        half = parameter_spread(problem, part, in_parts=False).half_width
+        half = parameter_spread(problem.at(part.hypothesis), part, in_parts=False).half_width
         for term in (t for t in absent if absent[t] == stage):
             own = kept.slice_of(term)
             switches = list(term.switches(kept.theta[own]))
