@@ -275,7 +275,7 @@ def main() -> None:
         fit = recordings(realization, [g for g in GAINS if g != gain])
         problem = prepare(realization, fit, recordings(realization, [gain]), threads=1).problem
         # The errors are a hundred times the integration error, which is therefore not measured.
-        problem.refined, problem.discretization_error = None, {}
+        problem = replace(problem.with_simulator(problem.simulator, None), discretization_error={})
         lines = [row("data sheet", absolute_errors(problem, [EMPTY], problem.held_out)[0])]
         notes = []
         if not args.no_diagnosis:
