@@ -305,12 +305,12 @@ def _start_variance(segment: Segment, noise: FloatArray) -> FloatArray:
 
 def _misfit_of_cubic(segment: Segment, noise: FloatArray, width: float) -> FloatArray:
     """(joints,) mean squared deviation from local cubics after the start, in noise variances; at
-    least 1.
+    least 1. It is 1 if no sample is so near (lost messages).
     """
-    if segment.history is None:
+    near = segment.time <= segment.start + width
+    if segment.history is None or not near.any():
         return np.ones(len(noise))
     time, smooth, _ = segment.history
-    near = segment.time <= segment.start + width
     line = np.stack([np.interp(segment.time[near], time, s) for s in smooth.T], axis=1)
     mean_square = np.mean((segment.position[near] - line) ** 2, axis=0)
     ratio: FloatArray = np.maximum(mean_square / noise**2, 1.0)

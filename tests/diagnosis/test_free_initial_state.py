@@ -154,3 +154,13 @@ def test_backlash_deflects_by_half_its_gap_and_position_servos_have_no_free_moto
     )
     servo = replace(segment, mode="position", command=np.zeros_like(segment.command))
     assert not estimated_starts(servo, BACKLASH).free
+
+
+def test_a_segment_whose_first_samples_are_lost_has_a_free_initial_state() -> None:
+    whole = recorded(segment_from_rest(), EMPTY, 0.0)
+    history = whole.time, whole.position, np.zeros_like(whole.position)
+    lost = replace(whole, time=whole.time[100:], position=whole.position[100:], history=history)
+    found = estimated_starts(lost, EMPTY).free[0]
+    assert np.isfinite(found.solve).all()
+    shift = np.full(lost.position.shape, 0.01)
+    assert np.abs(found.freed(shift)).max() < 1e-4
