@@ -45,7 +45,7 @@ class PrunedModel:
 
 
 def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -> PrunedModel:
-    """Reject effects that do not stand out of the noise, and effects that explain too little.
+    """Reject effects that do not exceed the noise, and effects that explain too little.
 
     An effect stays if the refit without it leaves a residual above the noise floor on some tested
     recording. It is rejected too if most of the mismatch of its joint remains: another effect, not

@@ -228,7 +228,7 @@ class StructureSearch:
         return compensated(TrialSimulation(view.around, left), own)
 
     def _explains_nothing(self, found: Sequence[Proposal], view: LinearizedView) -> bool:
-        """Whether the linearization explains nothing of a residual that stands out."""
+        """Whether the linearization explains nothing of a residual above the noise."""
         own = view.around.hypothesis
         if view.linear is None or own.terms:
             return False
