@@ -211,7 +211,7 @@ class StructureSearch:
             )
             before = np.nan_to_num(incumbent.mean_square, posinf=0.0)
             left = scorer.stands_out(best, 2.0 * VERDICT.stands_out)
-            if (left & (best.mean_square > settings.explained * before)).any():
+            if (left & (best.mean_square > settings.scan_above * before)).any():
                 scanned = self._scanned(view, best)
                 models += self._fitted(view, scanned, incumbent, 3)
             if left.any():

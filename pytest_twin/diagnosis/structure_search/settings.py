@@ -25,8 +25,8 @@ class StructureSearchSettings:
         refinements: iterations of the final fit by simulation.
         simulated_at_all_sizes: candidates that are simulated at all sizes of their grid, where the
             linearization explains nothing of the residual. All others have one size.
-        explained: share of an incumbent's mean squared residual in a signal. If the best simulated
-            proposal leaves more, effects far from any linearization are simulated as well.
+        scan_above: share of the incumbent's mean squared residual in a signal. If the best
+            simulated proposal leaves more, limits and elastic transmissions are scanned.
         earns: penalized log-likelihood ratio that a larger model must gain. 5 are odds of 150 to 1,
             which are called very strong evidence (Kass, Raftery 1995).
         share: share of the log-likelihood ratio between a model and the nominal model that
@@ -44,7 +44,7 @@ class StructureSearchSettings:
     corrections: int = 3
     refinements: int = 3
     simulated_at_all_sizes: int = 4
-    explained: float = 0.25
+    scan_above: float = 0.25
     earns: float = 5.0
     share: float = 0.1
 
