@@ -176,6 +176,7 @@ class StructureSearch:
             better, jacobian = fit_by_simulation(scorer, winner, self.settings.refinements)
             # Both models are compared with the discretization error at their own parameters.
             refined_incumbent = scorer.at(incumbent.hypothesis)
+            corrected = self.problem.at(better.hypothesis)
         except OutOfTime:
             # The winner passed the test by simulation; only its last fit is missing.
             return self._without_fit(winner)
@@ -183,7 +184,7 @@ class StructureSearch:
             gain = scorer.gain(better, refined_incumbent)
             self._record(better, gain, refined_incumbent, taken=False)
             return None
-        return Result(replace(better, problem=self.problem.at(better.hypothesis)), jacobian)
+        return Result(replace(better, problem=corrected), jacobian)
 
     def _simulated_proposals(
         self, view: LinearizedView, incumbent: Model
