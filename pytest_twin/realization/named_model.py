@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -32,7 +31,6 @@ _WIDTH_QPOS = {
 """MuJoCo's type of a joint -> number of its coordinates."""
 
 
-@dataclass(kw_only=True, eq=False, repr=False)
 class NamedModel:
     """A compiled robot model whose elements are found by name.
 
@@ -46,15 +44,29 @@ class NamedModel:
         simulator: simulator that steps the model.
     """
 
-    name: str
-    path: Path
-    spec: mujoco.MjSpec
-    model: mujoco.MjModel
-    source: Source
-    twin: Twin | None = None
-    controller: str | None = None
-    payload: str | None = None
-    simulator: Simulator = "mujoco"
+    # All arguments are keywords, and each is one attribute.
+    def __init__(  # noqa: PLR0913
+        self,
+        *,
+        name: str,
+        path: Path,
+        spec: mujoco.MjSpec,
+        model: mujoco.MjModel,
+        source: Source,
+        twin: Twin | None = None,
+        controller: str | None = None,
+        payload: str | None = None,
+        simulator: Simulator = "mujoco",
+    ) -> None:
+        self.name = name
+        self.path = path
+        self.spec = spec
+        self.model = model
+        self.source = source
+        self.twin = twin
+        self.controller = controller
+        self.payload = payload
+        self.simulator: Simulator = simulator
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -19,9 +19,9 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.identification.simulation import staged_fit
+from pytest_twin.identification.simulation import identify
 from pytest_twin.identification.simulation.fitting import add_effects, held_out_error
-from pytest_twin.identification.simulation.stage_effects import FURTHER
+from pytest_twin.identification.simulation.stage_effects import FURTHER, StagePlan
 from pytest_twin.realization import load
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.twin import DEFAULT_TOPICS
@@ -157,7 +157,8 @@ def test_friction_is_fitted_again_once_the_limit_of_the_drive_is_known(
 ) -> None:
     """Without the limit no friction explains the motion, and the friction stage comes first."""
     # The other stages find nothing here, and would take half of the time.
-    monkeypatch.setattr(staged_fit, "SIMULATED", ("friction", "drive"))
+    two_stages = partial(identify.identify_simulation, plan=StagePlan(order=("friction", "drive")))
+    monkeypatch.setattr(identify, "identify_simulation", two_stages)
     (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
     one, two, held = (
         str(write_trial(tmp_path / f"{name}.csv", seed, limited(1.0), REAL))
