@@ -22,7 +22,7 @@ from pytest_twin.identification.simulation.stage_effects import start, starts_of
 
 ITERATIONS = 8
 """Largest number of iterations of a fit."""
-_ROUNDS, _SETTLED = 5, 1e-3
+_ROUNDS, _SETTLED = 3, 1e-2
 """Largest number of fits until convergence; changes of parameters, in multiples of their sizes, at
 which they end."""
 _FIRST_ITERATIONS = 3
