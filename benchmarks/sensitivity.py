@@ -207,7 +207,12 @@ Change = tuple[str, float]
 
 @dataclass(frozen=True)
 class Traced:
-    """What a case does with the fields: names that it reads, and changes that may alter it."""
+    """What a diagnosis of one case depends on.
+
+    Attributes:
+        read: names of the thresholds that it reads.
+        altering: changes of thresholds that may change its result.
+    """
 
     read: frozenset[str]
     altering: frozenset[Change]

@@ -226,6 +226,13 @@ EMPTY = Hypothesis((), np.empty(0))
 """Hypothesis without effects: the nominal model."""
 
 
+def absent_values(parameter: Parameter, joints: int, scales: Scales) -> FloatArray:
+    """(joints,) values of a parameter at joints where its effect is absent, SI units."""
+    if parameter.neutral is not None:
+        return np.full(joints, parameter.neutral)
+    return np.array([parameter.absent * scales.value(parameter, j) for j in range(joints)])
+
+
 def effect_values(rows: Sequence[Hypothesis], joints: int, scales: Scales) -> EffectValues:
     """Parameters of every row's hypothesis as arrays; neutral where a row lacks the effect.
 
@@ -242,12 +249,7 @@ def effect_values(rows: Sequence[Hypothesis], joints: int, scales: Scales) -> Ef
     for effect in effects:
         values[effect] = {}
         for p in catalogue()[effect].parameters:
-            if p.neutral is not None:
-                array = np.full((len(rows), joints), p.neutral)
-            else:
-                array = np.empty((len(rows), joints))
-                array[:] = [p.absent * scales.value(p, j) for j in range(joints)]
-            values[effect][p.name] = array
+            values[effect][p.name] = np.tile(absent_values(p, joints, scales), (len(rows), 1))
     for i, h in enumerate(rows):
         at = 0
         for t in h.terms:

@@ -41,7 +41,7 @@ from pytest_twin.diagnosis.free_initial_state import (
     free_initial_state,
     free_shifts,
 )
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, absent_values, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.active_effects import (
     BETWEEN_STEPS,
@@ -49,7 +49,7 @@ from pytest_twin.effects.active_effects import (
     in_reading_order,
     with_fixed,
 )
-from pytest_twin.effects.base import Effect, Parameter, Values
+from pytest_twin.effects.base import Effect, Values
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
@@ -389,36 +389,31 @@ class Linear:
         """Changes of total force and drive effort by each effect, (rows, segments, samples, joints)
         each, N*m or N; None for an effect that changes neither.
         """
-        values, rows = [], []
-        for terms, sizes in plans:
+        joints, scales = len(self.problem.joints), self.problem.scales
+        values, parts, count = dict[int, dict[str, FloatArray]](), dict[int, slice](), 0
+        for k, (terms, sizes) in enumerate(plans):
             if terms[0].law.overrides(*_IN_FORCES):
-                each = [_alone(full, switches, s) for full, switches in sizes for s in switches]
-                values.append(self._values(terms[0].law, each, terms))
-                rows.append(len(each))
-        if not rows:
+                rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
+                values[k] = self._values(terms[0].law, rows, terms)
+                parts[k] = slice(count, count + len(rows))
+                count += len(rows)
+        if not parts:
             return [None] * len(plans)
-        ends = np.cumsum([0, *rows])
-        every = self._wide(ends[-1])
-        effects = [terms[0].law for terms, _ in plans if terms[0].law.overrides(*_IN_FORCES)]
-        for effect, v, first, last in zip(effects, values, ends, ends[1:], strict=False):
+        every = self._wide(count)
+        for k, part in parts.items():
+            effect = plans[k][0][0].law
+            absent = {p.name: absent_values(p, joints, scales) for p in effect.parameters}
             own = every.setdefault(
-                effect.id,
-                {p.name: np.tile(self._absent(p), (ends[-1], 1)) for p in effect.parameters},
+                effect.id, {name: np.tile(x, (count, 1)) for name, x in absent.items()}
             )
-            for name, x in v.items():
-                own[name][first:last] = x
+            for name, x in values[k].items():
+                own[name][part] = x
         total, drive = self.laws.changes(
-            in_reading_order(every), int(ends[-1]), in_reading_order(self.own), self.base
+            in_reading_order(every), count, in_reading_order(self.own), self.base
         )
-        parts = iter(itertools.pairwise(ends))
-        out: list[tuple[FloatArray, FloatArray] | None] = []
-        for terms, _ in plans:
-            if terms[0].law.overrides(*_IN_FORCES):
-                first, last = next(parts)
-                out.append((total[first:last], drive[first:last]))
-            else:
-                out.append(None)
-        return out
+        return [
+            (total[parts[k]], drive[parts[k]]) if k in parts else None for k in range(len(plans))
+        ]
 
     def at_sizes(self, terms: Sequence[Term], sizes: Sizes) -> list[Sensitivity]:
         """Sensitivities of one effect at several joints, at given sizes."""
@@ -498,17 +493,12 @@ class Linear:
         for i, p in enumerate(effect.parameters):
             array = np.empty((len(rows), joints))
             own = self.own.get(effect.id)
-            array[:] = self._absent(p) if own is None else own[p.name]
+            array[:] = absent_values(p, joints, scales) if own is None else own[p.name]
             for term in terms:
                 column = slice(None) if term.joint < 0 else slice(term.joint, term.joint + 1)
                 array[:, column] = [[r[i] * scales.value(p, term.joint)] for r in rows]
             out[p.name] = array
         return out
-
-    def _absent(self, parameter: Parameter) -> FloatArray:
-        """(joints,) values of a parameter at joints where its effect is absent, SI units."""
-        scales, joints = self.problem.scales, range(len(self.problem.joints))
-        return parameter.absent * np.array([scales.value(parameter, j) for j in joints])
 
     def _wide(self, rows: int) -> dict[str, Values]:
         """The hypothesis's parameters, repeated for each row."""
