@@ -110,6 +110,16 @@ def test_the_table_of_folders_has_every_module_in_the_order_of_the_import_layers
     assert levels == sorted(levels)
 
 
+def test_a_diagnosis_imports_neither_distributions_nor_filters_of_scipy() -> None:
+    """Their import takes 0.6 s, longer than the first answer of a small diagnosis."""
+    code = (
+        "import sys, pytest_twin.diagnosis.diagnose, pytest_twin.report.diagnosis_plots;"
+        "print(sorted({'scipy.signal', 'scipy.stats'} & {*sys.modules}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def test_benchmark_plants_share_no_code_with_the_package() -> None:
     concealed = (PROJECT / "benchmarks" / "concealed").glob("*.py")
     plants = [

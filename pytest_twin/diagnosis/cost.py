@@ -10,10 +10,10 @@ import numpy as np
 from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.effects.batch_simulator import BatchSimulator
 
-# Simulations in a batch of the measurement.
-_ROWS = 32
+# Simulations of the shortest recording for each thread, in a batch of the measurement.
+_ROWS_PER_THREAD = 16
 # Number of repetitions, or their total time in s: the speed of a core varies.
-_REPEATS, _LONG = 5, 1.0
+_REPEATS, _LONG = 3, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,8 @@ def cost(budget: Budget, since: float, of_alternatives: float = 0.0) -> Cost:
     known = problem.simulator
     simulator = BatchSimulator(known.segments, known.joints, threads=known.threads, sparing=False)
     stepped = sum(p.stepped + p.memory.steps_for_initial_states for p in problems)
-    rows = np.resize(problem.fit, max(_ROWS, len(problem.fit)))
+    shortest = min(problem.fit, key=lambda at: len(known.segments[at].time))
+    rows = np.full(_ROWS_PER_THREAD * known.threads, shortest)
     simulator.trajectories(rows[:1], {})  # models are copied once, outside the measured time
     before = simulator.stepped
     seconds: list[float] = []

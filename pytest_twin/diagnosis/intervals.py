@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtri, stdtrit
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
@@ -58,7 +58,7 @@ class Spread:
         scaled = offset / np.maximum(self.half_width[which], 1e-300)
         values, vectors = np.linalg.eigh(self.correlation[np.ix_(which, which)])
         square = np.sum((vectors.T @ scaled) ** 2 / np.maximum(values, INTERVALS.least_variance))
-        one, together = (float(stats.chi2.ppf(2.0 * _LEVEL - 1.0, n)) for n in (1, len(which)))
+        one, together = (float(chdtri(n, 2.0 - 2.0 * _LEVEL)) for n in (1, len(which)))
         return float(np.sqrt(square * one / together))
 
 
@@ -106,7 +106,7 @@ def parameter_spread(
     base = np.sqrt(np.diag(wide).clip(1e-300))
     correlation = wide / np.outer(base, base)
     freedom = max(float(effective.max()) * 1.0 - count, 2.0)
-    quantile = float(stats.t.ppf(_LEVEL, freedom))
+    quantile = float(stdtrit(freedom, _LEVEL))
     shift = np.abs(inverse @ _discretization_pull(problem, jac, weight))
     owner = clusters([problem.simulator.segments[s].trial for s in problem.fit], lengths)
     information = _by_cluster(jac, weight, owner)
@@ -164,7 +164,7 @@ def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
         moved[k] = root @ (axes * without) @ axes.T @ root.T @ -scores[k]
     deviation = moved - moved.mean(axis=0)
     covariance = (count - 1.0) / count * deviation.T @ deviation
-    return np.asarray(stats.t.ppf(_LEVEL, count - 1) ** 2 * covariance)
+    return np.asarray(stdtrit(count - 1, _LEVEL) ** 2 * covariance)
 
 
 def clusters(trials: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]:

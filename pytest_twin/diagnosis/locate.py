@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import welch
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis import temperature
@@ -25,6 +24,7 @@ from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives
 from pytest_twin.diagnosis.windows import runs
 from pytest_twin.effects.contact_geoms import is_near_surface, with_distant_contacts
 from pytest_twin.effects.segment import Segment
+from pytest_twin.metrics.spectrum import power_density
 from pytest_twin.trial import Trial
 
 
@@ -198,7 +198,7 @@ def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | 
             continue
         for k, values in enumerate((mine, m.position[:, joint])):
             even = np.interp(grid, m.time, np.nan_to_num(values))
-            _, found = welch(even, nperseg=min(size, len(even)), nfft=size)
+            _, found = power_density(even, 1.0, min(size, len(even)), padded=size)
             power[k] += len(grid) * found
     if not power.sum(axis=1).all():
         return None

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.metrics.pose import quaternion_of, rotation_of
 
 _LEAST_MASS, _LEAST_MOMENT = 1e-6, 1e-9
 """Smallest mass in kg and moment of inertia in kg m^2, so that the simulator can divide by it."""
@@ -27,7 +27,7 @@ def with_point_mass(
     """
     total = np.maximum(mass + added, _LEAST_MASS)
     both = (mass[:, None] * center + added[:, None] * at) / total[:, None]
-    turn = Rotation.from_quat(quat[:, [1, 2, 3, 0]]).as_matrix()
+    turn = np.array([rotation_of(one) for one in quat])
     tensor = np.einsum("nij,nj,nkj->nik", turn, moments, turn)
     for weight, point in ((mass, center), (added, at)):
         arm = point - both
@@ -36,5 +36,5 @@ def with_point_mass(
         tensor += weight[:, None, None] * steiner
     values, axes = np.linalg.eigh(tensor)
     axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
-    quat = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+    quat = np.array([quaternion_of(one) for one in axes])
     return total, both, np.maximum(values, _LEAST_MOMENT), quat

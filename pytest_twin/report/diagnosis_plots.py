@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.metrics.spectrum import power_density
 from pytest_twin.report.diagnosis_view import JointView, Regime
 from pytest_twin.report.log_axes import logarithmic
 from pytest_twin.report.panels import Line, thin
@@ -168,8 +169,6 @@ def _against(axes: Axes, view: JointView, values: FloatArray, label: str, *, fir
 
 def _spectrum(axes: Axes, view: JointView) -> None:
     """Draw the amplitude spectral density, averaged over the test recordings."""
-    from scipy.signal import welch
-
     rate = 1.0 / view.interval
     longest = max(view.stretches)
     window = max(min(longest, round(4.0 * rate)), 8)
@@ -183,7 +182,7 @@ def _spectrum(axes: Axes, view: JointView) -> None:
             if n < 8:
                 continue
             size = min(window, n)
-            f, p = welch(part, rate, nperseg=size, nfft=window, detrend=False)
+            f, p = power_density(part, rate, size, padded=window, centred=False)
             total = p * n if total is None else total + p * n
             weight += n
         if total is not None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.signal_meaning.effort_settings import EFFORTS
@@ -137,6 +136,8 @@ def _lagged(values: FloatArray, lag: float, step: float) -> FloatArray:
     """Values after a first-order lag of ``lag`` s, in equilibrium at the start."""
     if lag <= step:
         return values
+    from scipy.signal import lfilter
+
     keep = float(np.exp(-step / lag))
     out: FloatArray = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])[0]
     return out

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr, stdtrit
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.findings import joint_type, joint_unit
@@ -226,7 +226,7 @@ def _half_width(after: Fitted) -> FloatArray:
     spread = after.left_out - after.left_out.mean(axis=0)
     jackknife = (count - 1) / count * np.sum(spread**2, axis=0)
     variance = np.maximum(np.diag(after.covariance), jackknife)
-    half: FloatArray = float(student.ppf(0.975, max(count - 1, 1))) * np.sqrt(variance)
+    half: FloatArray = float(stdtrit(max(count - 1, 1), 0.975)) * np.sqrt(variance)
     return half
 
 
@@ -241,6 +241,6 @@ def _shares(ranking: Sequence[Chosen]) -> list[tuple[Chosen, float]]:
     for one in ranking[1:]:
         more = log_ratio(one.errors, best.errors)
         ratio = max(float(more.sum()), 0.0) / max(standard_error(more), 1e-12)
-        weights.append(2.0 * float(student.sf(ratio, max(len(more) - 1, 1))))
+        weights.append(2.0 * float(stdtr(max(len(more) - 1, 1), -ratio)))
     total = float(np.sum(weights))
     return [(c, float(w) / total) for c, w in zip(ranking, weights, strict=True)]
