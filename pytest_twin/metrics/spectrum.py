@@ -32,6 +32,6 @@ def power_density(
         parts = parts - parts.mean(axis=1, keepdims=True)
     power: FloatArray = np.mean(np.abs(np.fft.rfft(parts * taper, length)) ** 2, axis=0)
     power /= rate * np.sum(taper**2)
-    # All frequencies but 0 and half the sampling rate stand for two, one of them negative.
+    # The power at a negative frequency is added to that at the positive one.
     power[1 : (length + 1) // 2] *= 2.0
     return np.asarray(np.fft.rfftfreq(length, 1.0 / rate), dtype=np.float64), power
