@@ -6,6 +6,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, Self, get_args
 
+from pytest_twin.signals import NO_SIGNALS, Signals
+
 CommandMode = Literal["position", "velocity", "effort"]
 """Which field of a command message is the command."""
 Clock = Literal["stamp", "log"]
@@ -78,6 +80,7 @@ class RecordingOptions:
         command_between_default: the same for recordings whose metadata do not state it.
         columns: CSV files: header -> meaning of the column, or the reverse.
         units: LeRobot data sets: unit of their joint positions.
+        signals: side of the gears, units and meaning of the joints' positions and efforts.
     """
 
     joints: JointNames = field(default_factory=JointNames)
@@ -87,6 +90,7 @@ class RecordingOptions:
     command_between_default: CommandBetween | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Units | None = None
+    signals: Signals = NO_SIGNALS
 
     def mode_of(self, joint: str) -> CommandMode | None:
         """The declared command field of a joint of the model; None where it is not declared."""
@@ -115,6 +119,7 @@ class RecordingOptions:
             "command_between_default": self.command_between_default,
             "columns": dict(self.columns),
             "units": self.units,
+            "signals": dict(self.signals.table),
         }
         return {key: value for key, value in found.items() if value}
 
@@ -129,6 +134,7 @@ class RecordingOptions:
             command_between_default=data.get("command_between_default"),
             columns=dict(data.get("columns") or {}),
             units=data.get("units"),
+            signals=Signals.from_json(data.get("signals") or {}),
         )
 
 

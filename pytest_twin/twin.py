@@ -27,7 +27,6 @@ from pytest_twin.installed import entry_points_by_name
 from pytest_twin.old_names import old_name
 from pytest_twin.ranges_spec import RangesSpec, TrialGroup
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
-from pytest_twin.signals import NO_SIGNALS, Signals
 
 FILE_NAME = "twin.yaml"
 EFFECTS_FILE = "effects.json"
@@ -312,7 +311,6 @@ class Twin:
         roots: name -> folder outside ``root`` that may contain files of the twin.
         topics: ``state`` and ``command`` -> topic.
         recordings: how to read recordings: joint names, fields, clock, commands between stamps.
-        signals: meaning of the recorded positions and efforts.
         controllers: id -> actuator -> attribute -> value.
         payloads: id -> body -> load.
         parts: name -> declared part.
@@ -343,7 +341,6 @@ class Twin:
     roots: Mapping[str, Path] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULT_TOPICS))
     recordings: RecordingOptions = NO_OPTIONS
-    signals: Signals = NO_SIGNALS
     controllers: Mapping[str, Mapping[str, Patch]] = field(default_factory=dict)
     payloads: Mapping[str, Mapping[str, Payload]] = field(default_factory=dict)
     calibration: Calibration | None = None
@@ -511,7 +508,6 @@ class _Reader:
             roots=self.named_roots,
             topics={**DEFAULT_TOPICS, **data.get("topics", {})},
             recordings=_recordings(data),
-            signals=Signals.from_json(data.get("signals", {})),
             controllers={
                 name: {actuator: _patch(patch) for actuator, patch in (actuators or {}).items()}
                 for name, actuators in data.get("controllers", {}).items()

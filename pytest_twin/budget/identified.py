@@ -116,7 +116,7 @@ def regressor_of(
     """Return the regressor of a record's joints, or of ``otherwise`` if it names none."""
     structure = realization.structure
     joints = [name for name in _joints_of(record) if name in structure.joint_type]
-    signals = NO_SIGNALS if realization.twin is None else realization.twin.signals
+    signals = NO_SIGNALS if realization.twin is None else realization.twin.recordings.signals
     shared = [
         SharedMotor(joint, own.joint, own.ratio)
         for joint in joints

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Protocol
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.trial import Trial
@@ -13,6 +15,18 @@ _NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+)?)\s*(?:°|deg)?\s*([CK]?)\s*")
 
 ColdFractions = Mapping[str, float]
 """Temperature in the metadata -> cold fraction: 1 for the coldest, 0 for the warmest trial."""
+
+
+class WithMetadata(Protocol):
+    """A trial, or another part of a recording with the recording's metadata."""
+
+    @property
+    def path(self) -> Path:
+        """The recording."""
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """Metadata of the recording."""
 
 
 def cold_fractions_of(trials: Iterable[Trial]) -> ColdFractions:
@@ -35,7 +49,7 @@ def cold_fractions_of(trials: Iterable[Trial]) -> ColdFractions:
     return {name: (warmest - t) / (warmest - coldest) for name, t in numbers.items()}
 
 
-def cold_fraction_of_trial(known: ColdFractions, trial: Trial) -> float:
+def cold_fraction_of_trial(known: ColdFractions, trial: WithMetadata) -> float:
     """Cold fraction of one trial; 1 if no temperatures are known.
 
     Raises:

@@ -36,6 +36,7 @@ from pytest_twin.realization import Realization
 from pytest_twin.realization.quiet import quiet
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
+from pytest_twin.trial.joint_side import effort_factor
 
 _FRICTION = ("viscous_friction", "coulomb_friction")
 """Effects that measured effort and motion both show: errors of their values from effort are in the
@@ -101,8 +102,8 @@ def drive_recordings(
 ) -> DriveRecordings | None:
     """Return the recordings for :func:`fit_drives`.
 
-    None where every joint has a servo whose effort follows its law, where recorded positions are
-    not those of the joints, which a simulation starts from, or where the drive stage is rejected.
+    None where every joint has a servo whose effort follows its law, or where the drive stage is
+    rejected.
     """
     joints = result.regressor.joints
     limited = {
@@ -114,13 +115,9 @@ def drive_recordings(
     known = tuple(one for one in gains if one.misfit < _FOLLOWS and one.joint not in limited)
     if len(known) == len(joints):
         return None
-    own = [signals.of(joint) for joint in joints]
-    is_rejected = any(one.name == "drive" and one.state == "rejected" for one in result.stages)
-    if is_rejected or any(
-        one.position.side != "output" or one.position.unit not in ("rad", "m") for one in own
-    ):
+    if any(one.name == "drive" and one.state == "rejected" for one in result.stages):
         return None
-    plain = all(one.effort.quantity == "torque" and one.effort.side == "output" for one in own)
+    plain = all(effort_factor(joint, signals) is not None for joint in joints)
     scaled = result.gains or any(scale.is_significant for scale in result.scales.values())
     return DriveRecordings(
         list(dict.fromkeys(one.path for one in measured.fit)),

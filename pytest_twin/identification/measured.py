@@ -12,12 +12,18 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries, Recording
+from pytest_twin.identification.known_effects import KnownEfforts, known_efforts
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.recording_options import RecordingOptions
-from pytest_twin.signals import ANGLES, Signals
+from pytest_twin.signals import Signals
 from pytest_twin.trial import recordings_at
 from pytest_twin.trial.command_field import choose_command_fields
+from pytest_twin.trial.joint_side import (
+    add_shared_efforts,
+    effort_factor,
+    positions_at_joints,
+)
 from pytest_twin.trial.joints import in_model_names
 from pytest_twin.trial.roles import refuse_final
 from pytest_twin.trial.table import kept_commands, sorted_rows
@@ -58,8 +64,10 @@ class Measured:
         limit: (joints,) effort at which the drive saturates, else infinity.
         metadata: metadata of the recording.
         notes: messages on the conversion.
-        command: (n, joints) position commands that hold at the states, in the recorded unit; NaN
-            where there is none; None without any.
+        command: (n, joints) position commands that hold at the states, of the encoders, rad or m;
+            NaN where there is none; None without any.
+        known: efforts of the given model along the motion, beside those of its regressor; None
+            for none.
     """
 
     path: Path
@@ -74,6 +82,7 @@ class Measured:
     metadata: Mapping[str, str]
     notes: tuple[str, ...] = ()
     command: FloatArray | None = None
+    known: KnownEfforts | None = None
 
     @property
     def rate(self) -> float:
@@ -209,7 +218,7 @@ def _at_joints(
         if efforts is None
         else np.array(efforts[order], dtype=np.float64)[:, seen]
     )
-    position, velocity, notes = _positions(names, raw, speed, signals)
+    position, velocity, notes = positions_at_joints(names, raw, speed, signals)
     effort, unscaled, limit, said = _efforts(names, effort, signals)
     if efforts is not None and not measures:
         said.insert(
@@ -221,7 +230,8 @@ def _at_joints(
         notes.append(f"{lost} states without the position of every joint left out")
     command = commanded.get("position")
     if command is not None:
-        command = command[order][:, seen][whole]
+        at_motors = command[order][:, seen][whole]
+        command, _, _ = positions_at_joints(names, at_motors, None, signals)
     velocity_there = None if velocity is None else velocity[whole]
     return Measured(
         path=recording.path,
@@ -240,42 +250,18 @@ def _at_joints(
 
 
 def _in_model(read: Measured, realization: Realization) -> Measured:
-    """Return the recording in the model's joint coordinates, by the twin's calibration."""
+    """Return the recording in the model's joint coordinates.
+
+    The twin's calibration and the sensor effects of an earlier diagnosis are applied.
+    """
     encoders = Encoders.of(calibration_of(realization), read.joints)
-    return replace(
-        read,
-        position=encoders.model_position(read.position),
-        velocity=None if read.velocity is None else encoders.model_velocity(read.velocity),
-        effort=encoders.signed(read.effort),
+    known = known_efforts(realization, read.joints)
+    position, velocity = known.true_motion(
+        encoders.model_position(read.position),
+        None if read.velocity is None else encoders.model_velocity(read.velocity),
     )
-
-
-def _positions(
-    names: Sequence[str], raw: FloatArray, speed: FloatArray | None, signals: Signals
-) -> tuple[FloatArray, FloatArray | None, list[str]]:
-    """Compute joint positions and velocities from readings on motor or joint side."""
-    position = np.empty_like(raw)
-    velocity = None if speed is None else np.empty_like(raw)
-    notes = []
-    for name in _dependents_last(names, signals):
-        column = names.index(name)
-        own = signals.of(name)
-        factor = ANGLES[own.position.unit]
-        if own.position.side == "motor":
-            factor /= own.gear
-            notes.append(f"{name}: motor position divided by its gear ratio {own.gear:g}")
-        position[:, column] = raw[:, column] * factor
-        if velocity is not None and speed is not None:
-            velocity[:, column] = speed[:, column] * factor
-        if own.shared is not None and own.position.side == "motor":
-            other = names.index(own.shared.joint)
-            # The zero of the other joint does not rotate this motor.
-            zero = signals.of(own.shared.joint).zero
-            position[:, column] -= own.shared.ratio * (position[:, other] - zero)
-            if velocity is not None:
-                velocity[:, column] -= own.shared.ratio * velocity[:, other]
-        position[:, column] += own.zero
-    return position, velocity, notes
+    effort = known.true_effort(encoders.signed(read.effort))
+    return replace(read, position=position, velocity=velocity, effort=effort, known=known)
 
 
 def velocity_notes(
@@ -330,11 +316,6 @@ def velocity_notes(
     return notes
 
 
-def _dependents_last(names: Sequence[str], signals: Signals) -> list[str]:
-    """Order the joints so that a coupled joint follows the joint that moves its motor."""
-    return sorted(names, key=lambda name: signals.of(name).shared is not None)
-
-
 def _efforts(
     names: Sequence[str], effort: FloatArray, signals: Signals
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, list[str]]:
@@ -367,29 +348,18 @@ def _efforts(
                 f"{name}: effort is repeatedly {top:.4g}: the drive is at its limit or the signal "
                 "is clipped; these samples are left out"
             )
-        factor = 1.0
-        if own.quantity == "current":
-            if own.constant is None:
-                unscaled[column] = True
-                notes.append(
-                    f"{name}: effort is a current of unknown torque constant: the constant is "
-                    "identified against the model's inertia, and no inertia from this joint"
-                )
-            else:
-                factor *= own.constant
-        if own.side == "motor":
-            factor *= signals.of(name).gear
+        factor = effort_factor(name, signals)
+        if factor is None:
+            unscaled[column] = True
+            factor = signals.of(name).gear if own.side == "motor" else 1.0
+            notes.append(
+                f"{name}: effort is a current of unknown torque constant: the constant is "
+                "identified against the model's inertia, and no inertia from this joint"
+            )
         effort[:, column] = values * factor
         if top is not None:
             limit[column] = abs(top * factor)
-    for column, name in enumerate(names):
-        shared = signals.of(name).shared
-        if shared is not None and signals.of(name).effort.side == "motor":
-            # By virtual work, the motor's torque acts on both joints that rotate it.
-            effort[:, names.index(shared.joint)] += shared.ratio * effort[:, column]
-            notes.append(
-                f"{name}: its motor's torque acts on {shared.joint} too and is added there"
-            )
+    notes += add_shared_efforts(names, effort, signals)
     return effort, unscaled, limit, notes
 
 

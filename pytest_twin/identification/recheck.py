@@ -20,7 +20,6 @@ from pytest_twin.identification.effort.scale import Scale, payload_effort, scale
 from pytest_twin.identification.measured import Measured, read_measured
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
-from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import DEFAULT_TOPICS
 
 _OF_RECORD = frozenset({
@@ -66,9 +65,9 @@ def recheck(
             expected="a golden of kind replay for an identification from commands and positions",
         )
     twin = realization.twin
-    signals = NO_SIGNALS if twin is None else twin.signals
     topics = DEFAULT_TOPICS if twin is None else twin.topics
     assert twin is not None
+    signals = twin.recordings.signals
     measured = [
         part
         for path in recordings

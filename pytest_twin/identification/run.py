@@ -23,6 +23,7 @@ from pytest_twin.identification.effort.identify import has_effort, identify_effo
 from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.encoder_changes import encoder_changes
 from pytest_twin.identification.fit_patches import patches_of
+from pytest_twin.identification.known_effects import notes_on_effects
 from pytest_twin.identification.measured import Measured
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.roles import read_by_role
@@ -32,7 +33,6 @@ from pytest_twin.identification.signal_table import signal_table
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
-from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import DEFAULT_TOPICS, Twin, load_twin
 
 REALIZATION = "realization"
@@ -91,7 +91,7 @@ def identify_files(
     chosen = RecordingOptions.from_json(asked.options).over(
         NO_OPTIONS if twin is None else twin.recordings
     )
-    signals = NO_SIGNALS if twin is None else twin.signals
+    signals = chosen.signals
     stated = DEFAULT_TOPICS if twin is None else twin.topics
     paths = [Path(one) for one in recordings]
     tested = [Path(one) for one in held_out]
@@ -138,7 +138,7 @@ def identify_files(
             add_covariance(document, loop.drives)
         document["fit"] = loop.fit
         document["parameters"].update(loop.parameters)
-        document["notes"] += loop.notes
+        document["notes"] += [*notes_on_effects(realization), *loop.notes]
         document["encoders"] = {joint: asdict(one) for joint, one in encoders.items()}
         document["frequency_response"] = (
             effort_responses(measured.held_out or measured.fit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,13 +10,14 @@ from typing import Any
 
 import yaml
 
-from pytest_twin.diagnosis.patched.model import MODEL_FILE
+from pytest_twin.diagnosis.patched.model import MODEL_FILE, effects_json
 from pytest_twin.diagnosis.patched.write import twin_text
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.identification_record import EncoderChange
+from pytest_twin.identification.known_effects import kept_effects
 from pytest_twin.realization import Realization, mjcf, mjcf_file, patch
-from pytest_twin.twin import FILE_NAME, Calibration, JointCalibration
+from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Calibration, JointCalibration
 
 
 def write_fitted(
@@ -26,7 +28,8 @@ def write_fitted(
 ) -> None:
     """Write ``model.xml`` with the fit, and ``twin.yaml`` with the fields that no MJCF has.
 
-    These are the controllers and payloads of the nominal twin, and the encoders.
+    These are the controllers and payloads of the nominal twin, and the encoders. ``effects.json``
+    has the effects of the nominal model that its MJCF does not contain.
 
     Args:
         folder: a new, empty folder.
@@ -50,6 +53,10 @@ def write_fitted(
             if not name.endswith(".xml"):
                 atomic.write_bytes(folder / name, path.read_bytes())
     atomic.write_text(folder / MODEL_FILE, mjcf_file.with_exact_inertia(spec, model))
+    effects = kept_effects(realization)
+    if effects is not None:
+        text = json.dumps(effects_json(effects), indent=2) + "\n"
+        atomic.write_text(folder / EFFECTS_FILE, text)
     twin = realization.twin
     after = {joint: JointCalibration(**one.after) for joint, one in encoders.items()}
     if twin is not None:

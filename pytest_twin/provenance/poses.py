@@ -13,6 +13,7 @@ from pytest_twin.dependency import Structure
 from pytest_twin.errors import FormatError, RecordingError
 from pytest_twin.formats.recording import Recording
 from pytest_twin.formats.stamps import carriers_of
+from pytest_twin.trial.joint_side import states_at_joints
 from pytest_twin.trial.joints import in_model_names, named_by_actuators
 from pytest_twin.trial.read import recordings_at
 from pytest_twin.twin import Twin
@@ -73,6 +74,7 @@ def poses_of(recordings: Sequence[Recording], structure: Structure, twin: Twin) 
             series, _ = in_model_names(series, twin.recordings.joints, scalar, recording.path)
         except RecordingError:
             continue
+        series, _ = states_at_joints(series, twin.recordings.signals, recording.path)
         assert series.position is not None
         if joints and series.names != joints:
             continue

@@ -21,6 +21,7 @@ from pytest_twin.recording_options import (
 )
 from pytest_twin.trial.clock import TimedMessages, on_one_clock
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
+from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
 from pytest_twin.trial.joints import in_model_names, listed, named_by_actuators
 from pytest_twin.trial.recording_checks import RecordingChecks
 from pytest_twin.trial.stretches import stretches
@@ -100,9 +101,12 @@ def _whole(
             where=states.topic,
             expected="positions of the joints in each state, rad or m",
         )
+    states, converted = states_at_joints(states, options.signals, recording.path)
+    notes += converted
     clocked = on_one_clock(states, commands, options.clock, recording.path)
     inputs = None if structure is None else structure.joint_inputs
     commanded = choose_command_fields(commands, inputs, options, recording.path)
+    commanded = commands_at_joints(commanded, options.signals, commands.topic, recording.path)
     notes += [*clocked.notes, *commanded.notes]
     between, source = _between(recording, options)
     trials: list[Trial] = []

@@ -103,7 +103,7 @@ def test_signals_are_read_from_the_twin_file(tmp_path: Path) -> None:
         "  joints: {elbow: {gear: 100, effort: {constant: 0.2}}}\n"
     )
     (tmp_path / "twin.yaml").write_text(text)
-    signals = load_twin(tmp_path / "twin.yaml").signals
+    signals = load_twin(tmp_path / "twin.yaml").recordings.signals
     assert signals.of("elbow").effort.quantity == "current"
     assert signals.of("elbow").effort.constant == 0.2
     assert signals.of("shoulder").effort.constant is None

@@ -123,8 +123,6 @@ def twin_text(twin: Twin, between: CommandBetween | None) -> str:
     elif between is not None:
         options["command_between"] = between
     data |= options
-    if twin.signals.table:
-        data["signals"] = dict(twin.signals.table)
     if twin.controllers:
         data["controllers"] = {
             name: {a: {k: _plain(v) for k, v in p.items()} for a, p in actuators.items()}

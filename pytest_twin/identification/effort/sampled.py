@@ -28,7 +28,8 @@ class RecordingRows:
         name: name of the recording.
         time: (n,) s.
         matrix: (n, joints, p) derivative of the effort by each parameter.
-        effort: (n, joints) measured effort, N*m or N, NaN where it is unknown.
+        effort: (n, joints) measured effort with the known efforts of the model added, N*m or N; NaN
+            where it is unknown.
         velocity: (n, joints) rad/s or m/s.
         resting: (n, joints) True where the joint is at rest.
         saturated: (n, joints) True where the drive is at its effort limit.
@@ -110,15 +111,26 @@ def _rows(
     velocity = decimated(motion.velocity, motion.rate, chosen)
     top = np.abs(motion.effort) >= 0.98 * recording.limit
     inner = _inner(len(velocity), chosen)
+    effort = motion.effort + _known(recording, motion, rest)
     return RecordingRows(
         name=recording.path.name,
         time=motion.time[:: max(1, round(motion.rate / chosen.rate))][inner],
         matrix=_matrix(motion, regressor, chosen, rest),
-        effort=decimated(motion.effort, motion.rate, chosen)[inner],
+        effort=decimated(effort, motion.rate, chosen)[inner],
         velocity=velocity[inner],
         resting=(np.abs(velocity) <= rest)[inner],
         saturated=(decimated(top.astype(np.float64), motion.rate, chosen) > 0.01)[inner],
     )
+
+
+def _known(recording: Measured, motion: Motion, rest: FloatArray) -> FloatArray:
+    """(n, joints) known efforts; 0 where the effort is a current of unknown torque constant."""
+    if recording.known is None:
+        return np.zeros_like(motion.effort)
+    moving = np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
+    time = recording.start + motion.time
+    found = recording.known.along(time, (motion.position, moving), motion.effort, recording)
+    return np.where(recording.unscaled, 0.0, found)
 
 
 def _matrix(motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray) -> FloatArray:

@@ -117,10 +117,9 @@ def servo_gains(
     right = tuple(one for one in right if one.command is not None)
     gains = []
     for k, joint in enumerate(right[0].joints if right else ()):
-        own = signals.of(joint)
-        plain = own.position.side == "output" and own.position.unit == "rad" and own.shared is None
         servo = _servo(realization, joint)
-        if servo is None or not plain or any(one.unscaled[k] for one in right):
+        shared = signals.of(joint).shared is not None
+        if servo is None or shared or any(one.unscaled[k] for one in right):
             continue
         fit = _fitted(realization, right, k, found.filter)
         if fit is not None:
