@@ -70,11 +70,7 @@ def identified_parameters(
     kept, columns, shifting, shifts, left_out = [], [], [], [], []
     for at, name in enumerate(record.covariance_names):
         joint, _, effect = name.partition(".")
-        rule = (
-            shift_of(name, record.values.get(name, 0.0), record.units.get(name, ""), realization)
-            if joint in task.chain.joints
-            else NO_RULE
-        )
+        rule = shift_of(name, record, realization) if joint in task.chain.joints else NO_RULE
         column = column_of.get(name)
         if name not in record.values:
             left_out.append(f"{name}: the twin does not use it (its stage is not accepted)")

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.realization import Realization
 
 DELAYS = ("command_delay", "sensor_delay")
@@ -50,20 +52,20 @@ class Shift:
         return np.asarray(self.slope * factors[self.by])
 
 
-def shift_of(name: str, value: float, unit: str, realization: Realization) -> Shift | str:
+def shift_of(name: str, record: IdentificationRecord, realization: Realization) -> Shift | str:
     """Return the shift by a parameter, or the reason why there is no rule.
 
     With a delay ``d`` the joint is at ``q - v d``. If the reading is too high by ``b``, the joint
     is at ``q - b``. Under the effort ``u`` a gear of stiffness ``k`` and gap ``g`` puts the link at
-    ``q - u / k - g sign(u) / 2``, where ``q`` is the motor position. A servo of stiffness ``(1 + e)
-    kp`` has a position error of ``u / ((1 + e) kp)``.
+    ``q - u / k - g sign(u) / 2``, where ``q`` is the motor position. A servo of stiffness ``k``,
+    which is ``(1 + e) kp``, has a position error of ``u / k``.
 
     Args:
         name: ``JOINT.EFFECT`` or ``JOINT.EFFECT.PARAMETER``.
-        value: value in its unit.
-        unit: unit in the record.
-        realization: the model.
+        record: the record with its value and unit.
+        realization: the model, whose servo may contain the gain already.
     """
+    value, unit = record.values.get(name, 0.0), record.units.get(name, "")
     joint, _, rest = name.partition(".")
     effect, _, parameter = rest.partition(".")
     if effect in DELAYS:
@@ -79,9 +81,23 @@ def shift_of(name: str, value: float, unit: str, realization: Realization) -> Sh
     if effect == "controller_gain" and parameter in ("", "stiffness_error") and value > -1.0:
         stiffness = servo_stiffness(realization).get(joint)
         if stiffness is not None:
-            return Shift(joint, 1.0 / (stiffness * (1.0 + value) ** 2), "load")
+            if not _has_fitted_gain(realization, record, joint):
+                stiffness *= 1.0 + value
+            return Shift(joint, 1.0 / (stiffness * (1.0 + value)), "load")
         return "no position servo drives this joint, so its gain holds no load"
+    if effect == "servo_stiffness" and value > 0.0:
+        return Shift(joint, 1.0 / value**2, "load")
     return NO_RULE
+
+
+def _has_fitted_gain(realization: Realization, record: IdentificationRecord, joint: str) -> bool:
+    """Whether the model's servo has the gain of the record, and not that of the nominal model."""
+    patched = patched_of(realization)
+    effects = () if patched is None else patched.effects
+    if any((e.effect, e.joint) == ("controller_gain", joint) and e.is_in_mjcf for e in effects):
+        return True
+    driven = realization.structure.actuator_joints
+    return any(joint in driven.get(one, ()) for one in record.fit.get("actuator", {}))
 
 
 def servo_stiffness(realization: Realization) -> Mapping[str, float]:

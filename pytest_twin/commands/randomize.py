@@ -36,6 +36,8 @@ EXIT_STATUS = {
 JSON_NAME, PAGE_NAME = "ranges.json", "ranges.html"
 SECONDS = 3600.0
 """Time limit of the computation."""
+_FEWEST_ROBOTS = 32
+"""As for ``ranges: draws:`` of ``twin.yaml``."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,13 +64,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--draws",
         metavar="N",
-        type=int,
+        type=robots,
         help="number of simulated robots (default: as in twin.yaml, else 256)",
     )
     parser.add_argument(
         "--share",
         metavar="P",
-        type=float,
+        type=fraction,
         help="fraction of the samples that should lie in the envelope (default: as in twin.yaml, "
         "else 0.95)",
     )
@@ -87,6 +89,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"folder for {JSON_NAME}, {PAGE_NAME}, a sampler and configurations of simulators",
     )
     add_recording_arguments(parser)
+
+
+def robots(text: str) -> int:
+    """Parse a number of robots of a command line."""
+    count = int(text) if text.isdecimal() else 0
+    if count < _FEWEST_ROBOTS:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected a whole number of at least {_FEWEST_ROBOTS} robots"
+        )
+    return count
+
+
+def fraction(text: str) -> float:
+    """Parse the fraction of samples of a command line."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.5 < value < 1.0:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected a fraction between 0.5 and 1, such as 0.95"
+        )
+    return value
 
 
 def run(args: argparse.Namespace) -> int:

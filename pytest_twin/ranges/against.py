@@ -127,6 +127,7 @@ def _given_range(term: Term, nominal: float, share: float) -> tuple[float, float
         first, second = first * nominal, second * nominal
     elif term.operation == "add":
         first, second = first + nominal, second + nominal
+    # A negative nominal value reverses the ends of a scale.
     return min(first, second), max(first, second)
 
 
@@ -158,4 +159,4 @@ def _times(times: float | None) -> str:
 
 
 def _interval(ends: Sequence[float], unit: str) -> str:
-    return f"{ends[0]:.3g} to {ends[1]:.3g} {unit}"
+    return f"{ends[0]:.3g} to {ends[1]:.3g}" + ("" if unit == "1" else f" {unit}")

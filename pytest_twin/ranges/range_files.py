@@ -111,24 +111,30 @@ def _of_table(data: Mapping[str, Any], skipped: list[str]) -> list[Term]:
             term
             for one in _list(data["quantities"])
             if isinstance(one, Mapping)
-            and (term := _plain(str(one.get("name")), one.get("range"))) is not None
+            and (term := _plain(str(one.get("name")), one.get("range"), skipped)) is not None
         ]
     events = list(_mapped_events(data, ""))
     if events:
         return list(_of_events(events, skipped))
     found = []
     for name, value in data.items():
-        term = _plain(str(name), value)
-        if term is None:
-            skipped.append(f"{name}: not two numbers")
-        else:
+        term = _plain(str(name), value, skipped)
+        if term is not None:
             found.append(term)
     return found
 
 
-def _plain(name: str, value: Any) -> Term | None:
+def _plain(name: str, value: Any, skipped: list[str]) -> Term | None:
+    """Return the term of one range; None with a line in ``skipped`` if it is no range."""
     numbers = _pair(value)
-    return None if numbers is None else Term((name,), None, numbers, "abs", "uniform", name)
+    if numbers is None or numbers[0] > numbers[1]:
+        skipped.append(f"{name}: {'not two numbers' if numbers is None else _descends(numbers)}")
+        return None
+    return Term((name,), None, numbers, "abs", "uniform", name)
+
+
+def _descends(numbers: tuple[float, float]) -> str:
+    return f"its lower end {numbers[0]:g} is above its upper end {numbers[1]:g}"
 
 
 def _mapped_events(data: Mapping[str, Any], where: str, depth: int = 0) -> Iterator[dict[str, Any]]:
@@ -205,6 +211,9 @@ def _of_events(events: Sequence[Mapping[str, Any]], skipped: list[str]) -> Itera
             numbers = _pair(params[key])
             if numbers is None:
                 skipped.append(f"{where}: {function}: {key} is not two numbers")
+                continue
+            if distribution != "gaussian" and numbers[0] > numbers[1]:
+                skipped.append(f"{where}: {function}: {key}: {_descends(numbers)}")
                 continue
             yield Term(kinds, _patterns(names), numbers, operation, distribution, where)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
@@ -232,6 +233,7 @@ _HELD = 9.81 * 1.0 * 0.1
         ("elbow.joint_elasticity", "rad/(N*m)", 0.001, _HELD * 0.001),
         ("elbow.controller_gain", "1", 0.02, _HELD / (100.0 * 1.5**2) * 0.02),
         ("elbow.controller_gain.stiffness_error", "1", 0.02, _HELD / (100.0 * 1.5**2) * 0.02),
+        ("elbow.servo_stiffness", "N*m/rad", 0.01, _HELD / 0.5**2 * 0.01),
     ],
 )
 def test_errors_of_gears_and_gains_deflect_the_joint_under_the_weight_of_the_links(
@@ -248,6 +250,29 @@ def test_errors_of_gears_and_gains_deflect_the_joint_under_the_weight_of_the_lin
     assert line["linear"]["position"] == pytest.approx(moved * FORE, rel=1e-6)
     assert line["sampled"]["position"] == pytest.approx(moved * FORE, rel=0.02)
     assert "gears and gains" in line["method"]
+
+
+@pytest.mark.parametrize("by", ["effects.json", "fit"])
+def test_the_gain_that_the_model_contains_is_counted_once(tmp_path: Path, by: str) -> None:
+    """The servo has 100 N*m/rad in the nominal model, and 1.5 times as much in the fitted one."""
+    nominal = ARM.replace('axis="0 0 1"', 'axis="0 1 0"').replace(
+        '<motor name="m2" joint="elbow"/>', '<position name="m2" joint="elbow" kp="100"/>'
+    )
+    record = fit_record(["elbow.controller_gain.stiffness_error"], [0.02], ["1"])
+    record["fit"] = {"actuator": {"m2": {"kp": 150.0}}} if by == "fit" else {}
+    path = make_twin(tmp_path, fits=[record], budget=declared([{"elbow": 0.0}]), arm=nominal)
+    if by == "effects.json":
+        gain = {
+            "effect": "controller_gain", "joint": "elbow", "in_model": True,
+            "values": {"stiffness_error": 0.5, "damping_error": 0.0},
+        }  # fmt: skip
+        listed = {"schema": 1, "joints": ["shoulder", "elbow"], "effects": [gain]}
+        (tmp_path / "effects.json").write_text(json.dumps(listed))
+        model = tmp_path / "arm.xml"
+        model.write_text(model.read_text().replace('kp="100"', 'kp="150"'))
+    (line,) = budget_of_file(str(path))["lines"]
+    moved = _HELD / (100.0 * 1.5**2) * 0.02
+    assert line["linear"]["position"] == pytest.approx(moved * FORE, rel=1e-6)
 
 
 def test_a_controller_gain_of_a_joint_without_servo_is_left_out_with_a_reason(

@@ -106,6 +106,10 @@ def test_the_written_ranges_compare_as_equally_wide(tmp_path: Path) -> None:
         ("a.json", "[1, 2]", "no table of ranges"),
         ("a.json", "{", "not JSON"),
         ("a.yaml", "elbow.armature: [0.1, .inf]\n", "is not a finite number"),
+        ("a.json", '{"elbow.armature": [2, 1]}',
+         "elbow.armature: its lower end 2 is above its upper end 1"),
+        ("a.yaml", "e: {func: joint_damping, params: {ranges: [3, 0.5]}}\n",
+         "e: joint_damping: ranges: its lower end 3 is above its upper end 0.5"),
         ("a.toml", "", "not a type of file that can be compared"),
         ("a.yaml", "e: {func: joint_damping, params: {ranges: [0, 1], asset_cfg: {joint_names: "
          "'(a|aa)*b'}}}\n", "a pattern of names that is too complex to evaluate safely"),

@@ -162,6 +162,25 @@ def test_more_robots_than_fit_in_memory_are_refused(
     assert "draws: the traces of so many robots do not fit in memory" in output
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--draws", "0", "'0': expected a whole number of at least 32 robots"),
+        ("--draws", "1e3", "'1e3': expected a whole number of at least 32 robots"),
+        ("--share", "95", "'95': expected a fraction between 0.5 and 1, such as 0.95"),
+        ("--share", "most", "'most': expected a fraction between 0.5 and 1, such as 0.95"),
+    ],
+)
+def test_a_number_that_cannot_be_used_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, value: str, words: str
+) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["randomize", str(twin), option, value, "--out", str(tmp_path / "out")])
+    assert ended.value.code == 2
+    assert words in capsys.readouterr().err
+
+
 def test_a_held_out_recording_given_by_the_final_option_counts_as_final(tmp_path: Path) -> None:
     twin = make_twin(tmp_path, [record(covariance())])
     path = record_final(twin, MEANS, role="held_out").rename(tmp_path / "named.mcap")
