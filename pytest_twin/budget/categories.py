@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pytest_twin.effects import catalogue
+
 
 @dataclass(frozen=True, slots=True)
 class Category:
@@ -123,41 +125,31 @@ _OF_RECORD = {
     "geometry": "asset_and_geometry",
     "time_offset": "timing",
 }
-_OF_EFFECT = {
-    "command_delay": "timing",
-    "sensor_delay": "timing",
+_OF_FAMILY = {
+    "timing": "timing",
+    "sensing": "sensing",
+    "actuation": "actuation",
+    "friction": "friction_and_transmission",
+    "transmission": "friction_and_transmission",
+    "rigid_body": "rigid_body_dynamics",
+    "contact": "contact_and_material",
+    "environment": "environment_and_object",
+}
+"""Family of an effect -> category."""
+_OF_NAME = {
     "effort_delay": "timing",
     "effort_lag": "timing",
-    "clock_drift": "timing",
-    "encoder_bias": "sensing",
-    "encoder_scale": "sensing",
-    "encoder_eccentricity": "sensing",
     "effort_bias": "actuation",
     "effort_scale": "actuation",
-    "actuator_lag": "actuation",
-    "rate_limit": "actuation",
-    "torque_constant": "actuation",
-    "torque_saturation": "actuation",
-    "dead_zone": "actuation",
-    "controller_gain": "actuation",
     "servo_stiffness": "actuation",
     "servo_damping": "actuation",
-    "cogging": "actuation",
     "backlash": "compliance_and_backlash",
     "joint_elasticity": "compliance_and_backlash",
     "joint_spring": "compliance_and_backlash",
-    "contact_offset": "contact_and_material",
-    "contact_stiffness": "contact_and_material",
-    "contact_damping": "contact_and_material",
-    "contact_friction": "contact_and_material",
     "contact_torsional_friction": "contact_and_material",
     "contact_rolling_friction": "contact_and_material",
-    "external_force": "environment_and_object",
-    "armature": "rigid_body_dynamics",
-    "payload": "rigid_body_dynamics",
-    "inertial_parameters": "rigid_body_dynamics",
-    "base_tilt": "rigid_body_dynamics",
 }
+"""Names that are no effects, and effects in another category than their family's."""
 
 
 def category_of_record(name: str) -> str:
@@ -169,11 +161,13 @@ def category_of_parameter(name: str) -> str:
     """Return the category of an identified parameter: ``JOINT.EFFECT``, or an expression."""
     words = name.split(".")
     # Parameters of sensors have names such as wrist.sensor_bias_fx.
-    if any(word.startswith("sensor_") and word not in _OF_EFFECT for word in words[1:]):
+    if any(word.startswith("sensor_") and word not in catalogue() for word in words[1:]):
         return "timing" if words[-1] == "sensor_filter_time" else "sensing"
     for word in words[1:]:
-        if word in _OF_EFFECT:
-            return _OF_EFFECT[word]
-    if any("friction" in word or word == "gear_efficiency" for word in words[1:]):
+        if word in _OF_NAME:
+            return _OF_NAME[word]
+        if word in catalogue():
+            return _OF_FAMILY[catalogue()[word].family]
+    if any("friction" in word for word in words[1:]):
         return "friction_and_transmission"
     return "rigid_body_dynamics"

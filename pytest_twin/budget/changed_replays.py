@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.budget.effect_parameters import EffectParameter, with_values
 from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.diagnosis.patched.replay import patched_segment, predict_segments, replay_whole
 from pytest_twin.errors import SimulationError
@@ -31,10 +32,12 @@ class Change:
             N*m or N. It is interpolated between stamps, because held values would act half a
             period late.
         fields: field of the model -> values of all degrees of freedom, SI units.
+        effects: parameters of effects beside the MJCF -> other values, SI units.
     """
 
     force: FloatArray
     fields: Mapping[str, FloatArray] = field(default_factory=dict)
+    effects: Mapping[EffectParameter, float] = field(default_factory=dict)
 
 
 class ChangedReplays:
@@ -100,7 +103,10 @@ class ChangedReplays:
             )
             for change in changes
         ]
-        predicted = predict_segments(self._realization, self._patched, trial, segments)
+        variants = [with_values(self._patched, change.effects) for change in changes]
+        predicted = predict_segments(
+            self._realization, self._patched, trial, segments, variants=variants
+        )
         # Joints without effects are those of the MJCF alone, as in the nominal replay.
         rest = (
             [self.nominal] * len(changes)

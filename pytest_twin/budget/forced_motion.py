@@ -5,7 +5,8 @@ A change of inverse-dynamics parameters is equivalent to a force: a robot whose 
 regressor along the motion. To first order the force is computed along the nominal motion, with one
 replay for each parameter. Random draws change damping, dry friction and armature in the simulator,
 and add the force of the other parameters. Delays, encoder zeros, gears and gains shift the joint
-positions (:mod:`pytest_twin.budget.shifts`).
+positions (:mod:`pytest_twin.budget.shifts`). Parameters of effects beside the MJCF are changed in
+the effects themselves.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.categories import category_of_parameter
 from pytest_twin.budget.changed_replays import Change, ChangedReplays
+from pytest_twin.budget.effect_parameters import EffectParameter
 from pytest_twin.budget.identified import IdentifiedParameters
 from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, spread_of
 from pytest_twin.budget.task import Task
@@ -86,6 +88,10 @@ class _Motion:
         self.slope = encoders.slope
         self.effort = self._effort()
         self.forces = len(found.columns)
+        self.replayed = [
+            *range(self.forces),
+            *range(self.forces + len(found.shifts), len(found.names)),
+        ]
 
     def moved(self) -> SimulatedDisplacement:
         path = self.found.entry.record.path
@@ -140,19 +146,35 @@ class _Motion:
         """(n, j, p) derivative of the positions by each parameter."""
         count = len(self.found.names)
         found = np.zeros((*self.nominal.position.shape, count))
-        steps = _STEP * np.sqrt(np.diag(self.found.covariance).clip(0.0))[: self.forces]
-        varied = np.flatnonzero(steps)
-        changes = [Change(self._force(np.eye(self.forces)[at] * steps[at])) for at in varied]
+        steps = _STEP * np.sqrt(np.diag(self.found.covariance).clip(0.0))
+        for at, one in enumerate(self.found.effects, count - len(self.found.effects)):
+            ways = (one.possible(one.value + way * steps[at]) - one.value for way in (1.0, -1.0))
+            steps[at] = max(ways, key=abs)
+        varied = [at for at in self.replayed if steps[at]]
+        changes = [self._linear_change(np.eye(count)[at] * steps[at]) for at in varied]
         for at, done in zip(varied, self.replays.changed(changes), strict=True):
             found[:, :, at] = (done.position - self.nominal.position) / steps[at]
-        for shifting in range(self.forces, count):
+        for shifting in range(self.forces, self.forces + len(self.found.shifts)):
             found[:, :, shifting] = self._shifted(self.nominal, np.eye(count)[shifting])
         return found
+
+    def _linear_change(self, change: FloatArray) -> Change:
+        """Return a small change of the parameters; those of the inverse dynamics act as forces."""
+        return Change(self._force(change[: self.forces]), effects=self._effects(change))
+
+    def _effects(self, change: FloatArray) -> dict[EffectParameter, float]:
+        """Return parameters of effects -> their changed values."""
+        own = self.found.effects
+        return {
+            one: one.value + float(step)
+            for one, step in zip(own, change[len(change) - len(own) :], strict=True)
+        }
 
     def _shifted(self, motion: Replayed, change: FloatArray) -> FloatArray:
         """(n, j) shift of the joint positions by parameters that are not forces."""
         found = np.zeros_like(motion.position)
-        for shift, size in zip(self.found.shifts, change[self.forces :], strict=True):
+        own = change[self.forces : self.forces + len(self.found.shifts)]
+        for shift, size in zip(self.found.shifts, own, strict=True):
             if shift.joint in self.joints:
                 at = self.joints.index(shift.joint)
                 found[:, at] += size * shift.rate(motion.velocity[:, at], motion.effort[:, at])
@@ -178,7 +200,7 @@ class _Motion:
             changed = values[dof] + draw[at]
             if changed >= 0.0:
                 values[dof], rest[at] = changed, 0.0
-        return Change(self._force(rest), fields)
+        return Change(self._force(rest), fields, self._effects(draw))
 
     def _on_chain(self) -> list[int]:
         return [self.joints.index(j) for j in self.task.chain.joints if j in self.joints]

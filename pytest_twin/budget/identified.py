@@ -1,4 +1,4 @@
-"""Uncertain parameters of an identification: forces and shifts of joint positions."""
+"""Uncertain parameters of an identification: forces, shifts of joint positions, and effects."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.budget.effect_parameters import EffectParameter, effect_parameter
 from pytest_twin.budget.propagate import (
     Spread,
     first_order,
@@ -19,6 +20,7 @@ from pytest_twin.budget.shifts import DELAYS, NO_RULE, Shift, shift_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.calibration.tangent import TransformWithJacobian
+from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
@@ -37,11 +39,13 @@ class IdentifiedParameters:
 
     Attributes:
         entry: the record in the twin.
-        names: (f + s,) parameters: first those that act as a force, then those that shift a joint.
-        covariance: (f + s, f + s) covariance, in their units.
+        names: (f + s + e,) parameters: first those that act as a force, then those that shift a
+            joint, then those of effects.
+        covariance: (f + s + e, f + s + e) covariance, in their units.
         columns: (f,) columns of the forces in the regressor.
         regressor: regressor of the identified joints.
         shifts: (s,) shifts of joints by delays, encoder zeros, gears and gains.
+        effects: (e,) parameters of effects beside the MJCF; they move the frame in replays only.
         left_out: parameters that do not move the frame, with the reason.
     """
 
@@ -51,6 +55,7 @@ class IdentifiedParameters:
     columns: tuple[int, ...]
     regressor: Regressor
     shifts: tuple[Shift, ...]
+    effects: tuple[EffectParameter, ...]
     left_out: tuple[str, ...]
 
     @property
@@ -68,6 +73,8 @@ def identified_parameters(
     regressor = regressor_of(record, realization, task.chain.joints)
     column_of = columns_of(record, regressor)
     kept, columns, shifting, shifts, left_out = [], [], [], [], []
+    acting, effects = [], []
+    patched = patched_of(realization)
     for at, name in enumerate(record.covariance_names):
         joint, _, effect = name.partition(".")
         rule = shift_of(name, record, realization) if joint in task.chain.joints else NO_RULE
@@ -86,15 +93,20 @@ def identified_parameters(
         elif isinstance(rule, Shift):
             shifting.append(at)
             shifts.append(rule)
-        else:
+        elif (own := effect_parameter(name, realization, patched)) is None or own.is_in_mjcf:
             left_out.append(f"{name}: {rule}")
+        elif task.trial is None:
+            left_out.append(f"{name}: no motion is known; budget: recordings: gives one")
+        else:
+            acting.append(at)
+            effects.append(own)
     left_out += [
         f"{name}: stated without a covariance, and no motion of the robot depends on it"
         for name in record.values
         if name not in record.covariance_names
     ]
     matrix = np.reshape(record.covariance, (len(record.covariance_names),) * 2)
-    kept += shifting
+    kept += [*shifting, *acting]
     return IdentifiedParameters(
         entry,
         tuple(record.covariance_names[at] for at in kept),
@@ -102,6 +114,7 @@ def identified_parameters(
         tuple(columns),
         regressor,
         tuple(shifts),
+        tuple(effects),
         tuple(left_out),
     )
 
@@ -174,8 +187,8 @@ def displacement_by_shifts(
             for shift, at in pairs
         ]
     )
-    forces = len(found.columns)
-    root = root_of(found.covariance[forces:, forces:], found.entry.record.path)
+    own = slice(len(found.columns), len(found.columns) + len(found.shifts))
+    root = root_of(found.covariance[own, own], found.entry.record.path)
     every = ChainParameters(count, np.zeros(count), tuple(range(count)))
 
     def at(step: FloatArray) -> TransformWithJacobian:

@@ -149,7 +149,7 @@ def identification_line(
     joints: Mapping[str, float] = {}
     effort: Mapping[str, float] = {}
     method = "stated, not carried to the task"
-    if found.columns and task.trial is not None:
+    if (found.columns or found.effects) and task.trial is not None:
         try:
             motion = simulated_displacement(found, task, realization)
             linear, drawn = motion.frame, motion.drawn

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.budget.effect_parameters import effect_parameter
 from pytest_twin.budget.identified import columns_of, regressor_of
 from pytest_twin.budget.propagate import root_of
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.base import Parameter
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor
@@ -141,90 +141,28 @@ def _coordinate(
             return None
         return _of_joint(realization, own.joint, own.kind, own.unit, name, found)
     place, _, rest = name.partition(".")
-    effect, _, parameter = rest.partition(".")
+    effect, _, _ = rest.partition(".")
     joint = None if place == "robot" else place
     if effect not in catalogue():
         found.left_out.append(f"{name}: no rule of the simulation takes it")
         return None
-    law = {p.name: p for p in catalogue()[effect].parameters}
-    # If a fit changes only one parameter of an effect, the record does not name it.
-    known = [p for p in law.values() if p.name == parameter or not (parameter or p.choice)]
-    stated = None
-    if known and patched is not None:
-        stated = _value_in_twin(patched, effect, joint, known[0].name)
-    if stated is None:
+    own_effect = effect_parameter(name, realization, patched)
+    if own_effect is None:
         found.left_out.append(f"{name}: the twin's first realization does not have this effect")
         return None
-    own_law = known[0]
-    relative = own_law.relation == "relative"
-    total = _total(own_law, effect, joint, stated, realization, patched)
+    relative = own_effect.law.relation == "relative"
     return Coordinate(
         name,
         record.units.get(name, "1"),
-        1.0 + stated if relative else stated,
+        1.0 + own_effect.value if relative else own_effect.value,
         0.0,
-        *bounds(own_law, stated, total),
+        own_effect.lower,
+        own_effect.upper,
         joint=joint,
         effect=effect,
-        parameter=own_law.name,
+        parameter=own_effect.law.name,
         is_relative=relative,
     )
-
-
-def bounds(law: Parameter, stated: float, total: float | None) -> tuple[float, float]:
-    """Return the smallest and the largest value of a parameter that a robot can have.
-
-    A passive joint generates no energy: damping, dry friction, armature and spring of the model and
-    the addition to it are together at least zero. Where a law states its bounds in SI units, as for
-    friction per unit of effort, they hold for every robot. Other bounds depend on a recording; of
-    these only zero counts.
-
-    Args:
-        law: parameter of the effect.
-        stated: value in the twin's realization, SI units.
-        total: sum of the model's value and this addition, SI units; None if it is no addition to a
-            value of the joint.
-    """
-    if law.relation == "relative":
-        return 0.0, np.inf
-    if total is not None:
-        return min(stated - total, stated), np.inf
-    if law.reference == "one" and not law.relation:
-        return min(law.lower, stated), max(law.upper, stated)
-    added = law.relation == "added" or law.quantity in ("mass", "inertia", "damping")
-    positive = law.lower >= 0.0 or (added and stated >= 0.0)
-    return (0.0 if positive else -np.inf), np.inf
-
-
-_TOTALS: Mapping[str, str] = {
-    "damping": "dof_damping", "inertia": "dof_armature", "effort": "dof_frictionloss",
-}  # fmt: skip
-"""Quantity of an addition -> field of the model's degree of freedom that it is added to."""
-
-
-def _total(
-    law: Parameter,
-    effect: str,
-    joint: str | None,
-    stated: float,
-    realization: Realization,
-    patched: Patched | None,
-) -> float | None:
-    """Return the sum of the model's value and an addition to it; None if it is no addition."""
-    if law.relation != "added" or joint is None:
-        return None
-    model = realization.model
-    if law.quantity == "stiffness":
-        own = float(model.jnt_stiffness[model.joint(joint).id])
-    elif law.quantity in _TOTALS:
-        dof = realization.joint_dof_index(joint)
-        own = float(getattr(model, _TOTALS[law.quantity])[dof])
-    else:
-        return None
-    written = patched is not None and any(
-        (one.effect, one.joint) == (effect, joint) and one.is_in_mjcf for one in patched.effects
-    )
-    return own if written else own + stated
 
 
 def _of_joint(
@@ -245,16 +183,6 @@ def joint_coordinate(realization: Realization, joint: str, kind: str, unit: str)
     dof = realization.joint_dof_index(joint)
     stated = float(getattr(realization.model, f"dof_{FIELDS[kind]}")[dof])
     return Coordinate(f"{joint}.{kind}", unit, stated, 0.0, 0.0, joint=joint, field=FIELDS[kind])
-
-
-def _value_in_twin(
-    patched: Patched, effect: str, joint: str | None, parameter: str
-) -> float | None:
-    """Return the value in the twin's realization, SI units."""
-    for one in patched.effects:
-        if one.effect == effect and one.joint == joint and parameter in one.values:
-            return one.values[parameter]
-    return None
 
 
 def _bodies_for(

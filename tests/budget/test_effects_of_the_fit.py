@@ -15,7 +15,9 @@ sys.path.append(str(Path(__file__).parent))
 from budget_files import ARM, FORE, UPPER, fit_record, make_twin, record_motion
 from test_propagation import make_locked_arm
 
+from pytest_twin.budget.categories import category_of_parameter
 from pytest_twin.budget.changed_replays import Change, ChangedReplays
+from pytest_twin.budget.effect_parameters import effect_parameter, with_values
 from pytest_twin.budget.run import budget_of_file
 from pytest_twin.commands.predicting import predict
 from pytest_twin.diagnosis.patched.model import patched_of
@@ -149,3 +151,94 @@ def test_damping_that_only_an_effect_holds_shapes_the_propagation(tmp_path: Path
     assert line["linear"]["position"] == pytest.approx((UPPER + FORE) * expected, rel=0.01)
     assert line["sampled"]["position"] == pytest.approx((UPPER + FORE) * expected, rel=0.05)
     assert found["notes"] == line["warnings"] == []
+
+
+def drag_angle(drag: float, time: np.ndarray, effort: float, first: float) -> np.ndarray:
+    """Angle of a hinge under a constant effort and drag: I a = u - c v |v|, from a velocity."""
+    inertia = 2 * 0.2**2 + 0.02 + 1 * 0.5**2 + 0.01
+    final, rise = np.sqrt(effort / drag), inertia / np.sqrt(effort * drag)
+    phase = np.arctanh(first / final)
+    return np.asarray(
+        final * rise * (np.log(np.cosh(time / rise + phase)) - np.log(np.cosh(phase)))
+    )
+
+
+def test_an_effect_that_no_mjcf_contains_moves_the_frame(tmp_path: Path) -> None:
+    """Its parameter is changed in the replays, to first order and by draws."""
+    inertia, effort, drag, deviation, start = 0.36, 0.4, 0.5, 0.05, 0.07
+    initial = np.sqrt(effort / drag) * np.tanh(start * np.sqrt(effort * drag) / inertia)
+    since = np.maximum(TIME - start, 0.0)
+    more, less = (drag_angle(drag + step, since, effort, initial) for step in (1e-4, -1e-4))
+    expected = deviation * np.sqrt(np.mean(((more - less) / 2e-4) ** 2))
+    record = fit_record(["shoulder.quadratic_drag"], [deviation], ["N*m*s^2/rad^2"])
+    del record["held_out"]["elbow"]
+    record["fit"] = {}
+    path = make_twin(tmp_path, fits=[record], budget=BUDGET, arm=make_locked_arm())
+    effect = {
+        "effect": "quadratic_drag", "joint": "shoulder", "values": {"coefficient": drag},
+    }  # fmt: skip
+    with_effects(path, [effect], ["shoulder"], make_locked_arm())
+    record_motion(
+        tmp_path / "motion.mcap", drag_angle(drag, TIME, effort, 0.0)[:, None],
+        np.full((101, 1), effort), ("shoulder",),
+    )  # fmt: skip
+    (line,) = budget_of_file(str(path))["lines"]
+    assert line["left_out"] == []
+    assert line["category"] == "friction_and_transmission"
+    assert line["joints"]["shoulder"]["rms"] == pytest.approx(expected, rel=0.01)
+    assert line["linear"]["position"] == pytest.approx((UPPER + FORE) * expected, rel=0.01)
+    assert line["sampled"]["position"] == pytest.approx((UPPER + FORE) * expected, rel=0.05)
+
+
+def test_without_a_motion_such_an_effect_is_left_out_with_a_reason(tmp_path: Path) -> None:
+    record = fit_record(["elbow.stribeck_friction.stiction_excess"], [0.01], ["N*m"])
+    record["fit"] = {}
+    path = make_twin(tmp_path, fits=[record], budget="budget: {frame: tool}\n")
+    with_effects(path, [STRIBECK], ["shoulder", "elbow"])
+    (line,) = budget_of_file(str(path))["lines"]
+    assert line["linear"] is None
+    assert line["left_out"] == [
+        "elbow.stribeck_friction.stiction_excess: no motion is known; budget: recordings: gives one"
+    ]
+
+
+def test_drawn_parameters_are_those_that_a_robot_can_have(tmp_path: Path) -> None:
+    gain = {
+        "effect": "controller_gain", "joint": "shoulder",
+        "values": {"stiffness_error": -0.9, "damping_error": 0.0},
+    }  # fmt: skip
+    robot, _ = arm_with(tmp_path, [STRIBECK, gain])
+    patched = patched_of(robot)
+    assert patched is not None
+    stiction, stiffness = (
+        effect_parameter(name, robot, patched)
+        for name in (
+            "elbow.stribeck_friction.stiction_excess", "shoulder.controller_gain.stiffness_error",
+        )
+    )  # fmt: skip
+    assert stiction is not None
+    assert stiffness is not None
+    changed = with_values(patched, {stiction: -0.2, stiffness: -1.3})
+    values = {one.effect: one.values for one in changed.effects}
+    assert values["stribeck_friction"] == {**STRIBECK["values"], "stiction_excess": 0.0}
+    assert values["controller_gain"] == {"stiffness_error": -1.0, "damping_error": 0.0}
+    assert effect_parameter("elbow.dead_zone", robot, patched) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "category"),
+    [
+        ("elbow.torque_rolloff.back_emf", "actuation"),
+        ("elbow.integral_gain", "actuation"),
+        ("elbow.quadratic_drag", "friction_and_transmission"),
+        ("elbow.presliding_hysteresis.coulomb", "friction_and_transmission"),
+        ("elbow.joint_coupling", "friction_and_transmission"),
+        ("elbow.joint_elasticity", "compliance_and_backlash"),
+        ("elbow.coupled_viscous_friction", "friction_and_transmission"),
+        ("robot.sensor_delay", "timing"),
+        ("wrist.sensor_bias_fx", "sensing"),
+        ("mx2 + 0.2*m3", "rigid_body_dynamics"),
+    ],
+)
+def test_a_parameter_belongs_to_the_category_of_its_family(name: str, category: str) -> None:
+    assert category_of_parameter(name) == category

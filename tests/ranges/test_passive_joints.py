@@ -14,6 +14,7 @@ import pytest
 from scipy import stats
 
 from pytest_twin import ranges
+from pytest_twin.budget.effect_parameters import bounds
 from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import write_recording
@@ -22,7 +23,6 @@ from pytest_twin.ranges import gather
 from pytest_twin.ranges.distribution import Coordinate, Distribution
 from pytest_twin.ranges.files import write_files
 from pytest_twin.ranges.gather import collect_uncertain_parameters
-from pytest_twin.ranges.identified import bounds
 from pytest_twin.ranges.recordings import checked_recordings
 from pytest_twin.ranges.run import ranges_of_file
 from pytest_twin.ranges.simulate import VariedRobots

@@ -113,6 +113,7 @@ def predict_segments(
     trial: Trial,
     segments: Sequence[Segment],
     *,
+    variants: Sequence[Patched] = (),
     threads: int = 0,
 ) -> list[Predicted]:
     """Predicted sensor readings of a trial for variants of its segment, at its stamps.
@@ -121,6 +122,7 @@ def predict_segments(
         realization, patched: as for :func:`replay_patched`.
         trial: the trial.
         segments: variants of :func:`patched_segment`: with another model or with added forces.
+        variants: the effects of each segment, with other values; by default those of ``patched``.
         threads: number of threads, 0 for all cores.
 
     Raises:
@@ -128,7 +130,9 @@ def predict_segments(
     """
     out = []
     for segment, predicted in zip(
-        segments, _predict(realization, patched, segments, threads), strict=True
+        segments,
+        _predict(realization, variants or [patched] * len(segments), segments, threads),
+        strict=True,
     ):
         if not np.isfinite(predicted.position).all():
             raise SimulationError(
@@ -185,15 +189,19 @@ def describe_effects_outside_mjcf(patched: Patched) -> tuple[str, ...]:
 
 
 def _predict(
-    realization: Realization, patched: Patched, segments: Sequence[Segment], threads: int
+    realization: Realization, variants: Sequence[Patched], segments: Sequence[Segment], threads: int
 ) -> list[Predicted]:
     """Return the prediction of each segment as in the diagnosis.
 
     The integration error of the model's step is removed, unless the recordings come from a
     simulation with this error.
     """
-    count = len(segments)
-    values = fixed_values(effects_outside_mjcf(realization, patched), patched.joints, count)
+    count, patched = len(segments), variants[0]
+    each = [fixed_values(effects_outside_mjcf(realization, one), one.joints, 1) for one in variants]
+    values = {
+        effect: {name: np.concatenate([one[effect][name] for one in each]) for name in own}
+        for effect, own in each[0].items()
+    }
 
     def stepped(refine: int) -> list[Predicted]:
         simulator = BatchSimulator(segments, patched.joints, threads=threads, refine=refine)
