@@ -20,6 +20,8 @@ _SHOWN = 30
 """Largest number of characters of a label."""
 _WIDTH = 7.4
 """Width of a figure, inches."""
+_BAR = 0.75
+"""Width of the colour bar with its labels, inches."""
 _MOST_NAMES = 30
 """Largest number of rows of a readable correlation matrix."""
 
@@ -92,7 +94,7 @@ def correlation_figure(names: Sequence[str], matrix: Sequence[Sequence[float]]) 
     if not 2 <= len(names) <= _MOST_NAMES:
         return None
     values = np.array(matrix)
-    side = 0.5 + 0.16 * len(names)
+    side = min(0.5 + 0.16 * len(names), _WIDTH - 1.9 - _BAR)
     height = side + 1.9
 
     def draw(figure: Figure) -> None:
@@ -134,5 +136,9 @@ def against_figure(entries: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def _short(name: str) -> str:
+    """Return a label: of a long name its begin and its end, which differs between parameters."""
     text = printable(name)
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 2] + " …"
+    if len(text) <= _SHOWN:
+        return text
+    end = 2 * _SHOWN // 5
+    return f"{text[: _SHOWN - 3 - end]} … {text[-end:]}"

@@ -167,6 +167,21 @@ def test_the_correlation_matrix_is_drawn_up_to_a_readable_size(drawn: Drawn) -> 
     assert ranges_plots.correlation_figure(many, np.eye(40).tolist()) is None
 
 
+def test_a_large_correlation_matrix_fits_with_its_colour_bar_and_different_labels(
+    drawn: Drawn,
+) -> None:
+    laws = ("coulomb", "stiction_excess", "stribeck_velocity")
+    names = [f"shoulder_pan_{k}.stribeck_friction.{law}" for k in range(10) for law in laws]
+    figure = drawn(ranges_plots.correlation_figure, names, np.eye(len(names)).tolist())
+    figure.canvas.draw()
+    whole = figure.bbox
+    for axes in figure.axes:
+        box = axes.get_tightbbox()
+        assert box.x0 >= whole.x0
+        assert box.x1 <= whole.x1
+    assert len(set(labels(figure))) == len(names)
+
+
 @pytest.mark.parametrize("name", ["<b>&", "a" * 80, "poignée"])
 def test_figures_are_valid_svg_for_any_name(name: str) -> None:
     budget = {**BUDGET, "lines": [line(name, 0.003, {name: 0.001, "b": 0.002})]}
