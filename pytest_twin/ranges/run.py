@@ -200,6 +200,11 @@ def _document(
             "no final recording: the ranges are not checked; record some that guide nothing, with "
             "the role final in their metadata, and name them with --final"
         )
+    if names := _only_in_sampler(distribution):
+        notes.append(
+            "the configurations of simulators set friction, armature and bodies, and state delays "
+            f"and encoder zeros; only sampler.py has: {', '.join(names)}"
+        )
     return {
         "schema": 1,
         "twin": twin.name,
@@ -243,6 +248,15 @@ def _document(
         "notes": notes,
         "software": {"pytest-twin": __version__},
     }  # fmt: skip
+
+
+def _only_in_sampler(distribution: Distribution) -> list[str]:
+    """Return the coordinates that no configuration of a simulator sets: effects of drives, laws."""
+    return [
+        one.name
+        for one in distribution.coordinates
+        if one.effect is not None and one.effect not in ("command_delay", "encoder_bias")
+    ]
 
 
 def _body(body: Body, distribution: Distribution, realization: Realization) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from pytest_twin.diagnosis.prepare import Prepared, prepare
 from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.ranges.gather import collect_uncertain_parameters
+from pytest_twin.ranges.run import ranges_of_file
 from pytest_twin.ranges.simulate import VariedRobots
 from pytest_twin.realization import load
 from pytest_twin.trial import Trial, make_trial
@@ -159,6 +160,27 @@ def test_correlated_delay_and_rate_limit_are_drawn_together(bench: tuple, tmp_pa
     pair = draws[:, columns[name]], draws[:, columns[delay]]
     assert np.corrcoef(pair)[0, 1] == pytest.approx(correlation, abs=0.03)
     assert pair[1].std() == pytest.approx(0.002, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "parameter", "is_noted"),
+    [
+        ("rate_limit", {"inverse_rate": 1.0, "inverse_effort_rate": 0.0, "of_effort": 0.0},
+         "inverse_rate", True),
+        ("command_delay", {"delay": 0.02}, "delay", False),
+        ("armature", {"inertia": 0.004}, "inertia", False),
+    ],
+)  # fmt: skip
+def test_what_no_configuration_of_a_simulator_sets_is_noted(
+    bench: tuple, tmp_path: Path, effect: str, values: dict, parameter: str, is_noted: bool
+) -> None:
+    path = written(bench, tmp_path / "twin", effect, 0, values)
+    (law,) = (one for one in catalogue()[effect].parameters if one.name == parameter)
+    name = f"{JOINTS[0]}.{effect}" + (f".{parameter}" if len(values) > 1 else "")
+    with_record(path, name, values[parameter], law.fitted_unit("hinge"))
+    notes = ranges_of_file(str(path), {})["notes"]
+    found = [note for note in notes if "only sampler.py has: " in note]
+    assert [note.rpartition(": ")[2] for note in found] == ([name] if is_noted else [])
 
 
 def test_a_parameter_that_the_recordings_do_not_determine_is_left_out_with_the_reason(
