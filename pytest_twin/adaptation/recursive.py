@@ -19,6 +19,7 @@ from pytest_twin.adaptation_spec import UpdateSpec
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SpecError
 from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
+from pytest_twin.realization.patch import suggest
 from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import Trial
 
@@ -314,7 +315,7 @@ def _place(name: str, model: mujoco.MjModel) -> tuple[int, str]:
     if index < 0:
         raise SpecError(
             "no such joint", where=f"update.parameters.{name}", value=joint,
-            expected="a joint of the model",
+            expected=suggest(joint, [model.joint(k).name for k in range(model.njnt)]),
         )  # fmt: skip
     return index, parameter
 

@@ -22,6 +22,8 @@ from pytest_twin.adaptation_spec import ShadowPolicy
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.diagnosis.patched.replay import replay_whole
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.base import Quantity, si_unit
 from pytest_twin.errors import SpecError
 from pytest_twin.realization import Realization, load
 from pytest_twin.replay import Replayed, replay, row_of
@@ -30,6 +32,10 @@ from pytest_twin.trial.read import recordings_at
 from pytest_twin.trial.roles import refuse_final
 from pytest_twin.twin import Twin, load_twin
 
+_QUANTITY: Mapping[str, Quantity] = {
+    "position": "position", "velocity": "velocity", "effort": "effort",
+}  # fmt: skip
+"""First word of a metric -> its quantity."""
 ERRORS = ("position_rms", "velocity_rms", "position_max")
 """Metrics of predicted minus measured motion."""
 
@@ -87,12 +93,27 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
         notes.append("the candidate states other metrics under 'shadow:'; the release's count")
     if other.twin.update is not None:
         same = base.realization.parts == other.realization.parts
-        document = try_update(
-            other.twin.update, other.realization, trials, policy,
-            None if same else base.realization, None if same else base.twin.update,
-        )  # fmt: skip
+        try:
+            document = try_update(
+                other.twin.update, other.realization, trials, policy,
+                None if same else base.realization, None if same else base.twin.update,
+            )  # fmt: skip
+        except SpecError as error:
+            if error.path is not None or error.where is None:
+                raise
+            raise other.twin.error(
+                error.where, error.problem, value=error.value, expected=error.expected
+            ) from None
+        document["update"]["units"] = [
+            _unit_of_parameter(name, other.realization) for name in other.twin.update.parameters
+        ]
     else:
         document = _compared(base, other, trials, policy)
+    for one in document["metrics"]:
+        one["units"] = {
+            joint: _unit_of_metric(one["metric"], joint, base.realization)
+            for joint in one["joints"]
+        }
     held = all(fault["holds"] for fault in document["faults"])
     met = all(one["met"] for one in document["metrics"])
     return {
@@ -151,6 +172,20 @@ def _compared(
         "acting": acting,
         "notes": notes,
     }
+
+
+def _unit_of_metric(metric: str, joint: str, realization: Realization) -> str:
+    """Unit of a metric of a joint; of ``all``, the unit of the joints if they have one."""
+    quantity = _QUANTITY[metric.partition("_")[0]]
+    kinds = realization.structure.joint_type
+    own = [kinds[joint]] if joint in kinds else list(kinds.values())
+    return " or ".join(dict.fromkeys(si_unit(quantity, kind == "slide") for kind in own))
+
+
+def _unit_of_parameter(name: str, realization: Realization) -> str:
+    joint, _, parameter = name.rpartition(".")
+    law = catalogue()[parameter].parameters[0]
+    return law.unit(realization.structure.joint_type[joint])
 
 
 def _require_joints(side: ComparedTwin, trials: Sequence[Trial]) -> None:

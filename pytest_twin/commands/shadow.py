@@ -142,7 +142,8 @@ def _words(document: dict[str, Any]) -> list[str]:
         mark = "met" if one["met"] else "NOT MET"
         lines.append(f"  {mark}: {one['metric']} {change} ({kind} {100 * one['declared']:g} %)")
         for joint, pair in one["joints"].items():
-            lines.append(f"    {joint}: {pair['release']:.4g} -> {pair['candidate']:.4g}")
+            unit = one["units"][joint]
+            lines.append(f"    {joint}: {pair['release']:.4g} -> {pair['candidate']:.4g} {unit}")
     for fault in document["faults"]:
         mark = "holds" if fault["holds"] else "DOES NOT HOLD"
         lines.append(f"  {mark}: fallback under {fault['fault']}: {fault['why']}")
@@ -155,8 +156,9 @@ def _words(document: dict[str, Any]) -> list[str]:
     update = document.get("update")
     if update is not None:
         for at, parameter in enumerate(update["parameters"]):
+            unit = update["units"][at]
             lines.append(
                 f"  {parameter}: {update['base'][at]:.4g} -> {update['value'][at]:.4g} "
-                f"+- {update['deviation'][at]:.2g}"
+                f"+- {update['deviation'][at]:.2g}" + f" {unit}" * (unit != "1")
             )
     return [*lines, *(f"  note: {note}" for note in document["notes"])]

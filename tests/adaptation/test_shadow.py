@@ -207,6 +207,48 @@ def test_without_a_guard_the_tests_of_all_faults_fail(
     assert [fault["fault"] for fault in document["faults"] if fault["holds"]] == []
 
 
+UPDATE = """
+update:
+  id: friction-1
+  rule: recursive_least_squares
+  window: 0.5
+  parameters:
+    JOINT.viscous_friction: {lower: 0.0, upper: 0.4}
+    JOINT.torque_constant: {lower: -0.5, upper: 0.5}
+"""
+
+
+def test_the_values_of_an_update_have_units(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (place / "twin" / "twin.yaml").write_text(TWIN + UPDATE.replace("JOINT", "a"))
+    twin, data = str(place / "twin"), str(place / "0.mcap")
+    cli.main(["shadow", str(place / "twin/releases/0001"), twin, data])
+    lines = capsys.readouterr().out.splitlines()
+    assert all(line.endswith(" rad") for line in lines if line.startswith("    all: "))
+    (friction,) = (line for line in lines if line.startswith("  a.viscous_friction: 0.05 -> "))
+    assert friction.endswith(" N*m*s/rad")
+    assert any(line.startswith("  a.torque_constant: 0 -> ") for line in lines)
+
+
+def test_an_update_of_an_unknown_joint_is_refused_with_its_place(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = place / "twin" / "twin.yaml"
+    file.write_text(TWIN + UPDATE.replace("JOINT", "aa"))
+    words = [
+        "shadow",
+        str(place / "twin/releases/0001"),
+        str(place / "twin"),
+        str(place / "0.mcap"),
+    ]
+    assert cli.main(words) == 2
+    error = capsys.readouterr().err
+    assert f"{file}:" in error
+    assert "update.parameters.aa.viscous_friction: no such joint (got 'aa'" in error
+    assert "expected perhaps 'a')" in error
+
+
 def test_an_invalid_candidate_or_release_is_refused_with_a_reason(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
