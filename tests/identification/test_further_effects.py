@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -158,7 +159,12 @@ def test_friction_is_fitted_again_once_the_limit_of_the_drive_is_known(
     """Without the limit no friction explains the motion, and the friction stage comes first."""
     # The other stages find nothing here, and would take half of the time.
     two_stages = partial(identify.identify_simulation, plan=StagePlan(order=("friction", "drive")))
-    monkeypatch.setattr(identify, "identify_simulation", two_stages)
+    shown: list[float] = []
+
+    def watched(*arguments: Any, progress: Callable[[float], None], **options: Any) -> Any:
+        return two_stages(*arguments, progress=shown.append, **options)
+
+    monkeypatch.setattr(identify, "identify_simulation", watched)
     (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
     one, two, held = (
         str(write_trial(tmp_path / f"{name}.csv", seed, limited(1.0), REAL))
@@ -172,6 +178,8 @@ def test_friction_is_fitted_again_once_the_limit_of_the_drive_is_known(
     assert "fitted again with what later stages had found" in stages["friction"]["why"]
     assert "the motion shows none of it" not in stages["friction"]["why"]
     assert stages["friction"]["parameters"] == ["swing.viscous_friction", "swing.coulomb_friction"]
+    # Two stages, both together, and the two again.
+    assert shown == pytest.approx([0.2, 0.4, 0.6, 0.6, 0.8])
     together = stages["closed_loop"]["held_out"]
     assert together["after"] < 1.0 < 0.2 * together["before"]
     found = {name: one["value"] for name, one in document["parameters"].items()}

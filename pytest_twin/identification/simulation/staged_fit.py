@@ -65,16 +65,20 @@ class StagedFit:
 
     def run(self, progress: Callable[[float], None]) -> None:
         """Fit all stages; ``progress`` is called with the fraction done."""
+        several = len(self.plan.order) > 1
+        # Each stage, all of them together, and each stage again.
+        steps = len(self.plan.order) * (2 if several else 1) + 1
         for k, name in enumerate(self.plan.order):
             self.stages[name], accepted = self._stage(name, self.found)
             for term in accepted.terms:
                 self.found = self.found.with_term_of(accepted, term)
                 self.stage_of[term] = name
-            progress((k + 1) / (len(self.plan.order) + 1))
+            progress((k + 1) / steps)
         self._fit_together()
-        several = len(self.plan.order) > 1
+        done = len(self.plan.order) + 1
+        progress(done / steps)
         if several and self.found.terms and self._error(self.found) > VERDICT.stands_out:
-            self._fit_again()
+            self._fit_again(lambda stages: progress((done + stages) / steps))
 
     @property
     def _problem(self) -> Problem:
@@ -206,15 +210,17 @@ class StagedFit:
             f"{after:.3g} noise floors",
         )
 
-    def _fit_again(self) -> None:
+    def _fit_again(self, progress: Callable[[int], None]) -> None:
         """Fit each stage again with what later stages have found.
 
         The first time a stage was fitted without the effects of later ones: a friction stage
         cannot succeed while the drive lacks its limit. All parameters are then fitted together,
-        and stay as they were if the held-out error does not fall.
+        and stay as they were if the held-out error does not fall. ``progress`` is called with the
+        number of stages done.
         """
         before = error = self._error(self.found)
-        for name in self.plan.order:
+        for at, name in enumerate(self.plan.order):
+            progress(at)
             others = self.found.without(*(t for t in self.found.terms if self.stage_of[t] == name))
             # Further effects stay as they are. Friction, gains and armature, which compensate for
             # one another, are free again.
