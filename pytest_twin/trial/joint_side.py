@@ -124,6 +124,8 @@ def states_at_joints(
             if factor is None:
                 notes.append(f"{name}: its effort is no torque, and is not used")
         notes += add_shared_efforts(states.names, effort, signals)
+        if not np.isfinite(effort).any():
+            effort = None
     return replace(states, position=position, velocity=velocity, effort=effort), notes
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,17 @@ def test_a_trial_has_the_joint_side_of_states_and_commands(cell: Path) -> None:
     assert motor.effort is not None
     np.testing.assert_allclose(motor.effort, plain.effort, atol=1e-9)
     assert any("motor position divided by its gear ratio -50" in note for note in motor.notes)
+
+
+def test_an_effort_that_is_no_torque_is_left_out_of_a_trial(cell: Path) -> None:
+    unsigned = TWIN.replace(f"constant: {CONSTANT}", "signed: false")
+    assert unsigned != TWIN
+    folder = cell / "unsigned"
+    shutil.copytree(cell / "motor", folder, ignore=shutil.ignore_patterns("out"))
+    (folder / "twin.yaml").write_text(unsigned)
+    _, trial = trials(folder)
+    assert trial.effort is None
+    assert "swing: its effort is no torque, and is not used" in trial.notes
 
 
 def test_positions_of_a_data_set_are_those_of_the_joint(cell: Path) -> None:
