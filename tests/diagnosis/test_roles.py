@@ -23,7 +23,7 @@ def read(folder: Path, fit: list[Path], held_out: list[Path]) -> TrialSet:
 
 
 def record_pendulum(
-    folder: Path, name: str, seed: int, seconds: float = 1.6, **metadata: str
+    folder: Path, name: str, seed: int, seconds: float = 1.0, **metadata: str
 ) -> Path:
     (folder / "model.xml").write_text(mjcf(LEFT))
     return record(
@@ -47,7 +47,7 @@ class Recorded:
     @classmethod
     def in_folder(cls, folder: Path, count: int) -> Recorded:
         fit = [record_pendulum(folder, f"{seed}.mcap", seed) for seed in range(count)]
-        test = record(folder / "test.mcap", 9, joints=LEFT, seconds=3.0, viscous=0.14, noise=3e-4)
+        test = record(folder / "test.mcap", 9, joints=LEFT, seconds=2.0, viscous=0.14, noise=3e-4)
         return cls(fit, test)
 
     def diagnosed(self) -> Diagnosis:

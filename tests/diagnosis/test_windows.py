@@ -26,7 +26,7 @@ from pytest_twin.realization import Realization
 
 LAG, SHORT_LAG = 0.05, 0.01
 """Lag of an unstable and of a stable servo, s."""
-SECONDS = 2.8
+SECONDS = 1.8
 """Duration of a recording, s."""
 ACTUATOR_LAG = Term("actuator_lag", 0)
 ONE = ("left",)
@@ -69,7 +69,7 @@ def test_the_lag_of_an_unstable_servo_is_found_in_windows(tmp_path: Path) -> Non
 
 
 def test_a_motion_that_is_explained_as_a_whole_is_not_cut_into_windows(tmp_path: Path) -> None:
-    realization, trials = one_pendulum(tmp_path, seconds=2.2, delay=0.02)
+    realization, trials = one_pendulum(tmp_path, seconds=1.2, delay=0.02)
     found = diagnose(realization, trials, threads=1)
     assert [f.effect for f in found.explained.findings] == ["command_delay"]
     assert not any("windows" in note for note in found.notes)
