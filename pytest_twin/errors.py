@@ -19,7 +19,8 @@ class TwinError(Exception):
         expected: description of a valid value.
     """
 
-    # All but the first are keywords, and each is one part of the message.
+    # Each keyword is one part of the message, and a caller names those that it knows. An object for
+    # file, line and column would only make the several hundred callers longer.
     def __init__(  # noqa: PLR0913
         self,
         problem: str,

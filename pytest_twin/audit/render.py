@@ -70,7 +70,7 @@ def views(
     from matplotlib.ticker import MaxNLocator
 
     shapes = [shape for shape in asset.shapes if shape.role == role]
-    corners, colours = _surface(asset, shapes, values, marked)
+    corners, colours = drawn_triangles(asset, shapes, values, marked)
     if corners is None:
         return None
     low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
@@ -127,10 +127,22 @@ def views(
     return out.getvalue()
 
 
-def _surface(
+def drawn_triangles(
     asset: Asset, shapes: list[Shape], values: Mapping[str, float], marked: Collection[str]
 ) -> tuple[Vector | None, Vector]:
-    """Return (n, 3, 3) triangle vertices in the root frame, m, and their (n, 3) colours."""
+    """Triangles of a picture: (n, 3, 3) vertices in the root frame, m, and (n, 3) colours.
+
+    Many or finely meshed shapes are simplified, so that a picture has a bounded number of them.
+
+    Args:
+        asset: the robot.
+        shapes: what is drawn.
+        values: joint -> rad or m.
+        marked: bodies to draw in red.
+
+    Returns:
+        None instead of vertices if no shape has a surface.
+    """
     places = asset.at(values)
     number = {name: index for index, name in enumerate(asset.body)}
     found = [
@@ -160,8 +172,7 @@ def _within_budget(found: list[_Drawn]) -> list[_Drawn]:
     """Reduce surfaces to at most ``_MOST_FACES`` triangles.
 
     The grid is coarser, the more meshes there are. If that is not enough, the largest shapes are
-    drawn
-    as boxes and the others, which are smaller than a pixel, are omitted.
+    drawn as boxes and the others, which are smaller than a pixel, are omitted.
     """
     if sum(len(faces) for _, (_, faces) in found) <= _MOST_FACES:
         return found

@@ -42,10 +42,10 @@ def in_forks(tasks: Sequence[Callable[[], _Result]], processes: int) -> list[_Re
             again in this process; finished results of the fork are kept.
     """
     global _in_task
+    _reap_ended()
     helpers = min(free_cores(processes), len(tasks)) - 1
     if helpers < 1 or len(tasks) > _MAX_TASKS:
         return [task() for task in tasks]
-    _reap_ended()
     numbers, writer = os.pipe()
     os.write(writer, b"".join(i.to_bytes(_NUMBER_BYTES, "little") for i in range(len(tasks))))
     os.close(writer)

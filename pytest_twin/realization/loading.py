@@ -22,7 +22,8 @@ from pytest_twin.realization.source import Source
 from pytest_twin.twin import USD_SUFFIXES, Fit, Simulator, Twin, effects_file_next_to
 
 
-# All arguments but the first are keywords of a public function.
+# A public function : each keyword is independent of the others, and most callers
+# use one or two. An object of options would break them and save nothing.
 def load(  # noqa: PLR0913
     path: Path,
     *,

@@ -155,7 +155,7 @@ def test_a_picture_of_many_shapes_has_a_bounded_number_of_triangles(
     tmp_path: Path, count: int
 ) -> None:
     asset = read(write(tmp_path, spheres(count)))
-    corners, _ = render._surface(asset, asset.shapes, {}, ())
+    corners, _ = render.drawn_triangles(asset, asset.shapes, {}, ())
     assert corners is not None
     assert 10_000 < len(corners) <= 40_000
     # The extent is unchanged: the spheres reach from -0.1 m to count - 0.9 m.

@@ -107,12 +107,11 @@ def test_a_quick_diagnosis_that_raises_an_error_prints_one_line(
     root = tmp_path / "arm"
     shutil.copytree(delayed, root)
     (root / "broken_diagnosis.py").write_text(
-        "from pytest_twin.gate.runner import Runner\n"
-        "call = Runner._call\n"
+        "from pytest_twin.realization.sandbox import Sandbox\n"
+        "call = Sandbox.call\n"
         "def other(self, function, *rest, **more):\n"
-        "    name = 'no_such' if function == 'quick_diagnosis' else function\n"
-        "    return call(self, name, *rest, **more)\n"
-        "Runner._call = other\n"
+        "    return call(self, function.replace('quick_diagnosis', 'no_such'), *rest, **more)\n"
+        "Sandbox.call = other\n"
     )
     result = run(root, "-p", "broken_diagnosis")
     assert "2 failed" in result.stdout

@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from one_joint_plant import JOINT, STEP, Hidden, record
 
 from pytest_twin.diagnosis.findings import Explained
+from pytest_twin.diagnosis.first_order.sensitivities import Linear
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -38,7 +39,6 @@ from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.unnamed_law import simulated
 from pytest_twin.diagnosis.unnamed_law.confirmation import confirmed_on_test, laws_of_residual
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, free_laws
-from pytest_twin.diagnosis.unnamed_law.regression import Regression
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects.segment import Predicted
 from pytest_twin.effects.unnamed_law import KNOTS, POSITION, UnnamedLaw
@@ -161,13 +161,14 @@ def test_no_law_is_found_if_the_linearized_motion_diverges(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As in windows under effort commands with finite simulations and infinite gradients."""
-    original = simulated._around
 
-    def infinite(*args: Any) -> Regression:
-        sums = original(*args)
-        return replace(sums, gram=np.full_like(sums.gram, np.inf))
+    class Diverging(Linear):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args)
+            finite = self.readings.of
+            self.readings.of = lambda columns: [np.full_like(x, np.inf) for x in finite(columns)]
 
-    monkeypatch.setattr(simulated, "_around", infinite)
+    monkeypatch.setattr(simulated, "Linear", Diverging)
     assert not fitted_laws(tmp_path, notch).laws
 
 

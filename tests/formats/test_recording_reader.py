@@ -128,19 +128,18 @@ def test_random_messages_equal_those_decoded_by_mcap_ros2_support(
     tmp_path_factory: pytest.TempPathFactory, messages: list[Message]
 ) -> None:
     path = tmp_path_factory.mktemp("any") / "trial.mcap"
-    writer = Ros2Writer(str(path))
-    schema = writer.register_msgdef(SCHEMA, SCHEMA_TEXT)
-    for message in messages:
-        sec, nanosec = divmod(message.stamp, 10**9)
-        fields = {
-            "header": {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": message.frame_id},
-            "name": list(message.names),
-            **{name: list(getattr(message, name)) for name in QUANTITIES},
-        }
-        writer.write_message(message.topic, schema, fields, message.stamp, message.stamp)
-    writer.finish()
-    # The library does not close its file.
-    writer._writer._Writer__stream.close()
+    with path.open("wb") as stream:
+        writer = Ros2Writer(stream)
+        schema = writer.register_msgdef(SCHEMA, SCHEMA_TEXT)
+        for message in messages:
+            sec, nanosec = divmod(message.stamp, 10**9)
+            fields = {
+                "header": {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": message.frame_id},
+                "name": list(message.names),
+                **{name: list(getattr(message, name)) for name in QUANTITIES},
+            }
+            writer.write_message(message.topic, schema, fields, message.stamp, message.stamp)
+        writer.finish()
     recording = read_recording(path)
     assert {series.topic for series in recording.series.values()} == {
         message.topic for message in messages if message.topic != "/other"

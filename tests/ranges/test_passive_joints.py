@@ -202,11 +202,11 @@ def test_a_coordinate_with_bounds_has_a_truncated_normal_distribution(
     assert stats.kstest(drawn, law.cdf).pvalue > 0.01
     assert lower <= drawn.min()
     assert drawn.max() <= upper
-    as_written = sampler()._values(
-        {"law": one.law, "mean": mean, "std": 0.2, **finite(lower=lower, upper=upper)},
-        np.linspace(-4.0, 4.0, 33),
-    )
-    assert as_written == pytest.approx(one.values(np.linspace(-4.0, 4.0, 33)), abs=1e-9)
+    written = {"name": "x", "body": None, "at_most": None, "mean": mean, "std": 0.2}
+    written |= finite(lower=lower, upper=upper)
+    document = {"schema": 1, "coordinates": [written], "bodies": [], "correlation": [[1.0]]}
+    as_written = sampler().Ranges(document).draw(20_000, seed=0)["x"]
+    assert as_written == pytest.approx(drawn, abs=1e-9)
     assert one.values(np.array([-1.0, 0.0, 1.0])).tolist() == sorted(one.values(np.arange(-1.0, 2)))
 
 

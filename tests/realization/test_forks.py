@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pytest_twin.realization import forks as forks_of_the_process
 from pytest_twin.realization.forks import free_cores, in_forks, threads_here, usable_cores
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="forks are used on Linux only")
@@ -95,7 +94,7 @@ def test_no_process_and_no_pipe_remains() -> None:
         time.sleep(0.2)
         in_forks([partial(_squared, i) for i in range(2)], 2)
         time.sleep(0.2)
-        forks_of_the_process._reap_ended()
+        in_forks([], 2)
         with pytest.raises(ChildProcessError):
             os.waitpid(-1, os.WNOHANG)
     gc.collect()
