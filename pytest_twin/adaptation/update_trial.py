@@ -138,8 +138,8 @@ def _faults(spec: UpdateSpec, learned: Recursion, rows: Sequence[Row]) -> list[d
     windows, against the undisturbed measurement, exceeds that of the base by at most 5 %. If the
     base predicts poorly, this error hides what a fault does to the update. Therefore the same
     faults are injected into recordings of a robot that is exactly the base model. After the fault,
-    a wrong estimate may add no more error there than the noise of the sensor. A restart feeds
-    nothing wrong to the update, so it has no such test.
+    the estimate may add no more error there than the noise of the sensor. A restart gives no wrong
+    measurement to the update, so it has no such test.
     """
     some: list[Row] = []
     seconds = 0.0
@@ -147,14 +147,14 @@ def _faults(spec: UpdateSpec, learned: Recursion, rows: Sequence[Row]) -> list[d
         if seconds < _TRIED_WINDOWS * spec.window:
             some.append(row)
             seconds += row.trial.duration
-    simulated = _of_base(some, spec.noise)
+    simulated = _simulated_base(some, spec.noise)
     found = []
     for name, change in _CHANGES.items():
-        windows = track(_copied(learned, learned.value), some, disturb=_Counter(change))
+        windows = track(_copied(learned, learned.value), some, disturb=_WindowsWithFault(change))
         of_base: list[Window] = []
         if name != "restart":
             begun = _copied(learned, learned.base)
-            of_base = track(begun, simulated, disturb=_Counter(change))
+            of_base = track(begun, simulated, disturb=_WindowsWithFault(change))
         found.append(_verdict(name, spec, windows, of_base))
     return found
 
@@ -166,7 +166,7 @@ def _copied(learned: Recursion, value: FloatArray) -> Recursion:
     return found
 
 
-def _of_base(rows: Sequence[Row], noise: float) -> list[Row]:
+def _simulated_base(rows: Sequence[Row], noise: float) -> list[Row]:
     """Return trials whose positions are those of the base model, with sensor noise in rad or m."""
     random = np.random.default_rng(_SEED)
     found = []
@@ -179,8 +179,8 @@ def _of_base(rows: Sequence[Row], noise: float) -> list[Row]:
     return found
 
 
-class _Counter:
-    """Apply a fault to a number of consecutive windows of a run."""
+class _WindowsWithFault:
+    """Function that adds a fault to some consecutive windows of a run."""
 
     def __init__(self, change: Disturb) -> None:
         self.change, self.count = change, 0

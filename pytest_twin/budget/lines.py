@@ -52,7 +52,7 @@ class Line:
         slides: prismatic joints, in m and N.
         method: method of the propagation to the task.
         warnings: limitations of the result.
-        left_out: unknowns that move nothing here, with the reason.
+        left_out: unknowns that do not move the frame, with the reason.
     """
 
     id: str
@@ -148,7 +148,7 @@ def identification_line(
     alone: Mapping[str, Spread] = {}
     joints: Mapping[str, float] = {}
     effort: Mapping[str, float] = {}
-    method = "stated, not carried to the task"
+    method = "stated, not propagated to the task"
     if (found.columns or found.effects) and task.trial is not None:
         try:
             motion = simulated_displacement(found, task, realization)
@@ -171,8 +171,8 @@ def identification_line(
     if shifted is not None:
         linear, drawn = shifted
         poses = f"{len(task.readings)} poses, and {DRAWS} draws"
-        way = f"delays, encoder zeros, gears and gains by J C J^T over {poses}"
-        method = f"{method}; {way}" if found.columns else way
+        of_shifts = f"delays, encoder zeros, gears and gains by J C J^T over {poses}"
+        method = f"{method}; {of_shifts}" if found.columns else of_shifts
     if linear is not None and drawn is not None:
         warnings += linearization_warnings(linear, drawn)
     names = list(record.covariance_names)
@@ -245,7 +245,7 @@ def _part(
 
 
 def _leading(parts: Sequence[Mapping[str, Any]]) -> str:
-    """Return the category of the part that moves the frame most, or else of the largest part."""
+    """Category of the part that moves the frame most; if none does, of that with most estimates."""
     return str(max(parts, key=_size)["category"])
 
 
@@ -257,7 +257,7 @@ def _size(part: Mapping[str, Any]) -> tuple[float, int]:
 def _correlated(
     covariance: FloatArray, groups: Mapping[str, tuple[str, tuple[int, ...]]]
 ) -> list[dict[str, Any]]:
-    """Return pairs of parts with the largest correlation between any two of their unknowns."""
+    """Pairs of correlated parts, each with the largest correlation of an unknown of each."""
     deviations = np.sqrt(np.diag(covariance).clip(1e-300))
     correlation = np.abs(covariance / np.outer(deviations, deviations))
     names = list(groups)

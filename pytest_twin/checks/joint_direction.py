@@ -125,7 +125,7 @@ class JointDirection(Check):
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
-        """Return kinematics of the frames, and the dynamics of joints with an actuator."""
+        """Ids of the kinematics of the frames, and of the dynamics of joints with an actuator."""
         joints = golden.target["joints"]
         frames = {
             frame
@@ -341,7 +341,7 @@ def pulse(
 
 
 def _command(model: mujoco.MjModel, control: int, rest: float) -> tuple[float, float]:
-    """Return a command near rest, and a possible increase within the actuator's range."""
+    """Command near that of rest, and an increase that stays within the actuator's range."""
     if not model.actuator_ctrllimited[control]:
         return rest, max(0.05, 0.05 * abs(rest))
     lower, upper = (float(bound) for bound in model.actuator_ctrlrange[control])

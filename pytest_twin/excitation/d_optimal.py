@@ -166,7 +166,7 @@ class Design:
         path.repeat(*once, times=max(1, int(free / own.period + 1e-9)))
         path.move(approved.start)
         path.dwell(REST - 1.0 / approved.rate)
-        return path.drawn()
+        return path.states()
 
     # -- inside
 

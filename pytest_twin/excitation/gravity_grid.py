@@ -110,7 +110,7 @@ def grid(
             at = pose
         path.move(start)
         path.dwell(0.5 / approved.band[1])
-        return path.drawn().described(poses=[pose.tolist() for pose in chosen], dwell=DWELL)
+        return path.states().described(poses=[pose.tolist() for pose in chosen], dwell=DWELL)
 
     return make
 

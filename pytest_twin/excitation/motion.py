@@ -71,7 +71,7 @@ class Design:
 
     def motion(self, scale: float, seed: int) -> Motion:
         """Return the motion at a share of its amplitude."""
-        drawn = self.make(scale, seed)
+        states = self.make(scale, seed)
         return Motion(
             name=self.name,
             mechanisms=self.mechanisms,
@@ -79,13 +79,13 @@ class Design:
             role=self.role,
             seed=seed,
             moved=self.moved,
-            time=drawn.time,
-            position=drawn.position,
-            velocity=drawn.velocity,
-            acceleration=drawn.acceleration,
+            time=states.time,
+            position=states.position,
+            velocity=states.velocity,
+            acceleration=states.acceleration,
             payload=self.payload,
             scale=scale,
-            settings=drawn.settings,
+            settings=states.settings,
         )
 
 
@@ -211,8 +211,8 @@ class Path:
         rest = np.zeros((1, position.shape[1]))
         self._add(position[:1], rest, rest)
 
-    def drawn(self) -> JointStates:
-        """Return all states so far."""
+    def states(self) -> JointStates:
+        """All states so far."""
         position, velocity, acceleration = (
             np.concatenate([piece[i] for piece in self._pieces]) for i in range(3)
         )
@@ -229,7 +229,7 @@ class Path:
 def _blended(
     time: FloatArray, blend: float, before: float, after: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return position, velocity and acceleration of a raised-cosine change of speed, then held."""
+    """Position, velocity and acceleration while the speed changes by a raised cosine, and after."""
     if blend <= 0.0:
         return after * time, np.full_like(time, after), np.zeros_like(time)
     inside = np.minimum(time, blend)

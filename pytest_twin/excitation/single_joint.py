@@ -47,7 +47,7 @@ def steps(approved: ApprovedLimits, joint: int) -> Make:
             sign = -sign
         path.move(start)
         path.dwell(0.5 / high)
-        return path.drawn().described(height=height)
+        return path.states().described(height=height)
 
     return make
 
@@ -95,8 +95,8 @@ def reversals(approved: ApprovedLimits, joint: int, pose: FloatArray, role: Role
                 random = np.random.default_rng(seed)
                 path, used = attempt(centre, scale, SPEEDS[-count:], float(period), random)
                 if path.seconds <= approved.duration and used:
-                    return path.drawn().described(speeds=used, pose=centre.tolist())
-        return path.drawn().described(speeds=used, pose=centre.tolist())
+                    return path.states().described(speeds=used, pose=centre.tolist())
+        return path.states().described(speeds=used, pose=centre.tolist())
 
     def attempt(
         centre: FloatArray,

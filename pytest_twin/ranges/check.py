@@ -24,12 +24,13 @@ from pytest_twin.ranges.simulate import Traces
 TOO_WIDE = 3.0
 """Ratio of the envelope's width to that of the narrowest envelope with the required coverage, above
 which ranges are too wide if it is also significant. A robot that happens to be near the mean needs
-a narrower envelope than the fleet. Below the ratio's inverse ranges are too narrow, whatever the
-interval of the coverage: a normal deviation of three envelopes has six standard deviations."""
+a narrower envelope than the fleet. Ranges are too narrow if the ratio is below the inverse, even if
+the coverage could be by chance: a 95 % envelope ends at 2 standard deviations, so that measurements
+at 3 times this distance are 6 standard deviations away."""
 ONE_TOO_WIDE = 2.0 * TOO_WIDE
 """The same ratio for one joint. It is more likely that one of several joints is near its mean than
 that all are."""
-SAYS_LITTLE = 0.5
+USELESS_WIDTH = 0.5
 """Ratio of the envelope's width to the range of the motion above which a joint's prediction is of
 no use."""
 _MOVES = {"rad": 0.2, "m": 0.05}
@@ -76,8 +77,7 @@ def predict_envelopes(
     random = np.random.default_rng(seed)
     found = []
     for one in traces:
-        alive = np.isfinite(one.robots).all(axis=(1, 2))
-        robots = one.robots[alive]
+        robots = one.robots[np.isfinite(one.robots).all(axis=(1, 2))]
         std = np.array([noise.get(joint, 0.0) for joint in one.joints], dtype=np.float32)
         read = robots + std * random.standard_normal(robots.shape, dtype=np.float32)
         found.append(PredictedRecording(one, read, envelope(read, share)))
@@ -156,7 +156,7 @@ def _joint(
         "width_over_tightest": ratio,
         "width_chance": ratio_chance,
         "too_wide": bool(ratio > ONE_TOO_WIDE and ratio_chance < _WIDE_LEVEL)
-        or (motion > _MOVES[unit] and width > SAYS_LITTLE * motion),
+        or (motion > _MOVES[unit] and width > USELESS_WIDTH * motion),
         "histogram": shares.tolist(),
         "unevenness": unevenness,
         "uneven_chance": chance,

@@ -42,7 +42,7 @@ def recording_at(
         episode: number of the episode, from 0.
 
     Raises:
-        FormatError: a data set of several episodes and none is chosen, or no such episode.
+        FormatError: the data set has several episodes and none is chosen, or it has no such one.
         TwinError: it cannot be read.
     """
     if episode is None:

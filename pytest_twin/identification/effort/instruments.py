@@ -178,17 +178,18 @@ def endogeneity(
     )
 
 
-def _solved(problem: LinearProblem, left: FloatArray, weight: FloatArray) -> FloatArray:
-    z, w = weighed(left, weight), weighed(problem.matrix, weight)
+def _solved(problem: LinearProblem, instrument: FloatArray, weight: FloatArray) -> FloatArray:
+    """(b,) parameters of the weighted normal equations Z^T W x = Z^T y."""
+    z, w = weighed(instrument, weight), weighed(problem.matrix, weight)
     sizes = np.maximum(np.linalg.norm(w, axis=0), 1e-300)
     rows, right = z.T @ w, z.T @ (problem.effort * weight).ravel()
     scaled = rows / np.outer(sizes, sizes)
     return np.asarray(np.linalg.lstsq(scaled, right / sizes, rcond=None)[0] / sizes)
 
 
-def _influence(problem: LinearProblem, left: FloatArray, weight: FloatArray) -> FloatArray:
+def _influence(problem: LinearProblem, instrument: FloatArray, weight: FloatArray) -> FloatArray:
     """(b, n * joints) derivative of the estimate by each effort."""
-    z, w = weighed(left, weight), weighed(problem.matrix, weight)
+    z, w = weighed(instrument, weight), weighed(problem.matrix, weight)
     sizes = np.maximum(np.linalg.norm(w, axis=0), 1e-300)
     scaled = np.linalg.pinv((z.T @ w) / np.outer(sizes, sizes))
     return np.asarray((scaled / sizes[:, None]) @ (z / sizes).T * weight.ravel())
