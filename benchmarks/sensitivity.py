@@ -4,29 +4,34 @@
 
 Each number in a settings object of ``pytest_twin.diagnosis`` is halved and doubled, one at a time,
 and small cases are diagnosed again. In each case, a pendulum or an arm of one joint is integrated
-at 4 or 10 kHz with one effect, two effects, or none that the model lacks. A field is tried only in
-cases whose diagnosis reads it. No diagnosis has a time limit, so the load of the machine does not
-change the result.
+at 4 or 10 kHz with one effect, two effects, or none that the model lacks. Two further cases of one
+joint are drawn as the blind cases are, from training seeds. A field is tried only in cases whose
+diagnosis reads it. No diagnosis has a time limit, so the load of the machine does not change the
+result.
 
 Half of the changes need no run. One run of each case follows half and twice of every number through
 all computations (``variants.py``). If each comparison has the same outcome, the result is the same.
-The other changes are run, each in its quickest case first. Results are stored in
-DIR/answers.jsonl; a second run continues the first one.
+The other changes are run, each in its quickest case first. All results are stored below DIR, in a
+folder for the code that they are of. A second run with the same code continues the first one.
 
-Writes DIR/sensitivity.md: for each field its value, how many cases read it, and what each
-change does to the answers.
+Writes DIR/sensitivity.md: for each field its value, how many cases read it, what each change does
+to the answers, and which fields are not tried yet.
 
-FIELD: ``CLASS`` or ``CLASS.field``, such as ``SelectionSettings.earns``; all by default.
+FIELD: ``CLASS`` or ``CLASS.field``, such as ``SelectionSettings.earns``, to be tried in this run;
+all by default. The page has all fields.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import hashlib
 import importlib
 import json
 import pkgutil
+import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,19 +41,23 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parent / "concealed"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "diagnosis"))
 
+import cases as concealed
 import recorded_pendulum
 import touching_arm
 import two_pendulums
 from record import revision
 from variants import WithVariants
 
+import pytest_twin
 import pytest_twin.diagnosis
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.first_answer import first_answer
 from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.formats import atomic
 
 Answer = dict[str, Any]
 
@@ -63,7 +72,13 @@ class Case:
 
     def answer(self, out: Path) -> Answer:
         """Return its result; ``out`` has a folder of model and recordings for each case."""
-        return self.diagnose(self.folder(out))
+        folder = self.folder(out)
+        if not folder.exists():
+            unfinished = folder.with_suffix(".unfinished")
+            shutil.rmtree(unfinished, ignore_errors=True)
+            self.write(unfinished)
+            unfinished.rename(folder)
+        return self.diagnose(folder)
 
     def folder(self, out: Path) -> Path:
         """Folder of its model and recordings."""
@@ -126,6 +141,23 @@ def table_too_high(folder: Path) -> None:
     touching_arm.case(folder, ("left",), seconds=1.0, offset=0.004)
 
 
+def training_case(seed: int) -> Callable[[Path], object]:
+    """Return a function that writes a case of a training seed: 6 s to fit and 6 s held out."""
+
+    def write(folder: Path) -> None:
+        whole, concealed.DURATION = concealed.DURATION, 6.0
+        try:
+            name = concealed.make(seed, folder / "drawn", folder / "truth")
+        finally:
+            concealed.DURATION = whole
+        shutil.copy(folder / "drawn" / name / "model.xml", folder)
+        recordings = sorted((folder / "drawn" / name / "recordings").iterdir())
+        for recording in (recordings[0], recordings[-1]):
+            shutil.copy(recording, folder)
+
+    return write
+
+
 CASES = (
     Case("first answer", pendulum(delay=0.02), first_diagnosis),
     Case("nothing", pendulum(), full_diagnosis),
@@ -135,6 +167,8 @@ CASES = (
     Case("stick-slip", pendulum(dry=0.3), full_diagnosis),
     Case("delay", pendulum(delay=0.02), full_diagnosis),
     Case("unnamed force", pendulum(magnet=0.2), full_diagnosis),
+    Case("training seed 5015", training_case(5015), full_diagnosis),
+    Case("training seed 5023", training_case(5023), full_diagnosis),
 )
 HEAD = """# How sensitive a diagnosis is to its thresholds
 
@@ -147,7 +181,8 @@ the changes need no run: one run of each case follows half and twice of every nu
 computations, and if each comparison has the same outcome, so has the diagnosis. `runs` is how many
 of the other changes were run, the quickest cases first. `same` means the same verdict, the same
 findings, and parameters within 1 %. A field that no case reads is not shown to be without
-influence. Revision `{revision}`, {date}.
+influence, and neither is one whose changes were run in some cases only. Revision `{revision}`,
+{date}.
 
 """
 FACTORS = (0.5, 2.0)
@@ -258,6 +293,59 @@ def traced(case: Case, fields: list[Field], usual: Answer, out: Path) -> Traced:
     return Traced(frozenset(read), frozenset(altering if same else every))
 
 
+@dataclass(frozen=True)
+class Result:
+    """Result of a case with the usual settings.
+
+    Attributes:
+        answer: what the diagnosis returns.
+        seconds: CPU time of the diagnosis, s.
+        traced: settings that it reads, and changes that may alter it.
+    """
+
+    answer: Answer
+    seconds: float
+    traced: Traced
+
+
+def stored_path(case: Case, out: Path) -> Path:
+    """File with the usual result of a case."""
+    return out / f"{case.folder(out).name}.json"
+
+
+def usual_result(case: Case, fields: list[Field], out: Path) -> Result:
+    """Diagnose and trace a case with the usual settings, or read the stored result."""
+    path = stored_path(case, out)
+    if not path.exists():
+        since = time.process_time()
+        answer = case.answer(out)
+        seconds = time.process_time() - since
+        found = traced(case, fields, answer, out)
+        stored = {
+            "answer": answer,
+            "seconds": seconds,
+            "read": sorted(found.read),
+            "altering": sorted(found.altering),
+        }
+        atomic.write_text(path, json.dumps(stored))
+        counts = f"reads {len(found.read)} fields, {len(found.altering)} changes may alter it"
+        print(f"{case.name}: {seconds:.0f} s, {counts}: {json.dumps(answer)}", flush=True)
+    stored = json.loads(path.read_text())
+    altering = frozenset((name, factor) for name, factor in stored["altering"])
+    return Result(stored["answer"], stored["seconds"], Traced(frozenset(stored["read"]), altering))
+
+
+def code_digest() -> str:
+    """Digest of the code that the results depend on: the package and the plants of the cases."""
+    plants = (recorded_pendulum, touching_arm, two_pendulums, concealed)
+    package = Path(pytest_twin.__file__).parent
+    files = [*package.rglob("*.py"), *(Path(str(module.__file__)) for module in plants)]
+    total = hashlib.sha256()
+    for file in sorted(files):
+        total.update(file.read_bytes())
+    return total.hexdigest()[:12]
+
+
 def difference(base: dict[str, Any], other: dict[str, Any]) -> str:
     """Describe the differences of a result; empty if there are none."""
     if "error" in other:
@@ -341,8 +429,12 @@ def table(
     lines = [row(field, answers, base, trace) for field in fields]
     done = [line for line in lines if line is not None]
     head = ["| field | value | cases | runs | halved | doubled |", "|---|---|---|---|---|---|"]
-    rest = f"\n{len(lines) - len(done)} of {len(lines)} fields are not tried yet.\n"
-    return "\n".join([*head, *done]) + "\n" + (rest if len(done) < len(lines) else "")
+    text = "\n".join([*head, *done]) + "\n"
+    untried = [f.name for f, line in zip(fields, lines, strict=True) if line is None]
+    if untried:
+        names = textwrap.fill(", ".join(f"`{name}`" for name in untried), 100)
+        text += f"\n{len(untried)} of {len(lines)} fields are not measured yet:\n{names}\n"
+    return text
 
 
 def attempt(case: Case, field: Field, value: float, answers: Answers, out: Path) -> None:
@@ -367,40 +459,33 @@ def main() -> int:
     parser.add_argument("--page", type=Path, help="page of the documentation to write")
     args = parser.parse_args()
     until = time.monotonic() + 60.0 * args.minutes
-    args.out.mkdir(parents=True, exist_ok=True)
-    answers = Answers(args.out / "answers.jsonl")
-    every = settings_fields()
-    fields = [
+    out = args.out / code_digest()
+    out.mkdir(parents=True, exist_ok=True)
+    answers = Answers(out / "answers.jsonl")
+    fields = settings_fields()
+    tried = [
         field
-        for field in every
+        for field in fields
         if not args.fields or {field.name, field.name.partition(".")[0]} & {*args.fields}
     ]
-    base: dict[str, Answer] = {}
-    trace: dict[str, Traced] = {}
-    seconds: dict[str, float] = {}
+    results = {}
     for case in CASES:
-        case.write(case.folder(args.out))
-        since = time.process_time()
-        base[case.name] = case.answer(args.out)
-        seconds[case.name] = time.process_time() - since
-        trace[case.name] = traced(case, every, base[case.name], args.out)
-        print(
-            f"{case.name}: {seconds[case.name]:.0f} s, reads {len(trace[case.name].read)} fields, "
-            f"{len(trace[case.name].altering)} changes may alter it: "
-            f"{json.dumps(base[case.name])}",
-            flush=True,
-        )
-    quickest_first = sorted(CASES, key=lambda case: seconds[case.name])
-    for turn in range(len(CASES)):
+        if time.monotonic() < until or stored_path(case, out).exists():
+            results[case.name] = usual_result(case, fields, out)
+    base = {name: one.answer for name, one in results.items()}
+    trace = {name: one.traced for name, one in results.items()}
+    known = [case for case in CASES if case.name in results]
+    quickest_first = sorted(known, key=lambda case: results[case.name].seconds)
+    for turn in range(len(known)):
         # The quickest case of each change first, then the second, ...
-        for field, factor in product(fields, FACTORS):
+        for field, factor in product(tried, FACTORS):
             change = field.name, factor
             cases = [c for c in quickest_first if change in trace[c.name].altering]
             for case in cases[turn : turn + 1]:
                 if time.monotonic() < until:
-                    attempt(case, field, field.changed(factor), answers, args.out)
+                    attempt(case, field, field.changed(factor), answers, out)
     head = HEAD.format(
-        cases=", ".join(case.name for case in CASES),
+        cases=", ".join(case.name for case in known),
         revision=revision(),
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
     )
