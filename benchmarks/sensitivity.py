@@ -33,6 +33,7 @@ import shutil
 import sys
 import textwrap
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -181,8 +182,10 @@ the changes need no run: one run of each case follows half and twice of every nu
 computations, and if each comparison has the same outcome, so has the diagnosis. `runs` is how many
 of the other changes were run, the quickest cases first. `same` means the same verdict, the same
 findings, and parameters within 1 %. A field that no case reads is not shown to be without
-influence, and neither is one whose changes were run in some cases only. Revision `{revision}`,
-{date}.
+influence, and neither is one whose changes were run in some cases only. `tests` is how many tests
+depend on the field: some comparison in them has another outcome with half or twice of the number
+(`python benchmarks/shown_by_tests.py --out DIR tests/diagnosis`; child processes of tests are not
+followed). Revision `{revision}`, {date}.
 
 """
 FACTORS = (0.5, 2.0)
@@ -389,13 +392,26 @@ class Answers:
             stream.write(json.dumps(entry) + "\n")
 
 
+def tests_of_fields(out: Path) -> Counter[str]:
+    """Return field -> number of tests that depend on it, from ``shown_by_tests.py``."""
+    path = out / "tests.jsonl"
+    lines = path.read_text().splitlines() if path.exists() else []
+    found = {entry["test"]: entry["altering"] for entry in map(json.loads, lines)}
+    return Counter(name for changes in found.values() for name in {name for name, _ in changes})
+
+
 def row(
-    field: Field, answers: Answers, base: dict[str, Answer], trace: dict[str, Traced]
+    field: Field,
+    answers: Answers,
+    base: dict[str, Answer],
+    trace: dict[str, Traced],
+    tests: Counter[str],
 ) -> str | None:
     """Return the field's line of the table; None if a change that may matter has no run yet."""
     reading = [case for case in base if field.name in trace[case].read]
+    head = f"| `{field.name}` | {field.value:g} | {tests[field.name]} | {len(reading)} |"
     if not reading:
-        return f"| `{field.name}` | {field.value:g} | 0 | | read in no case | read in no case |"
+        return f"{head} | read in no case | read in no case |"
     runs = needed = 0
     cells = []
     for factor in FACTORS:
@@ -416,7 +432,7 @@ def row(
         ]
         cells.append("; ".join(words) or "same")
     count = f"{runs} of {needed}" if needed else ""
-    return f"| `{field.name}` | {field.value:g} | {len(reading)} | {count} | {' | '.join(cells)} |"
+    return f"{head} {count} | {' | '.join(cells)} |"
 
 
 def table(
@@ -424,11 +440,15 @@ def table(
     answers: Answers,
     base: dict[str, Answer],
     trace: dict[str, Traced],
+    tests: Counter[str],
 ) -> str:
     """Return the page with one line for each field whose changes are known in some case."""
-    lines = [row(field, answers, base, trace) for field in fields]
+    lines = [row(field, answers, base, trace, tests) for field in fields]
     done = [line for line in lines if line is not None]
-    head = ["| field | value | cases | runs | halved | doubled |", "|---|---|---|---|---|---|"]
+    head = [
+        "| field | value | tests | cases | runs | halved | doubled |",
+        "|---|---|---|---|---|---|---|",
+    ]
     text = "\n".join([*head, *done]) + "\n"
     untried = [f.name for f, line in zip(fields, lines, strict=True) if line is None]
     if untried:
@@ -489,7 +509,7 @@ def main() -> int:
         revision=revision(),
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
     )
-    text = table(fields, answers, base, trace)
+    text = table(fields, answers, base, trace, tests_of_fields(out))
     for path in filter(None, (args.out / "sensitivity.md", args.page)):
         path.write_text(head + text)
     return 0
