@@ -148,7 +148,7 @@ def simulate(seed: int, reality: Reality, seconds: float) -> dict[str, np.ndarra
 
 
 def record(
-    path: Path, seed: int, reality: Reality, *, role: str = "fit", seconds: float = 2.5,
+    path: Path, seed: int, reality: Reality, *, role: str = "fit", seconds: float = 4.0,
     late_stamp_ns: int = 0,
 ) -> Path:  # fmt: skip
     """Write a recording.
@@ -201,7 +201,7 @@ def record(
 
 
 def cell(
-    folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3), seconds: float = 1.6
+    folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3), seconds: float = 2.5
 ) -> tuple[Path, list[Path]]:
     """Write the model and recordings; the last one is held out."""
     folder.mkdir(parents=True, exist_ok=True)

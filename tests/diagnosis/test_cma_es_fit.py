@@ -29,7 +29,7 @@ def oscillating(tmp_path_factory: pytest.TempPathFactory) -> Problem:
     folder = tmp_path_factory.mktemp("oscillating")
     (folder / "model.xml").write_text(mjcf(("left",)))
     realization = load_model(folder / "model.xml").realization
-    file = record(folder / "1.mcap", 1, seconds=1.8, joints=("left",), lag=LAG)
+    file = record(folder / "1.mcap", 1, seconds=3.0, joints=("left",), lag=LAG)
     trial = make_trial(read_recording(file), realization.structure)
     return prepare(realization, [trial], [], threads=1).problem
 

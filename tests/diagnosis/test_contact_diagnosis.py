@@ -58,7 +58,7 @@ def test_an_error_of_a_contact_parameter_is_found_with_its_value(
     joints: tuple[str, ...],
     hidden: dict[str, Any],
 ) -> None:
-    words = case(tmp_path, joints, seconds=1.0, **hidden)
+    words = case(tmp_path, joints, seconds=1.4, **hidden)
     assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
     diagnosis = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert diagnosis["verdict"] == "explained"
@@ -78,7 +78,7 @@ def test_an_error_of_a_contact_parameter_is_found_with_its_value(
 def test_viscous_friction_and_contact_stiffness_are_found_together(
     tmp_path: Path,
 ) -> None:
-    words = case(tmp_path, ONE, seconds=1.0, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
+    words = case(tmp_path, ONE, seconds=1.4, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2)
     assert cli.main(["diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "out")]) == 0
     diagnosis = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert diagnosis["verdict"] == "explained"
@@ -97,7 +97,7 @@ def test_a_contact_effect_that_friction_hid_is_found_by_a_second_search(
 ) -> None:
     model, *files = map(
         Path,
-        case(tmp_path, ONE, seconds=1.0, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2),
+        case(tmp_path, ONE, seconds=1.2, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2),
     )
     loaded = load_model(model)
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
@@ -163,7 +163,7 @@ def test_contact_effects_are_candidates_only_if_there_is_contact(tmp_path: Path)
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, Prepared]:
     folder = tmp_path_factory.mktemp("bench")
-    words = case(folder, TWO, seconds=1.0)
+    words = case(folder, TWO, seconds=1.5)
     realization = load_model(folder / "model.xml").realization
     trial = make_trial(read_recording(Path(words[1])), realization.structure)
     return folder, trial, prepare(realization, [trial], [])

@@ -31,7 +31,7 @@ from pytest_twin.diagnosis.shared_confidence import share_confidence
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
-NOISE, SAMPLE, SECONDS = 2e-4, 0.01, 2.0
+NOISE, SAMPLE, SECONDS = 2e-4, 0.01, 3.0
 ROBOT, FIRST, SECOND = -1, 0, 1
 COMMAND_DELAY, SENSOR_DELAY = Term("command_delay", FIRST), Term("sensor_delay", ROBOT)
 CONSTANT = Term("torque_constant", FIRST)

@@ -54,7 +54,7 @@ Hidden = Mapping[Term, Mapping[str, float]]
 
 NOISE = 3e-4
 """Standard deviation in rad of an encoder with 4096 counts and some jitter."""
-SAMPLE, SECONDS, WINDOW, START_WIDTH = 0.01, 3.0, 0.5, 0.12
+SAMPLE, SECONDS, WINDOW, START_WIDTH = 0.01, 5.0, 0.5, 0.12
 NEAR = 0.1
 ABSENT = 0.05
 """Largest estimate of an absent effect, as a multiple of the reference of its amplitude."""

@@ -115,7 +115,7 @@ def test_a_finding_that_the_held_out_recordings_contradict_has_at_most_half_conf
 ) -> None:
     """Friction was above the model's value in the fitted recordings and below it later."""
     fit = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(2)]
-    test = record(tmp_path / "test.mcap", 9, joints=LEFT, viscous=-0.02)
+    test = record(tmp_path / "test.mcap", 9, joints=LEFT, seconds=1.2, viscous=-0.02)
     realization = load_model(tmp_path / "model.xml").realization
     found = diagnose(realization, read(tmp_path, fit, [test]), threads=1)
     (finding,) = found.explained.findings
@@ -180,15 +180,18 @@ def test_held_out_recordings_do_not_change_how_the_others_are_read(tmp_path: Pat
     """The held-out recordings lack a joint of the others."""
     files = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(2)]
     (tmp_path / "model.xml").write_text(mjcf())
-    both = [record(tmp_path / f"both{seed}.mcap", seed) for seed in range(2)]
+    both = [record(tmp_path / f"both{seed}.mcap", seed, seconds=1.2) for seed in range(2)]
     fit = [trial.joints for trial in read(tmp_path, both, files).fit]
     assert fit == [JOINTS, JOINTS]
 
 
 def test_a_joint_that_held_out_recordings_lack_is_diagnosed_and_not_tested(tmp_path: Path) -> None:
     (tmp_path / "model.xml").write_text(mjcf())
-    both = [record(tmp_path / f"both{seed}.mcap", seed, viscous=0.1, joint=1) for seed in range(2)]
-    one = record(tmp_path / "one.mcap", 5, joints=LEFT)
+    both = [
+        record(tmp_path / f"both{seed}.mcap", seed, seconds=1.2, viscous=0.1, joint=1)
+        for seed in range(2)
+    ]
+    one = record(tmp_path / "one.mcap", 5, joints=LEFT, seconds=1.2)
     realization = load_model(tmp_path / "model.xml").realization
     found = diagnose(realization, read(tmp_path, both, [one]), threads=1)
     assert [(f.effect, f.joint) for f in found.explained.findings] == [

@@ -108,7 +108,7 @@ def record(
     seed: int,
     *,
     role: str | None = None,
-    seconds: float = 1.2,
+    seconds: float = 2.2,
     joints: tuple[str, ...] = JOINTS,
     noise: float = 1e-4,
     metadata: Mapping[str, str] = DECLARED,
