@@ -12,6 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.base import SMOOTH_STEP, Effect, Parameter
+from pytest_twin.effects.proposal import movable, switches
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -41,8 +42,7 @@ class Term:
 
         Discrete choices are not estimated, nor parameters that the chosen form lacks.
         """
-        choices = np.array([p.choice for p in self.parameters])
-        return np.asarray(self.law.has(theta) & ~choices)
+        return movable(self.law, theta)
 
     def lone(self, theta: FloatArray) -> int | None:
         """Index of the only estimated parameter of this form; None if there are several."""
@@ -57,8 +57,7 @@ class Term:
 
     def switches(self, theta: FloatArray) -> tuple[int, ...]:
         """Indices of parameters that switch the effect on, in the form that ``theta`` selects."""
-        has = self.law.has(theta)
-        return tuple(i for i, p in enumerate(self.parameters) if p.neutral is not None and has[i])
+        return switches(self.law, theta)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,20 @@ from importlib.metadata import entry_points
 
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
 from pytest_twin.effects.checked import checked
+from pytest_twin.effects.proposal import JointFit, Start
 from pytest_twin.errors import SpecError
 from pytest_twin.installed import load_plugin, package_of, refuse_stale_installation
 
-__all__ = ["Effect", "ModelFields", "Parameter", "Values", "World", "catalogue"]
+__all__ = [
+    "Effect",
+    "JointFit",
+    "ModelFields",
+    "Parameter",
+    "Start",
+    "Values",
+    "World",
+    "catalogue",
+]
 
 
 @functools.cache

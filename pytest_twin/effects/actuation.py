@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, Parameter, Values, World
 from pytest_twin.effects.fast_clip import fast_clip
+from pytest_twin.effects.proposal import JointFit, Start
 
 
 class _Filter(Protocol):
@@ -466,20 +467,21 @@ class ControllerGain(Effect):
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"torque_constant": {"relative_error": values["stiffness_error"]}}
 
-    def distant_starts(self, servo: str) -> Sequence[tuple[float, ...]]:
+    def propose(self, at: JointFit) -> Iterable[Start]:
         """Position servos up to 200 times as soft as the model's, with the same damping ratio.
 
         The drive of the stiff model would be at its limit along all of the measured motion, where
-        its effort does not depend on the gain.
+        its effort does not depend on the gain. Each is proposed with and without dry friction,
+        which a stiff servo overcomes at small errors.
         """
-        if servo != "position":
-            return ()
-        # The damping of a mode is proportional to the root of its stiffness.
-        return [(share - 1.0, float(np.sqrt(share)) - 1.0) for share in _SOFT_SHARES]
-
-    def hidden_until_distant(self) -> Mapping[str, tuple[float, ...]]:
-        """Dry friction: a stiff servo overcomes it at small errors."""
-        return {"coulomb_friction": (_DRY_WITH_SOFT,)}
+        if not at.is_nominal or at.servo != "position":
+            return
+        dry: Mapping[str, Mapping[str, float]] = {"coulomb_friction": {"coulomb": _DRY_WITH_SOFT}}
+        for share in _SOFT_SHARES:
+            # The damping of a mode is proportional to the root of its stiffness.
+            soft = np.array([share - 1.0, np.sqrt(share) - 1.0])
+            yield Start(soft)
+            yield Start(soft, dry)
 
     def with_other(
         self, own: Mapping[str, float], effect: str, other: Mapping[str, float]

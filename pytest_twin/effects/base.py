@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.fast_clip import fast_clip
 from pytest_twin.effects.motor_side import Gear, MotorSide
+from pytest_twin.effects.proposal import JointFit, Start, sizes_up_to_bound, starting_sizes
 from pytest_twin.old_names import old_name
 from pytest_twin.trial import CommandMode
 
@@ -440,41 +441,21 @@ class Effect:
         """
         return {}
 
-    def distant_starts(self, servo: str) -> Sequence[tuple[float, ...]]:
-        """Parameters far from the model's, from the nearest to the farthest, in multiples of
-        references; empty by default.
+    def propose(self, at: JointFit) -> Iterable[Start]:
+        """Starts that the search simulates, because no slope at the present fit leads to them.
 
-        The search simulates them at every joint whose error is large. A law needs them where no
-        slope at the model's own values leads there.
-
-        Args:
-            servo: command mode of the joint's drive.
-        """
-        return ()
-
-    def hidden_until_distant(self) -> Mapping[str, tuple[float, ...]]:
-        """Effects that show only together with :meth:`distant_starts`: effect id -> parameters to
-        try with them, in multiples of references.
-        """
-        return {}
-
-    def compensated_starts(
-        self, own: Mapping[str, float], servo_compliance: float
-    ) -> Sequence[tuple[Mapping[str, float], str, Mapping[str, float]]]:
-        """Changes of this effect and of another one whose influence cancels to first order.
-
-        A fit with small steps does not find them.
-
-        Returns:
-            Tuples of own parameters, id of the other effect, and its parameters, all in multiples
-            of references.
+        By default limits and elastic transmissions that the fit lacks propose all their starting
+        sizes, and limits also sizes up to their bound: a limit is discontinuous, and an elastic
+        transmission feeds the motion back. Other effects propose nothing; the search linearizes
+        them. An effect that the fit contains may propose changes of itself and of another effect
+        whose influence cancels to first order.
 
         Args:
-            own: the effect's present parameters, in multiples of references.
-            servo_compliance: reciprocal of the servo's stiffness, in multiples of the reference
-                ``compliance``; 0 without a servo.
+            at: the present fit at one joint.
         """
-        return ()
+        if at.present is None and (self.is_limit or self.is_elastic_transmission):
+            for size in (*starting_sizes(self), *sizes_up_to_bound(self)):
+                yield Start(size)
 
     def holds(self, effect: str) -> Mapping[str, str]:
         """Another effect's parameter -> the parameter of this one that can represent it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
 from pytest_twin.effects.fast_clip import fast_clip
 from pytest_twin.effects.motor_side import Gear
+from pytest_twin.effects.proposal import JointFit, Start
 
 
 class JointSpring(Effect):
@@ -221,23 +222,25 @@ class JointElasticity(Effect):
         "controller_gain": "record fast and slow motions: only an elastic transmission resonates",
     }
 
-    def compensated_starts(
-        self, own: Mapping[str, float], servo_compliance: float
-    ) -> Sequence[tuple[Mapping[str, float], str, Mapping[str, float]]]:
-        """A heavier link on a stiffer gear, with the same resonance.
+    def propose(self, at: JointFit) -> Iterable[Start]:
+        """Its own starts; beside a fit with it, a heavier link on a stiffer gear.
 
         Gear and servo are springs in series. The link swings on them at the root of their stiffness
         divided by its inertia. A fit with the model's link finds the compliance of this resonance.
         """
-        if own["damping_time"] <= 0.0:
-            return ()
-        series = own["compliance"] + servo_compliance
-        pairs = ((error, series / (1.0 + error) - servo_compliance) for error in _LINK_ERRORS)
-        return [
-            ({"compliance": compliance}, "inertial_parameters", {"relative_error": error})
-            for error, compliance in pairs
-            if compliance > 0.0
-        ]
+        yield from super().propose(at)
+        own = at.present
+        if own is None or own["damping_time"] <= 0.0:
+            return
+        series = own["compliance"] + at.servo_compliance
+        for error in _LINK_ERRORS:
+            compliance = series / (1.0 + error) - at.servo_compliance
+            if compliance > 0.0:
+                changed = {**own, "compliance": compliance}
+                yield Start(
+                    np.array([changed[p.name] for p in self.parameters]),
+                    {"inertial_parameters": {"relative_error": error}},
+                )
 
     def separates(self, values: Values) -> NDArray[np.bool_]:
         return values["compliance"] > 0.0

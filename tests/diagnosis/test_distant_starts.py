@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proposed import proposed
 from two_pendulums import JOINTS, KP, KV, case, mjcf
 
 from pytest_twin.commands.replay import load_model
@@ -13,7 +14,6 @@ from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.distant_starts import distant
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.formats.mcap import TOPICS
 from pytest_twin.realization import Realization
@@ -37,31 +37,27 @@ def read(folder: Path) -> tuple[Realization, TrialSet]:
     return realization, read_trials(recordings, [], TOPICS, realization.structure)
 
 
-def problem_of(folder: Path) -> tuple[Problem, np.ndarray]:
+def problem_of(folder: Path) -> Problem:
     realization, trials = read(folder)
-    problem = prepare(realization, trials.fit, trials.held_out, threads=1).problem
-    (left,) = problem.residuals([EMPTY], problem.fit)
-    return problem, np.mean(left**2, axis=0)
+    return prepare(realization, trials.fit, trials.held_out, threads=1).problem
 
 
-def test_distant_servo_gains_are_tried_at_all_joints_together_and_at_each_alone(
+def test_soft_servos_are_proposed_at_all_joints_together_with_and_without_dry_friction(
     tmp_path: Path,
 ) -> None:
-    problem, nominal = problem_of(case_with_wrong_gains(tmp_path, STIFFER, MORE_DAMPED))
-    together, with_friction, *alone = distant(problem, EMPTY, nominal)
-    gains = tuple(Term("controller_gain", j) for j in range(len(JOINTS)))
-    assert together.terms == gains
-    assert with_friction.terms == (*gains, *(Term("coulomb_friction", t.joint) for t in gains))
-    assert [h.terms for h in alone] == [(t,) for t in gains]
+    problem = problem_of(case_with_wrong_gains(tmp_path, STIFFER, MORE_DAMPED))
+    found = {frozenset(h.terms): h for h in proposed(problem, EMPTY)}
+    gains = [Term("controller_gain", j) for j in range(len(JOINTS))]
+    dry = [Term("coulomb_friction", j) for j in range(len(JOINTS))]
+    assert frozenset(gains + dry) in found
+    together = found[frozenset(gains)]
     share = 1.0 + together.theta[::2]
     assert np.all((share > 0.5 / STIFFER) & (share < 3.0 / STIFFER))
 
 
-def test_no_distant_start_is_tried_with_the_right_servo_gains(tmp_path: Path) -> None:
-    problem, nominal = problem_of(case_with_wrong_gains(tmp_path, 1.0, 1.0, viscous=0.3))
-    assert nominal.max() > (10.0 * problem.floor.max()) ** 2, "the nominal error must be large"
-    assert distant(problem, EMPTY, nominal) == []
-    assert distant(problem, EMPTY, problem.floor**2) == []
+def test_no_soft_servo_is_proposed_with_the_right_servo_gains(tmp_path: Path) -> None:
+    problem = problem_of(case_with_wrong_gains(tmp_path, 1.0, 1.0, viscous=0.3))
+    assert not [h for h in proposed(problem, EMPTY) if "controller_gain" in str(h.terms)]
 
 
 def test_a_fit_varies_the_logarithm_of_the_servo_stiffness() -> None:

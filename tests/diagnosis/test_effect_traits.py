@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proposed import proposed
+from test_first_order import problem_of
 from two_pendulums import case
 
 import pytest_twin.diagnosis
@@ -16,11 +18,12 @@ from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.limit_refinement import is_lone_limit
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity, grid
-from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
-from pytest_twin.diagnosis.search.drive_limits import sizes_up_to_bound
+from pytest_twin.diagnosis.search.proposed_starts import starts_at
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.proposal import sizes_up_to_bound
 from pytest_twin.formats.mcap import TOPICS
 
 DIAGNOSIS = Path(pytest_twin.diagnosis.__file__).parent
@@ -51,7 +54,9 @@ def test_no_module_of_the_diagnosis_contains_the_id_of_an_effect(path: Path) -> 
 
 
 PACKAGE = """
-from pytest_twin.effects import Effect, Parameter
+import numpy as np
+
+from pytest_twin.effects import Effect, Parameter, Start
 
 
 class Brush(Effect):
@@ -77,19 +82,27 @@ class Ripple(Brush):
     id = "ripple"
     periodic = True
     needs_effort_sensor = True
+
+
+class Gear(Brush):
+    id = "gear"
+
+    def propose(self, at):
+        if at.present is None and at.servo == "position":
+            yield Start(np.array([2.9]), {"armature": {"inertia": 0.01}})
 """
 
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Install a package with three effects."""
+    """Install a package with four effects."""
     info = tmp_path / "brushes-1.0.dist-info"
     info.mkdir()
     (tmp_path / "brushes.py").write_text(PACKAGE)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: brushes\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(
         "[pytest_twin.effects]\neffort_cogging = brushes:Brush\nceiling = brushes:Ceiling\n"
-        "ripple = brushes:Ripple\n"
+        "ripple = brushes:Ripple\ngear = brushes:Gear\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     catalogue.cache_clear()
@@ -107,7 +120,7 @@ def first_sensitivity(term: Term) -> Sensitivity:
 def test_six_starting_sizes_do_not_make_an_effect_a_limit() -> None:
     term = Term("effort_cogging", 0)
     assert len(term.parameters[0].starts) == 6
-    assert sizes_up_to_bound(term) == []
+    assert sizes_up_to_bound(term.law) == []
     assert not is_lone_limit(first_sensitivity(term))
     assert term.dry_level is None
     assert not term.law.nearly_linear
@@ -117,9 +130,23 @@ def test_six_starting_sizes_do_not_make_an_effect_a_limit() -> None:
 def test_a_declared_limit_needs_only_two_starting_sizes() -> None:
     term = Term("ceiling", 0)
     assert is_lone_limit(first_sensitivity(term))
-    sizes = [float(s[0]) for s in sizes_up_to_bound(term)]
+    sizes = [float(s[0]) for s in sizes_up_to_bound(term.law)]
     assert sizes == pytest.approx([0.2 * 2.0**k for k in range(1, 9)])
     assert max(sizes) <= 99.0
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_search_simulates_starts_that_an_installed_effect_proposes() -> None:
+    gear, armature = Term("gear", 1), Term("armature", 1)
+    problem = problem_of("position", {Term("viscous_friction", 1): {"coefficient": 3.0}})
+    (start,) = starts_at(problem, EMPTY, gear)
+    assert start.parameters == pytest.approx([2.9])
+    assert starts_at(problem, EMPTY, Term("effort_cogging", 1)) == []
+    assert starts_at(problem, EMPTY.with_term(gear, np.array([2.0])), gear) == []
+    both = next(h for h in proposed(problem, EMPTY) if gear in h.terms)
+    assert set(both.terms) == {gear, armature}
+    assert both.theta[both.slice_of(gear)] == pytest.approx([2.9])
+    assert both.theta[both.slice_of(armature)] == pytest.approx([0.01])
 
 
 @pytest.mark.usefixtures("installed")

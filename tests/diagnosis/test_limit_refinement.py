@@ -17,11 +17,11 @@ from pytest_twin.diagnosis.first_order.limit_refinement import refine_limits
 from pytest_twin.diagnosis.first_order.sensitivities import linearize
 from pytest_twin.diagnosis.fit import fit, propose
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.search import drive_limits
 from pytest_twin.diagnosis.search.elimination import eliminate
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.effects import catalogue
+from pytest_twin.effects.proposal import sizes_up_to_bound
 
 
 def test_a_limit_between_two_starting_sizes_is_refined_to_its_own_size() -> None:
@@ -128,11 +128,11 @@ def test_a_narrow_minimum_outside_the_starting_grid_is_found() -> None:
 
 def test_sizes_above_the_starting_grid_end_at_the_physical_bound() -> None:
     for law in catalogue().values():
-        for size in drive_limits.sizes_up_to_bound(Term(law.id, 0)):
+        for size in sizes_up_to_bound(law):
             lone = Term(law.id, 0).lone(size)
             assert lone is not None
             assert law.parameters[lone].starts[-1] < size[lone] <= law.parameters[lone].upper
-    limit = drive_limits.sizes_up_to_bound(Term("rate_limit", 0))
+    limit = sizes_up_to_bound(catalogue()["rate_limit"])
     # Limits of the setpoint rate and of the effort rate have the same number of sizes.
     assert [s[2] for s in limit] == [0.0] * (len(limit) // 2) + [1.0] * (len(limit) // 2)
     assert len(limit) >= 12

@@ -7,7 +7,6 @@ is not valid, and candidates are simulated instead.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -50,6 +49,7 @@ from pytest_twin.effects.active_effects import (
     with_fixed,
 )
 from pytest_twin.effects.base import Effect, Values
+from pytest_twin.effects.proposal import starting_sizes
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
@@ -89,37 +89,7 @@ def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
         Pairs of parameters, in multiples of their references, and the indices of the parameters
         that switch the effect on.
     """
-    if not term.law.has_forms:
-        return _sizes(term, [p.starts for p in term.parameters])
-    out = []
-    for form in itertools.product(*(p.starts if p.choice else (0.0,) for p in term.parameters)):
-        has = term.law.has(np.array(form))
-        # Forms with their own shape parameters are many: shape parameters that all forms share
-        # have their middle size only.
-        has_own_shapes = any(
-            p.under and p.neutral is None and here
-            for p, here in zip(term.parameters, has, strict=True)
-        )
-        starts: list[tuple[float, ...]] = []
-        for p, chosen, here in zip(term.parameters, form, has, strict=True):
-            if p.choice or not here:
-                starts.append((chosen,))
-            elif has_own_shapes and p.neutral is None and p.under is None:
-                starts.append((p.starts[len(p.starts) // 2],))
-            else:
-                starts.append(p.starts)
-        out += _sizes(term, starts)
-    return out
-
-
-def _sizes(
-    term: Term, starts: Sequence[tuple[float, ...]]
-) -> list[tuple[FloatArray, tuple[int, ...]]]:
-    """All combinations of starts; several switches have their first start only."""
-    switches = term.switches(np.array([s[0] for s in starts]))
-    several = len(switches) > 1
-    each = [s[:1] if several and k in switches else s for k, s in enumerate(starts)]
-    return [(np.array(size), switches) for size in itertools.product(*each)]
+    return [(size, term.switches(size)) for size in starting_sizes(term.law)]
 
 
 def starts_in_first_form(term: Term) -> list[FloatArray]:

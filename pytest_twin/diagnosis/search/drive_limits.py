@@ -11,10 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.first_order.sensitivities import grid
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.search.proposed_starts import starts_at
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
 from pytest_twin.diagnosis.verdict_settings import VERDICT
@@ -49,9 +48,9 @@ def limits_instead(best: ScoredModel, places: Sequence[Term]) -> list[Hypothesis
             if t.joint == removed.joint and _is_limit(t) and t not in own.terms
         ]  # fmt: skip
         rows = [
-            own.without(removed).with_term(t, size)
+            own.without(removed).with_term(t, start.parameters)
             for t in others
-            for size in [*(start for start, _ in grid(t)), *sizes_up_to_bound(t)]
+            for start in starts_at(best.problem, own, t)
         ]
         refined = (
             refine_limit_sizes(trial_simulation, trial_simulation.cheapest(rows)) if rows else []
@@ -73,27 +72,6 @@ def refine_limit_sizes(
     for reach in _REFINEMENTS:
         refined = trial_simulation.cheapest([h for f in refined for h in _neighbours(f, reach)])
     return refined
-
-
-def sizes_up_to_bound(term: Term) -> list[FloatArray]:
-    """Sizes of a limit between its last starting size and its bound, in a geometric progression.
-
-    Only forms with one estimated parameter have them; other laws have none.
-    """
-    out = []
-    for start, _ in grid(term) if term.law.is_limit else ():
-        lone = term.lone(start)
-        if lone is None:
-            continue
-        p = term.parameters[lone]
-        if start[lone] != p.starts[-1] or len(p.starts) < 2:
-            continue
-        ratio = p.starts[-1] / p.starts[-2]
-        for k in range(int(np.log(p.upper / p.starts[-1]) / np.log(ratio))):
-            size = start.copy()
-            size[lone] *= ratio ** (k + 1)
-            out.append(size)
-    return out
 
 
 def _neighbours(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:

@@ -10,15 +10,11 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.first_order.sensitivities import grid
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused
 from pytest_twin.diagnosis.run import Run, Scored
-from pytest_twin.diagnosis.search.compensated_starts import compensated
-from pytest_twin.diagnosis.search.distant_starts import distant
-from pytest_twin.diagnosis.search.drive_limits import refine_limit_sizes, sizes_up_to_bound
 from pytest_twin.diagnosis.search.linearized_view import (
     LinearizedView,
     linearize_around,
@@ -40,11 +36,9 @@ from pytest_twin.diagnosis.structure_search.refit import (
 )
 from pytest_twin.diagnosis.structure_search.score import Model, Scorer
 from pytest_twin.diagnosis.structure_search.settings import SETTINGS, StructureSearchSettings
+from pytest_twin.diagnosis.structure_search.simulated_proposals import simulated_proposals
 from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict_settings import VERDICT
-
-_SCANNED = 4
-"""Number of scanned models that are simulated on all recordings."""
 
 
 @dataclass(slots=True)
@@ -213,20 +207,12 @@ class StructureSearch:
             before = np.nan_to_num(incumbent.mean_square, posinf=0.0)
             left = scorer.stands_out(best, 2.0 * VERDICT.stands_out)
             if (left & (best.mean_square > settings.scan_above * before)).any():
-                scanned = self._scanned(view, best)
-                models += self._fitted(view, scanned, incumbent, 3)
-            if left.any():
-                models += scorer.simulate(self._far(view), incumbent)
+                trial = TrialSimulation(view.around, view.around.left)
+                more = simulated_proposals(scorer, incumbent, best, trial, self.candidates)
+                models += self._fitted(view, scorer.simulate(more, best), incumbent, 3)
         except OutOfTime:
             return models, False
         return models, True
-
-    def _far(self, view: LinearizedView) -> list[Hypothesis]:
-        """Hypotheses so far from the incumbent that no linearization leads to them."""
-        own, left = view.around.hypothesis, view.around.left
-        if not own.terms:
-            return distant(view.around.problem, EMPTY, left)
-        return compensated(TrialSimulation(view.around, left), own)
 
     def _explains_nothing(self, found: Sequence[Proposal], view: LinearizedView) -> bool:
         """Whether the linearization explains nothing of a residual above the noise."""
@@ -261,45 +247,6 @@ class StructureSearch:
             *corrected_fits(scorer, view, order[:count], self.settings.corrections),
             *order[count:],
         ]
-
-    def _scanned(self, view: LinearizedView, best: Model) -> list[Model]:
-        """Strongly nonlinear effects, each at the best size of its grid.
-
-        The linearization is poor for elastic transmissions, which feed the motion back, and for
-        limits, which are discontinuous. Both are simulated on the recording with the largest
-        residual: in addition to all effects, and instead of the effects of their joint. The minimum
-        of a limit may be narrow and anywhere up to its bound, so its best size is refined.
-        """
-        scorer, own = self.scorer, view.around.hypothesis
-        joints = len(self.problem.joints)
-        out = scorer.stands_out(best, 2.0 * VERDICT.stands_out)[:joints]
-        rows: dict[tuple[Term, int], list[Hypothesis]] = {}
-        for term in self.candidates:
-            if term in own.terms or not _is_scanned(term) or term.joint < 0 or not out[term.joint]:
-                continue
-            bases = [own]
-            of_joint = [t for t in own.terms if t.joint == term.joint]
-            if of_joint:
-                bases.append(own.without(*of_joint))
-            sizes = [*(size for size, _ in grid(term)), *sizes_up_to_bound(term)]
-            for k, base in enumerate(bases):
-                rows[term, k] = [base.with_term(term, size) for size in sizes]
-        if not rows:
-            return []
-        every = [h for each in rows.values() for h in each]
-        bare, *misfits = scorer.misfits_where([own, *every], best)
-        misfit = iter(misfits)
-        found = [min(zip((next(misfit) for _ in each), each, strict=True), key=lambda x: x[0])
-                 for each in rows.values()]  # fmt: skip
-        found.sort(key=lambda x: x[0])
-        chosen = [(m, h) for m, h in found[:_SCANNED] if np.isfinite(m)]
-        trial = TrialSimulation(view.around, np.mean(view.around.fitted.residual**2, axis=0))
-        refined = [
-            h for m, start in chosen if start.terms[-1].law.is_limit and m < bare
-            for h in refine_limit_sizes(trial, [start])
-            if h is not start
-        ]  # fmt: skip
-        return scorer.simulate([*(h for _, h in chosen), *refined], best)
 
     def _winner(self, incumbent: Model, models: Sequence[Model]) -> Model:
         """The model that passes the acceptance test against all others; smaller ones come first.
@@ -351,8 +298,3 @@ class StructureSearch:
         if gain < self.settings.earns:
             return f"it gains {gain:.1f}; at least {self.settings.earns:g} are needed"
         return "its gain is too small a part of what all effects explain"
-
-
-def _is_scanned(term: Term) -> bool:
-    """Whether an effect is a limit or an elastic transmission."""
-    return term.law.is_limit or term.law.is_elastic_transmission
