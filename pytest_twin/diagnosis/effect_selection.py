@@ -185,7 +185,6 @@ class EffectSelection:
         return [
             t for t in hypothesis.terms
             if t in excluded
-            or problem.has_negative_mean_friction(hypothesis, t)
             or (
                 hypothesis.at_bound(t)
                 and (left.max() if t.joint < 0 else left[t.joint]) > VERDICT.left_floors

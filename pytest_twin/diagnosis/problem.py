@@ -186,24 +186,6 @@ class Problem:
             constant_within_trial and shapes == longest
         )
 
-    def has_negative_mean_friction(self, hypothesis: Hypothesis, term: Term) -> bool:
-        """Whether the mean dry friction of a joint is negative under a law that varies with angle.
-
-        The mean sums all dry friction terms of the joint and the friction of the model. A negative
-        mean is not physical: cut off at zero, such a law only brakes in one place.
-        """
-        if not term.law.friction_varies_with_position:
-            return False
-        level = 0.0
-        for t in hypothesis.terms:
-            if t.joint == term.joint and t.dry_level is not None:
-                p = t.parameters[t.dry_level]
-                theta = hypothesis.theta[hypothesis.slice_of(t)][t.dry_level]
-                level += theta * self.scales.value(p, t.joint)
-        dof = self.simulator.layout.dof_index[term.joint]
-        own = self.simulator.segments[0].model.dof_frictionloss[dof]
-        return bool(level + own < 0.0)
-
     @property
     def has_different_temperatures(self) -> bool:
         """Whether the recorded temperatures of the trials differ."""

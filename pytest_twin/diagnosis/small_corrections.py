@@ -13,7 +13,6 @@ from pytest_twin.diagnosis.correction_settings import CORRECTIONS
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import totals
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.pruning_rules import longest_shift
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 _USUAL = "it is within the accuracy to which such parameters are usually known"
@@ -61,7 +60,7 @@ def small_corrections(
 
 def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
     """Reason why a correction is within the usual accuracy of a model; empty if it is not."""
-    shift = longest_shift(problem, hypothesis, term)
+    shift = _longest_shift(problem, hypothesis, term)
     if shift > 0.0:
         intervals = [np.median(np.diff(s.time)) for s in problem.simulator.segments]
         interval = float(np.median(intervals))
@@ -92,3 +91,19 @@ def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
         if not within:
             return ""
     return _USUAL if switches else ""
+
+
+def _longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> float:
+    """Greatest shift, s, of a command or a reading by a timing effect; 0 for other effects."""
+    if term.law.family != "timing":
+        return 0.0
+    theta = hypothesis.theta[hypothesis.slice_of(term)]
+    values = {
+        p.name: np.full((1, 1), x * problem.scales.value(p, term.joint))
+        for p, x in zip(term.parameters, theta, strict=True)
+    }
+    stamps = [s.time[[0, -1]] for s in problem.simulator.segments]
+    ends = np.array([min(t[0] for t in stamps), max(t[1] for t in stamps)])[None, :, None]
+    late = term.law.command_latency(values)
+    of_reading = term.law.sample_time(ends, values) - ends
+    return float(max(np.abs(of_reading).max(), 0.0 if late is None else np.abs(late).max()))

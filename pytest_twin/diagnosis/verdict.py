@@ -19,7 +19,11 @@ UNSEEN = 1e6
 
 
 def reduces_error_enough(
-    floor: FloatArray, before: FloatArray, after: FloatArray, whole: FloatArray
+    floor: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    whole: FloatArray,
+    floors: float = VERDICT.stands_out,
 ) -> bool:
     """Whether an effect reduces the error of at least one signal enough to be accepted.
 
@@ -27,12 +31,13 @@ def reduces_error_enough(
         floor: (signals,) noise floor.
         before, after: (signals,) mean squared residuals without and with the effect.
         whole: (signals,) mean squared residuals of the nominal model.
+        floors: RMS residual in noise floors that an effect must remove at least.
     """
     square = floor**2
     reduction = before - after
     remaining = np.maximum(before - square, 0.2 * square)
     nominal = np.clip(whole - square, 0.2 * square, VERDICT.most_floors**2 * square)
-    above_noise = (VERDICT.stands_out**2 - 1.0) * square
+    above_noise = (floors**2 - 1.0) * square
     required = np.maximum.reduce(
         [above_noise, VERDICT.share_of_rest * remaining, VERDICT.share_of_all * nominal]
     )

@@ -361,8 +361,6 @@ class Effect:
         nearly_linear: whether the change of the motion is nearly proportional to the parameters.
         common_to_geared_motors: whether every geared motor has it to some degree.
         depends_only_on_position: whether its effort depends on the joint position alone.
-        friction_varies_with_position: whether it is dry friction whose level depends on the joint
-            position.
         dry_friction_level: name of the parameter that is a constant level of dry friction; None
             without one.
         candidate: whether the search proposes it.
@@ -390,7 +388,6 @@ class Effect:
     nearly_linear: ClassVar[bool] = False
     common_to_geared_motors: ClassVar[bool] = False
     depends_only_on_position: ClassVar[bool] = False
-    friction_varies_with_position: ClassVar[bool] = False
     dry_friction_level: ClassVar[str | None] = None
     candidate: ClassVar[bool] = True
 

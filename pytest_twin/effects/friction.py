@@ -326,7 +326,6 @@ class PositionDependentFriction(_DryFriction):
             meaning="wavenumber",
         ),
     )  # fmt: skip
-    friction_varies_with_position = True
     confused_with: ClassVar = {
         "coulomb_friction": "record the same speed at poses far apart",
         "cogging": "repeat the motion in both directions: cogging keeps its sign",

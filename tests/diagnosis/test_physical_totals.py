@@ -18,6 +18,7 @@ from pytest_twin.diagnosis.small_corrections import small_corrections
 
 DRAG, DRY = Term("viscous_friction", 0), Term("coulomb_friction", 0)
 ROTOR, SPRING = Term("armature", 0), Term("joint_spring", 0)
+RIPPLED = Term("position_dependent_friction", 0)
 STRIBECK, WARM_UP = Term("stribeck_friction", 0), Term("thermal_friction", 0)
 COGGING, DELAY = Term("cogging", 0), Term("command_delay", 0)
 CONSTANT = Term("torque_constant", 0)
@@ -35,10 +36,19 @@ def problem() -> Problem:
         (DRAG, {"coefficient": -0.25}, "viscous friction"),
         (DRY, {"coulomb": -0.15}, "dry friction"),
         (STRIBECK, {"coulomb": -0.15, "stiction_excess": 0.1}, "dry friction"),
+        # Cut off at zero, friction of negative mean acts at some positions only.
+        (RIPPLED, {"mean": -0.15, "sine": 0.3, "harmonic": 8.0}, "dry friction"),
         (ROTOR, {"inertia": -0.03}, "armature"),
         (SPRING, {"stiffness": -0.5}, "spring stiffness"),
     ],
-    ids=["viscous friction", "dry friction", "Stribeck friction", "armature", "spring"],
+    ids=[
+        "viscous friction",
+        "dry friction",
+        "Stribeck friction",
+        "friction over position",
+        "armature",
+        "spring",
+    ],
 )
 def test_a_correction_below_the_models_own_value_is_impossible(
     problem: Problem, term: Term, values: dict[str, float], name: str
@@ -63,6 +73,9 @@ def test_corrections_of_one_quantity_are_added_before_the_total_is_checked(
     both = with_values(problem, {DRY: {"coulomb": -0.15}, STRIBECK: {"coulomb": 0.1}})
     assert not impossible(problem, both)
     assert set(impossible(problem, both.without(STRIBECK))) == {DRY}
+    # Friction may vanish in a part of the turn.
+    wave = {"mean": -0.05, "sine": 0.3, "harmonic": 8.0}
+    assert not impossible(problem, with_values(problem, {RIPPLED: wave}))
 
 
 @pytest.mark.parametrize(

@@ -105,62 +105,44 @@ class RefitComparison:
         )[0]
 
 
-def simulation_diverges(tested: RefitComparison) -> Rejections:
-    """Reject the least effect of a model whose simulation diverges."""
-    left = in_noise_floors(tested.fitted.residual, tested.problem.signal_floor)
-    if np.isfinite([tested.base, left]).all():
-        return {}
-    k = int(np.argmin([np.linalg.norm(v) for v in tested.levels]))
-    return {k: f"rejected: {tested.label(k)}: the simulation diverges with it"}
+def removes_too_little(tested: RefitComparison) -> Rejections:
+    """Reject the least of the effects that remove no worthwhile part of the residual.
 
-
-def negative_mean_friction(tested: RefitComparison) -> Rejections:
-    """Reject position-dependent friction of negative mean, and other dry friction of that joint.
-
-    A brake that acts at one position is in no catalogue, and resembles such a law cut off at zero.
+    An effect in doubt must remove more above the noise floor. If the simulation diverges, the least
+    effect is rejected.
     """
-    problem, hypothesis = tested.problem, tested.fitted.hypothesis
-    joints = {t.joint for t in tested.terms if problem.has_negative_mean_friction(hypothesis, t)}
-    return {
-        k: f"rejected: {tested.label(k)}, the closest known effect: the mean dry friction of the "
-        "joint would be negative. The friction probably acts at one position only"
-        for k, t in enumerate(tested.terms)
-        if t.joint in joints and t.dry_level is not None
-    }
-
-
-def below_noise_floor(tested: RefitComparison) -> Rejections:
-    """Reject the effect whose removal raises the residual least, if by too little."""
-    problem, fitted = tested.problem, tested.fitted
-
-    def doubtful(t: Term) -> bool:
-        # Dry friction that turns to bristles of the least length is dry friction in another form.
-        changed = problem.has_shape_at_bound(fitted.hypothesis, t)
-        seen_once = not len(problem.held_out) and _recordings_that_need(tested, t) < 2
-        return seen_once or changed or may_be_absent(fitted, t, tested.known)
-
-    bars = [
-        VERDICT.stands_out * (SETTINGS.doubtful_factor if doubtful(t) else 1.0)
-        for t in tested.terms
-    ]
-    # The residual of the whole model is no merit of an effect.
-    others = np.maximum(tested.base**2 - 1.0, 0.0)
-    height = [
-        float(
-            np.sqrt(np.maximum(v**2 - others, 0.0))[v > SETTINGS.least_worsening * tested.base].max(
-                initial=0.0
-            )
-        )
-        / bar
-        for v, bar in zip(tested.levels, bars, strict=True)
-    ]
-    k = int(np.argmin(height))
-    if height[k] > 1.0:
+    one, levels = np.ones(len(tested.base)), tested.levels
+    norms = [float(np.linalg.norm(v)) for v in levels]
+    left = in_noise_floors(tested.fitted.residual, tested.problem.signal_floor)
+    if not np.isfinite([tested.base, left]).all():
+        k = int(np.argmin(norms))
+        return {k: f"rejected: {tested.label(k)}: the simulation diverges with it"}
+    idle = dict[int, str]()
+    for k, (term, level) in enumerate(zip(tested.terms, levels, strict=True)):
+        acting = tested.problem.acted_on(tested.fitted.hypothesis.without(term).terms)
+        whole = own_mismatch(one, tested.before**2, level**2, acting)
+        doubt = _doubt(tested, term)
+        floors = VERDICT.stands_out * (SETTINGS.doubtful_factor if doubt else 1.0)
+        if not reduces_error_enough(one, level**2, tested.base**2, whole, floors):
+            idle[k] = f"; {doubt}" if doubt else ""
+    if not idle:
         return {}
-    return {
-        k: f"rejected: {tested.label(k)}: it reduces the residual by less than {bars[k]:g} times "
-        "the noise floor"
-    }
+    k = min(idle, key=lambda k: norms[k])
+    why = f"it removes too little of the remaining error{idle[k]}"
+    return {k: f"rejected: {tested.label(k)}: {why}"}
+
+
+def _doubt(tested: RefitComparison, term: Term) -> str:
+    """Why an effect needs clearer evidence; empty if it does not."""
+    problem, fitted = tested.problem, tested.fitted
+    # Dry friction that turns to bristles of the least length is dry friction in another form.
+    if problem.has_shape_at_bound(fitted.hypothesis, term):
+        return "a shape parameter is at its bound"
+    if may_be_absent(fitted, term, tested.known):
+        return "its 95 % interval includes its absence"
+    if not len(problem.held_out) and _recordings_that_need(tested, term) < 2:
+        return "only one recording shows it"
+    return ""
 
 
 def _recordings_that_need(tested: RefitComparison, term: Term) -> int:
@@ -169,112 +151,44 @@ def _recordings_that_need(tested: RefitComparison, term: Term) -> int:
     without = tested.refitted[tested.terms.index(term)].residual
     segments = problem.simulator.segments
     owner = np.repeat([segments[s].trial for s in problem.fit], problem.lengths(problem.fit))
+    one = np.ones(len(problem.signal_floor))
     shown = 0
     for trial in np.unique(owner):
-        mine = owner == trial
-        levels = (
-            in_noise_floors(r[mine], problem.signal_floor)
+        worse, base = (
+            in_noise_floors(r[owner == trial], problem.signal_floor) ** 2
             for r in (without, tested.fitted.residual)
         )
-        worse, base = levels
-        shown += bool(
-            (worse > np.maximum(SETTINGS.least_worsening * base, VERDICT.stands_out)).any()
-        )
+        shown += reduces_error_enough(one, worse, base, one)
     return shown
 
 
-def transmission_is_rigid(tested: RefitComparison) -> Rejections:
-    """Reject an elastic transmission whose 95 % interval includes a rigid one.
+def alternatives_more_likely(tested: RefitComparison) -> Rejections:
+    """Reject the least likely effect if its alternatives are likely enough.
 
-    Motor and link as two bodies are integrated differently from one body, and that difference alone
-    can reduce the residual.
-    """
-    for k, t in enumerate(tested.terms):
-        apart = t.law.is_elastic_transmission
-        if apart and may_be_absent(tested.fitted, t, tested.known):
-            return {
-                k: f"rejected: {tested.label(k)}: its 95 % interval includes a rigid transmission"
-            }
-    return {}
-
-
-def shift_within_time_step(tested: RefitComparison) -> Rejections:
-    """Reject a delay or clock drift that shifts signals by a small part of the time step only.
-
-    When within a step a drive responds is no property of the robot.
-    """
-    problem = tested.problem
-    for k, t in enumerate(tested.terms):
-        shift = longest_shift(problem, tested.fitted.hypothesis, t)
-        if 0.0 < shift < SETTINGS.part_of_step * problem.simulator.timestep:
-            return {
-                k: f"rejected: {tested.label(k)}: it shifts signals by at most {1e3 * shift:.2g} "
-                f"ms, a small part of the time step ({1e3 * problem.simulator.timestep:.2g} ms)"
-            }
-    return {}
-
-
-def longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> float:
-    """Greatest shift, s, of a command or a reading by a timing effect; 0 for other effects."""
-    if term.law.family != "timing":
-        return 0.0
-    theta = hypothesis.theta[hypothesis.slice_of(term)]
-    values = {
-        p.name: np.full((1, 1), x * problem.scales.value(p, term.joint))
-        for p, x in zip(term.parameters, theta, strict=True)
-    }
-    stamps = [s.time[[0, -1]] for s in problem.simulator.segments]
-    ends = np.array([min(t[0] for t in stamps), max(t[1] for t in stamps)])[None, :, None]
-    late = term.law.command_latency(values)
-    of_reading = term.law.sample_time(ends, values) - ends
-    return float(max(np.abs(of_reading).max(), 0.0 if late is None else np.abs(late).max()))
-
-
-def removes_too_little(tested: RefitComparison) -> Rejections:
-    """Reject the least of the effects that remove no worthwhile share of the residual."""
-    one, levels = np.ones(len(tested.base)), tested.levels
-    idle = []
-    for k, (term, level) in enumerate(zip(tested.terms, levels, strict=True)):
-        acting = tested.problem.acted_on(tested.fitted.hypothesis.without(term).terms)
-        whole = own_mismatch(one, tested.before**2, level**2, acting)
-        if not reduces_error_enough(one, level**2, tested.base**2, whole):
-            idle.append(k)
-    if not idle:
-        return {}
-    k = min(idle, key=lambda k: float(np.linalg.norm(levels[k])))
-    return {k: f"rejected: {tested.label(k)}: it removes too little of the remaining error"}
-
-
-def small_and_replaceable(tested: RefitComparison) -> Rejections:
-    """Reject an effect that explains a small share and has likely alternatives.
-
-    It stays where its joint would be unexplained without it.
+    Of several effects one needs a least confidence. One that explains a small share of the error
+    needs more, unless its joint would be unexplained without it.
     """
     whole = float(np.sum(tested.before**2))
+    doubtful = dict[int, float]()
     for k, t in enumerate(tested.terms):
         taken = float(np.sum(tested.levels[k] ** 2 - tested.base**2))
         left = float(tested.levels[k][_signals_of(tested.problem, t)].max())
         is_small = taken < SETTINGS.small_share * whole and not (
             is_needed(tested, k) and left > VERDICT.at_floor
         )
-        if is_small and tested.chance(t) < SETTINGS.sure_of_small:
-            return {
-                k: f"rejected: {tested.label(k)}: it removes less than "
-                f"{100 * SETTINGS.small_share:g} % of the squared error, and other effects can "
-                "explain that part"
-            }
-    return {}
-
-
-def alternatives_more_likely(tested: RefitComparison) -> Rejections:
-    """Reject the least likely of several effects if its alternatives are far more likely."""
-    chances = [1.0 if t in tested.not_simulated else tested.chance(t) for t in tested.terms]
-    k = int(np.argmin(chances))
-    if len(chances) == 1 or chances[k] >= SETTINGS.least_confidence:
+        is_unlikely = (
+            len(tested.terms) > 1
+            and t not in tested.not_simulated
+            and tested.chance(t) < SETTINGS.least_confidence
+        )
+        if is_unlikely or (is_small and tested.chance(t) < SETTINGS.sure_of_small):
+            doubtful[k] = tested.chance(t)
+    if not doubtful:
         return {}
+    k = min(doubtful, key=lambda k: doubtful[k])
     return {
-        k: f"rejected: {tested.label(k)}: other effects are more likely, and the recordings do not "
-        "separate them"
+        k: f"rejected: {tested.label(k)}: other effects can explain its part, and the recordings "
+        "do not separate them"
     }
 
 
@@ -455,23 +369,12 @@ def _signals_of(problem: Problem, term: Term) -> slice:
 
 
 RULES: tuple[Callable[[RefitComparison], Rejections], ...] = (
-    simulation_diverges,
-    negative_mean_friction,
-    below_noise_floor,
-    transmission_is_rigid,
-    shift_within_time_step,
     removes_too_little,
-    small_and_replaceable,
     alternatives_more_likely,
     at_bound_or_in_doubt,
     wrong_position_dependence,
 )
 """Rules in the order in which they are asked; the first that rejects something decides a round."""
 
-CLOSEST_KNOWN = (
-    negative_mean_friction,
-    at_bound_or_in_doubt,
-    wrong_position_dependence,
-    residual_remains,
-)
+CLOSEST_KNOWN = (at_bound_or_in_doubt, wrong_position_dependence, residual_remains)
 """Rules that reject an effect as the closest known one: something acts there, but not that."""

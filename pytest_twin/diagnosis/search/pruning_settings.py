@@ -14,15 +14,12 @@ class PruningSettings:
 
     Attributes:
         refit_iterations: steps of the refit without an effect.
-        least_worsening: factor by which some signal must get worse without an effect.
         doubtful_factor: factor on the required height above the noise floor for an effect in doubt:
             its 95 % interval includes its absence, a shape parameter is at its bound, or only one
             recording shows it and none validates.
         doubt_width: half widths of the 95 % interval around an effect within which its absence
             leaves it in doubt where its joint stays unexplained. A right law is known well there.
         needed_share: share that an effect must explain to be beyond that doubt.
-        part_of_step: part of the simulator's time step; a smaller shift in time is no property of
-            the robot.
         small_share: share below which an effect with likely alternatives is rejected.
         sure_of_small: confidence from which an effect of a small share stays all the same.
         least_confidence: confidence below which an effect is rejected beside others.
@@ -41,11 +38,9 @@ class PruningSettings:
     """
 
     refit_iterations: int = 4
-    least_worsening: float = 1.05
     doubtful_factor: float = 2.0
     doubt_width: float = 2.0
     needed_share: float = 0.25
-    part_of_step: float = 0.15
     small_share: float = 0.01
     sure_of_small: float = 0.7
     least_confidence: float = 0.02
