@@ -535,3 +535,5 @@ def test_a_large_mismatch_at_one_joint_does_not_reject_an_effect_at_another(
     floors = ((900.0, own), (1.0, 1.0), (1.0, without))
     tested = refit_comparison(problem, found, *floors, confidence={term: 0.5})
     assert bool(alternatives_more_likely(tested)) is not is_kept
+    # Where the time did not suffice to simulate the alternatives, they reject nothing.
+    assert not alternatives_more_likely(replace(tested, not_simulated=frozenset({term})))

@@ -171,17 +171,15 @@ def alternatives_more_likely(tested: RefitComparison) -> Rejections:
     whole = float(np.sum(tested.before**2))
     doubtful = dict[int, float]()
     for k, t in enumerate(tested.terms):
+        if t in tested.not_simulated:
+            continue
         taken = float(np.sum(tested.levels[k] ** 2 - tested.base**2))
         left = float(tested.levels[k][_signals_of(tested.problem, t)].max())
         is_small = taken < SETTINGS.small_share * whole and not (
             is_needed(tested, k) and left > VERDICT.at_floor
         )
-        is_unlikely = (
-            len(tested.terms) > 1
-            and t not in tested.not_simulated
-            and tested.chance(t) < SETTINGS.least_confidence
-        )
-        if is_unlikely or (is_small and tested.chance(t) < SETTINGS.sure_of_small):
+        least = SETTINGS.least_confidence if len(tested.terms) > 1 else 0.0
+        if tested.chance(t) < (SETTINGS.sure_of_small if is_small else least):
             doubtful[k] = tested.chance(t)
     if not doubtful:
         return {}
