@@ -93,12 +93,7 @@ class EffectSelection:
         return self.refine(best)
 
     def refine(self, best: ScoredModel) -> SelectedModel:
-        """Remove and exchange effects of a fit, and add others if the structure search finds any.
-
-        Args:
-            best: a fit. Without a structure search before, ``is_complete`` tells whether one may
-                add effects.
-        """
+        """Remove and exchange effects of a fit, and add others if the structure search finds any."""
         selected = self._selected(best)
         try:
             selected.best = self._eliminate(best)
@@ -110,6 +105,11 @@ class EffectSelection:
             self.comparison.step("search", "ended", "the time is over", None, selected.best)
         selected.rivals = self.rivals
         return selected
+
+    def simplify(self, best: ScoredModel) -> SelectedModel:
+        """As :meth:`refine`, but effects are added only after an exchange."""
+        self.is_complete = True
+        return self.refine(best)
 
     def _selected(self, best: ScoredModel) -> SelectedModel:
         return SelectedModel(best, self.comparison.nominal, tried=self.comparison.tried)

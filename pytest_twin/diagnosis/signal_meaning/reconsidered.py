@@ -52,8 +52,7 @@ def with_fewer_effects(
         least = _without_one(found, selection.comparison)
         if least is None:
             continue
-        selection.is_complete = True
-        selected = selection.refine(selection.comparison.fit_to_convergence(least))
+        selected = selection.simplify(selection.comparison.fit_to_convergence(least))
         other = conclude(prepared, trials, run, selected)
         if _has_fewer_effects(other, found if best is None else best[0]):
             best = other, between
