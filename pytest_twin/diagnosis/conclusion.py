@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.findings import (
     explain,
     held_out_gains,
     limit_contradicted_confidence,
+    limit_unexplained_confidence,
     limit_untested_confidence,
     order_by_whole_motions,
     with_gains,
@@ -233,6 +234,7 @@ def _tested(
     explained = limit_contradicted_confidence(explained, notes)
     before, after = (residuals_everywhere(problem, h) for h in (EMPTY, here.hypothesis))
     errors = joint_errors(prepared, before, after)
+    explained = limit_unexplained_confidence(explained, errors)
     tested = replace(
         found,
         prepared=prepared,

@@ -288,7 +288,6 @@ def find_structure(
     with run.budget.searching(COMPARED):
         searches = search_recordings(given, prepared, trials, run)
     given, notes = searches.given, [*notes, *searches.notes]
-    ended_early = bool(run.untried)
     progress(0.82)
     with run.budget.searching():
         reconsidered = run.attempt(
@@ -301,8 +300,6 @@ def find_structure(
             lambda: with_alternative_sets(likeliest, run),
             (with_limited_confidence(likeliest), 0.0),
         )
-    if ended_early and found.verdict != "explained":
-        found = with_limited_confidence(found)
     found = with_final_parameters(found, run.budget)
     if given.has_friction_creep:
         notes.append(CREEPS)

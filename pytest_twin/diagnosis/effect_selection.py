@@ -93,7 +93,7 @@ class EffectSelection:
         return self.refine(best)
 
     def refine(self, best: ScoredModel) -> SelectedModel:
-        """Remove and exchange effects of a fit, and add others if the structure search finds any."""
+        """Remove and exchange effects of a fit, and add those that the structure search finds."""
         selected = self._selected(best)
         try:
             selected.best = self._eliminate(best)

@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.search.pruning import PrunedModel
 from pytest_twin.diagnosis.search.scored_model import Alternative as Rivalling
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.small_corrections import small_corrections
-from pytest_twin.diagnosis.verdict import UNSEEN
+from pytest_twin.diagnosis.verdict import UNSEEN, JointError
 from pytest_twin.effects.base import Parameter
 from pytest_twin.trial import Trial
 
@@ -229,6 +229,27 @@ def limit_contradicted_confidence(explained: Explained, notes: list[str]) -> Exp
                 "confidence is at most 50 %"
             )
             f = replace(f, confidence=min(f.confidence, FINDINGS.most_in_doubt))
+        findings.append(f)
+    return replace(explained, findings=tuple(findings))
+
+
+def limit_unexplained_confidence(
+    explained: Explained, errors: Mapping[str, JointError]
+) -> Explained:
+    """The same findings with at most 80 % confidence where a residual remains.
+
+    A confidence compares effects of the catalogue with one another. A residual shows that
+    something else acts at the joint, which a finding may stand for.
+
+    Args:
+        explained: the findings.
+        errors: joint -> errors on the held-out recordings; a finding of the whole robot needs all.
+    """
+    findings = []
+    for f in explained.findings:
+        of_finding = [e for joint, e in errors.items() if f.joint in (None, joint)]
+        if not all(e.is_explained for e in of_finding):
+            f = replace(f, confidence=min(f.confidence, FINDINGS.most_unexplained))
         findings.append(f)
     return replace(explained, findings=tuple(findings))
 
