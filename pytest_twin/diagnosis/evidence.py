@@ -14,7 +14,7 @@ Likelihood = Callable[[FloatArray, FloatArray, FloatArray], float]
 (signals,)."""
 NOISE_FLOORS = 1.5
 """Residuals up to this number of noise floors count as noise, because the floor is an estimate. A
-signal below this level contains no identifiable effect (``VERDICT.stands_out``)."""
+signal below this level contains no identifiable effect (``VERDICT.identifiable``)."""
 _OF_NOISE = math.sqrt(2.0 / math.pi)
 """Mean absolute deviation of Gaussian noise, in standard deviations."""
 

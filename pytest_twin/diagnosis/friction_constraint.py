@@ -59,7 +59,7 @@ def build_problem_as_friction_acts(
     if not has_dry_friction(problem, EMPTY):
         return given, prepared, kept
     left = residuals_everywhere(problem, EMPTY)
-    if not VERDICT.stands_out < _greatest(problem, left) < VERDICT.left_floors:
+    if not VERDICT.identifiable < _greatest(problem, left) < VERDICT.left_floors:
         return given, prepared, kept
     other = _residuals_with_other_constraint(problem, EMPTY)
     if _leaves_less(problem, other, left, FRICTION_CONSTRAINT.left):
@@ -96,7 +96,7 @@ def search_as_friction_acts(
     def other_constraint_is_better(best: Model) -> bool:
         nonlocal other
         left = np.concatenate([best.residual, best.validation])
-        if not has_dry_friction(problem, EMPTY) or _greatest(problem, left) <= VERDICT.stands_out:
+        if not has_dry_friction(problem, EMPTY) or _greatest(problem, left) <= VERDICT.identifiable:
             return False
         if other is None:
             other = build_problem(stepped, trials, [])
@@ -130,7 +130,10 @@ def refit_as_friction_acts(
         The simulation settings with the better constraint, and the result.
     """
     before, start = found.prepared.problem, found.explained.hypothesis
-    if not has_dry_friction(before, start) or _greatest(before, found.after) <= VERDICT.stands_out:
+    if (
+        not has_dry_friction(before, start)
+        or _greatest(before, found.after) <= VERDICT.identifiable
+    ):
         return given, found
     if not _leaves_less(
         before,

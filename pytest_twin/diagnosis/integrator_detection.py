@@ -94,13 +94,13 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
     problem = problem.at(best.hypothesis)
     if not _is_measured(problem):
         return None
-    if (discretization(problem) < VERDICT.stands_out * noise).all():
+    if (discretization(problem) < VERDICT.identifiable * noise).all():
         return None
     if not _error_stays_small(problem):
         return None
     span = _Span(problem, best)
     before = span.left(problem, noise)
-    seen = bool((before > VERDICT.stands_out**2).any())
+    seen = bool((before > VERDICT.identifiable**2).any())
     ways = {}
     for has_friction_creep, stepped in _ways(problem, best.hypothesis, given).items():
         for k in SUBSTEPS:
@@ -157,9 +157,9 @@ def _substeps_of(prepared: Prepared) -> int:
     before = _squares(problem, EMPTY, noise)
     left = {k: _squares(_with_part(problem, 1.0 - 1.0 / k), EMPTY, noise) for k in SUBSTEPS}
     best = min(left, key=lambda k: float(left[k].max()))
-    only_noise = bool((left[best] < VERDICT.stands_out**2).all())
+    only_noise = bool((left[best] < VERDICT.identifiable**2).all())
     above = [float(np.maximum(x - 1.0, 0.0).sum()) for x in (left[best], before)]
-    seen = bool((before > VERDICT.stands_out**2).any())
+    seen = bool((before > VERDICT.identifiable**2).any())
     return best if only_noise and seen and above[0] <= INTEGRATOR.left * above[1] else 0
 
 

@@ -15,7 +15,7 @@ class VerdictSettings:
     Attributes:
         at_floor: floors up to which an RMS residual counts as noise. The floor is an estimate, and
             micro-slip of real joints and MuJoCo's soft contacts leave residuals of 2 to 3 floors.
-        stands_out: floors below which a signal contains no identifiable effect.
+        identifiable: floors below which a signal contains no identifiable effect.
         left: share of the squared error up to which a residual counts as explained, ...
         left_floors: ... if it is also below this many floors. Above, it is a mismatch of its own.
         of_travel: share of a joint's travel up to which an error is of no consequence where small
@@ -28,7 +28,7 @@ class VerdictSettings:
     """
 
     at_floor: float = 3.0
-    stands_out: float = 1.5
+    identifiable: float = 1.5
     left: float = 0.02
     left_floors: float = 10.0
     of_travel: float = 1e-3

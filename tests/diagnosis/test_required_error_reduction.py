@@ -37,7 +37,7 @@ def test_an_effect_that_removes_less_than_the_smallest_identifiable_error_is_rej
 def test_near_the_noise_floor_an_effect_must_remove_the_smallest_identifiable_error(
     after: float,
 ) -> None:
-    influence = VERDICT.stands_out**2 - 1.0
+    influence = VERDICT.identifiable**2 - 1.0
     whole = np.hypot(after, 1.0)
     assert _is_accepted(float(np.sqrt(after**2 + 1.01 * influence)), after, whole)
     assert not _is_accepted(float(np.sqrt(after**2 + 0.99 * influence)), after, whole)

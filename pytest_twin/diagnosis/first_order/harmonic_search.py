@@ -43,7 +43,7 @@ def search_harmonics(
     joints = len(linear.problem.joints)
     residual = np.sqrt(view.mean_square)[:joints] / view.floor[:joints]
     worst = int(residual.argmax())
-    if residual[worst] < VERDICT.stands_out:
+    if residual[worst] < VERDICT.identifiable:
         return []
     spacing = np.pi / max(_travel(linear, worst), FIRST_ORDER.least_travel)
     out = []

@@ -25,7 +25,7 @@ _SIZES, _REFINEMENTS = 9, (1.25, 1.05)
 def doubtful_limits(best: ScoredModel) -> list[Term]:
     """Limits in the fit at joints whose residual is above the noise floor."""
     problem = best.problem
-    out = (best.left > VERDICT.stands_out**2 * problem.signal_floor**2).reshape(
+    out = (best.left > VERDICT.identifiable**2 * problem.signal_floor**2).reshape(
         -1, len(problem.joints)
     )
     return [t for t in best.hypothesis.terms if _is_limit(t) and out[:, t.joint].any()]

@@ -174,7 +174,7 @@ class ModelComparison:
         """Whether an effect that removes the whole residual would reduce the error enough."""
         floor = self.problem.signal_floor**2
         left = rival.left
-        least = np.where(left > VERDICT.stands_out**2 * floor, floor, left)
+        least = np.where(left > VERDICT.identifiable**2 * floor, floor, left)
         return self.reduces_error_enough(left, least, self.mismatch(rival, self.nominal.left, left))
 
     def reduces_error_enough(

@@ -122,7 +122,7 @@ def removes_too_little(tested: RefitComparison) -> Rejections:
         acting = tested.problem.acted_on(tested.fitted.hypothesis.without(term).terms)
         whole = own_mismatch(one, tested.before**2, level**2, acting)
         doubt = _doubt(tested, term)
-        floors = VERDICT.stands_out * (SETTINGS.doubtful_factor if doubt else 1.0)
+        floors = VERDICT.identifiable * (SETTINGS.doubtful_factor if doubt else 1.0)
         if not reduces_error_enough(one, level**2, tested.base**2, whole, floors):
             idle[k] = f"; {doubt}" if doubt else ""
     if not idle:
@@ -353,7 +353,7 @@ def share_too_large(
         bound = SETTINGS.left_if_far
     if several and top > SETTINGS.far_if_several:
         bound = SETTINGS.left_if_several
-    return share if share > bound and top > VERDICT.stands_out else 0.0
+    return share if share > bound and top > VERDICT.identifiable else 0.0
 
 
 def _signals_of(problem: Problem, term: Term) -> slice:

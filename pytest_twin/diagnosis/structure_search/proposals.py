@@ -249,7 +249,7 @@ def effort_sensor_terms(best: ScoredModel) -> list[Hypothesis]:
     """
     problem = best.problem
     joints = len(problem.joints)
-    (out,) = np.nonzero((best.left > VERDICT.stands_out**2 * problem.signal_floor**2)[joints:])
+    (out,) = np.nonzero((best.left > VERDICT.identifiable**2 * problem.signal_floor**2)[joints:])
     return [
         best.hypothesis.with_term(t, starts_in_first_form(t)[0])
         for t in candidates(problem)

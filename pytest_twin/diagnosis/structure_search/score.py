@@ -168,7 +168,7 @@ class Scorer:
         """Sum over signals of the logarithm of the mean square, which is at least that of noise."""
         return float(np.log(np.maximum(model.mean_square, self.problem.signal_floor**2)).sum())
 
-    def stands_out(self, model: Model, floors: float) -> np.ndarray:
+    def exceeds_floor(self, model: Model, floors: float) -> np.ndarray:
         """(signals,) whether the RMS residual exceeds ``floors`` noise floors."""
         return np.asarray(model.mean_square > (floors * self.problem.signal_floor) ** 2)
 

@@ -155,7 +155,7 @@ class StructureSearch:
         """
         scorer, incumbent = self.scorer, result.model
         has_effects = bool(incumbent.hypothesis.terms)
-        if not has_effects and not scorer.stands_out(incumbent, VERDICT.stands_out).any():
+        if not has_effects and not scorer.exceeds_floor(incumbent, VERDICT.identifiable).any():
             return None
         models, is_complete = self._simulated_proposals(self._view(result), incumbent)
         result.rivals = [(m, scorer.gain(m, incumbent)) for m in models]
@@ -205,7 +205,7 @@ class StructureSearch:
                 key=lambda m: float(np.log(np.maximum(m.mean_square, 1e-30)).sum()),
             )
             before = np.nan_to_num(incumbent.mean_square, posinf=0.0)
-            left = scorer.stands_out(best, 2.0 * VERDICT.stands_out)
+            left = scorer.exceeds_floor(best, 2.0 * VERDICT.identifiable)
             if (left & (best.mean_square > settings.scan_above * before)).any():
                 trial = TrialSimulation(view.around, view.around.left)
                 more = simulated_proposals(scorer, incumbent, best, trial, self.candidates)

@@ -61,7 +61,7 @@ def simulated_proposals(
     """
     own = incumbent.hypothesis
     found = dict[Place, list[Hypothesis]]()
-    unexplained = scorer.stands_out(best, 2.0 * VERDICT.stands_out)
+    unexplained = scorer.exceeds_floor(best, 2.0 * VERDICT.identifiable)
     for place, hypothesis in _starts(scorer.problem, own, terms, unexplained):
         found.setdefault(place, []).append(hypothesis)
     every = [h for sizes in found.values() for h in sizes]

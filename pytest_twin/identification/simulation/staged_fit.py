@@ -77,7 +77,7 @@ class StagedFit:
         self._fit_together()
         done = len(self.plan.order) + 1
         progress(done / steps)
-        if several and self.found.terms and self._error(self.found) > VERDICT.stands_out:
+        if several and self.found.terms and self._error(self.found) > VERDICT.identifiable:
             self._fit_again(lambda stages: progress((done + stages) / steps))
 
     @property
