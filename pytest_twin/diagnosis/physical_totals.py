@@ -1,7 +1,8 @@
 """Physical limits of the sum of model and findings.
 
 A passive joint cannot generate energy: damping, dry friction, armature and spring stiffness of the
-model plus all corrections are at least zero. A negative total compensates for another effect.
+model plus all corrections are at least zero, damping and dry friction in both directions of motion.
+A negative total compensates for another effect.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ class Total:
         own: the model's value.
         parts: (term, index in theta, value) of each correction.
         typical: scale of the corrections, SI units.
+        differences: (term, index in theta, value) of each half difference between the directions of
+            motion.
     """
 
     name: str
@@ -34,6 +37,7 @@ class Total:
     own: float
     parts: tuple[tuple[Term, int, float], ...]
     typical: float = 0.0
+    differences: tuple[tuple[Term, int, float], ...] = ()
 
     @property
     def value(self) -> float:
@@ -41,11 +45,21 @@ class Total:
         return self.own + sum(value for _, _, value in self.parts)
 
     @property
-    def is_impossible(self) -> bool:
-        """Whether the total is below zero by more than the accuracy of corrections."""
-        return self.value < -max(
+    def accuracy(self) -> float:
+        """Accuracy of corrections, SI units, by which a total may be below zero."""
+        return max(
             CORRECTIONS.below_zero * self.own, CORRECTIONS.below_zero_of_typical * self.typical, 0.0
         )
+
+    @property
+    def is_impossible(self) -> bool:
+        """Whether the total is below zero by more than the accuracy of corrections."""
+        return self.value < -self.accuracy
+
+    @property
+    def in_weaker_direction(self) -> float:
+        """The total in the direction of motion in which it is smaller, SI units."""
+        return self.value - abs(sum(value for _, _, value in self.differences))
 
 
 _ADDED = {"damping": "viscous friction", "inertia": "armature", "stiffness": "spring stiffness"}
@@ -63,6 +77,7 @@ def totals(problem: Problem, hypothesis: Hypothesis) -> list[Total]:
         "dry friction": model.dof_frictionloss[layout.dof_index],
     }
     parts: dict[tuple[str, int], list[tuple[Term, int, float]]] = {}
+    differences: dict[tuple[str, int], list[tuple[Term, int, float]]] = {}
     typical: dict[tuple[str, int], float] = {}
     for term in hypothesis.terms:
         at = hypothesis.slice_of(term).start
@@ -72,6 +87,15 @@ def totals(problem: Problem, hypothesis: Hypothesis) -> list[Total]:
                 value = float(hypothesis.theta[at + k]) * problem.scales.value(p, term.joint)
                 parts.setdefault((quantity, term.joint), []).append((term, at + k, value))
                 typical[quantity, term.joint] = problem.scales.value(p, term.joint)
+                differences.setdefault((quantity, term.joint), []).extend(
+                    (
+                        term,
+                        at + i,
+                        float(hypothesis.theta[at + i]) * problem.scales.value(d, term.joint),
+                    )
+                    for i, d in enumerate(term.parameters)
+                    if d.difference_of == p.name
+                )
     return [
         Total(
             _ADDED.get(quantity, quantity),
@@ -79,6 +103,7 @@ def totals(problem: Problem, hypothesis: Hypothesis) -> list[Total]:
             float(own[quantity][joint]),
             tuple(found),
             typical[quantity, joint],
+            tuple(differences[quantity, joint]),
         )
         for (quantity, joint), found in parts.items()
     ]
@@ -100,6 +125,12 @@ def impossible(problem: Problem, hypothesis: Hypothesis) -> dict[Term, str]:
         if total.is_impossible:
             why = f"the total {total.name} of the joint would be {total.value:.3g}, below zero"
             out.update({term: why for term, _, value in total.parts if value < 0.0})
+        elif total.in_weaker_direction < -total.accuracy:
+            why = (
+                f"the total {total.name} of the joint would be {total.in_weaker_direction:.3g} in "
+                "one direction, below zero"
+            )
+            out.update({term: why for term, _, _ in total.differences})
     return out
 
 

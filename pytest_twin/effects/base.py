@@ -136,6 +136,8 @@ class Parameter:
         choices: one phrase for each value in ``starts`` of a choice.
         part_of: quantity of the joint that contains it, so that it is never larger; ``damping``
             for back-EMF, which models hold as passive damping.
+        difference_of: parameter of the law whose mean over both directions of motion it turns into
+            two values: half the difference between them.
         sums_with: parameter of the law to which it is added; the upper bound of that one, in SI
             units, holds for the sum.
     """
@@ -156,6 +158,7 @@ class Parameter:
     relation: Literal["", "added", "relative"] = ""
     choices: tuple[str, ...] = ()
     part_of: Literal["", "damping"] = ""
+    difference_of: str = ""
     sums_with: str = ""
 
     @property

@@ -30,7 +30,7 @@ class DirectionalViscousFriction(Effect):
         ),
         Parameter(
             "difference", "damping", 0.0, -5.0, 5.0, (0.1,), "damping",
-            meaning="half the difference between the directions",
+            meaning="half the difference between the directions", difference_of="coefficient",
         ),
     )  # fmt: skip
     confused_with: ClassVar = {

@@ -105,7 +105,7 @@ class AsymmetricFriction(_DryFriction):
         ),
         Parameter(
             "offset", "effort", 0.0, -3.0, 3.0, (0.1,), "effort",
-            meaning="half the difference between the directions",
+            meaning="half the difference between the directions", difference_of="coulomb",
         ),
     )  # fmt: skip
     confused_with: ClassVar = {

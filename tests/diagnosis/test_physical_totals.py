@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.small_corrections import small_corrections
 DRAG, DRY = Term("viscous_friction", 0), Term("coulomb_friction", 0)
 ROTOR, SPRING = Term("armature", 0), Term("joint_spring", 0)
 RIPPLED = Term("position_dependent_friction", 0)
+ONE_SIDED, DIRECTIONAL = Term("asymmetric_friction", 0), Term("directional_viscous_friction", 0)
 STRIBECK, WARM_UP = Term("stribeck_friction", 0), Term("thermal_friction", 0)
 COGGING, DELAY = Term("cogging", 0), Term("command_delay", 0)
 CONSTANT = Term("torque_constant", 0)
@@ -56,6 +57,27 @@ def test_a_correction_below_the_models_own_value_is_impossible(
     (why,) = impossible(problem, with_values(problem, {term: values})).values()
     assert name in why
     assert "below zero" in why
+
+
+@pytest.mark.parametrize(
+    ("term", "possible", "impossible_values"),
+    [
+        (ONE_SIDED, {"coulomb": 0.1, "offset": -0.19}, {"coulomb": 0.1, "offset": -0.25}),
+        (DIRECTIONAL, {"difference": 0.19}, {"coefficient": 0.05, "difference": 0.3}),
+    ],
+    ids=["dry friction", "viscous friction"],
+)
+def test_friction_that_would_drive_the_joint_in_one_direction_is_impossible(
+    problem: Problem, term: Term, possible: dict[str, float], impossible_values: dict[str, float]
+) -> None:
+    """A constant effort has other causes: an encoder zero, a spring, a tilted base."""
+    assert not impossible(problem, with_values(problem, {term: possible}))
+    ((refused, why),) = impossible(problem, with_values(problem, {term: impossible_values})).items()
+    assert refused == term
+    assert "-0.05 in one direction, below zero" in why
+    # Other friction of the joint adds to both directions.
+    others = {DRY: {"coulomb": 0.1}, DRAG: {"coefficient": 0.1}}
+    assert not impossible(problem, with_values(problem, {term: impossible_values, **others}))
 
 
 def test_a_correction_that_removes_all_of_the_models_friction_is_possible(
