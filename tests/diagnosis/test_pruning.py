@@ -519,7 +519,8 @@ def test_a_very_small_effect_in_addition_to_a_large_one_is_rejected(
     ("own", "without", "is_kept"),
     [
         pytest.param(19.0, 21.0, True, id="whole error of its joint"),
-        pytest.param(19.0, 4.0, False, id="small part of the error of its joint"),
+        pytest.param(19.0, 4.0, True, id="error above the noise floor without it"),
+        pytest.param(19.0, 2.5, False, id="small part of the error of its joint"),
         pytest.param(2.5, 2.5, False, id="whole error near the noise floor"),
     ],
 )

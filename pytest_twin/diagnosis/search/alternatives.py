@@ -139,7 +139,8 @@ class AlternativeComparison:
                     # Only a simulation can compare an elastic transmission with other effects.
                     if x.new is None or not x.new.law.is_elastic_transmission
                 ]
-                selected.weigh(self.evidence_of_exchanges(best, found, [], losses))
+                possible, _ = self._possible(found, [])
+                selected.weigh(self.evidence_of_exchanges(best, possible, [], losses))
         except OutOfTime:
             return
         selected.not_simulated = frozenset(terms)

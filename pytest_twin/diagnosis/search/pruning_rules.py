@@ -87,6 +87,12 @@ class RefitComparison:
         rival = self.rivals.get(term, 1.0 - chance)
         return chance >= SETTINGS.even or chance >= SETTINGS.as_likely * rival
 
+    def is_explained_without(self, k: int) -> bool:
+        """Whether the signals that an effect can change are explained without it."""
+        columns = _signals_of(self.problem, self.terms[k])
+        pairs = zip(self.before[columns], self.levels[k][columns], strict=True)
+        return all(JointError(float(b), float(a), 1.0, "").is_explained for b, a in pairs)
+
     def label(self, k: int) -> str:
         """Effect and joint in words."""
         return label(self.problem, self.terms[k])
@@ -174,10 +180,7 @@ def alternatives_more_likely(tested: RefitComparison) -> Rejections:
         if t in tested.not_simulated:
             continue
         taken = float(np.sum(tested.levels[k] ** 2 - tested.base**2))
-        left = float(tested.levels[k][_signals_of(tested.problem, t)].max())
-        is_small = taken < SETTINGS.small_share * whole and not (
-            is_needed(tested, k) and left > VERDICT.at_floor
-        )
+        is_small = taken < SETTINGS.small_share * whole and tested.is_explained_without(k)
         least = SETTINGS.least_confidence if len(tested.terms) > 1 else 0.0
         if tested.chance(t) < (SETTINGS.sure_of_small if is_small else least):
             doubtful[k] = tested.chance(t)
