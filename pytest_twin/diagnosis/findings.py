@@ -239,7 +239,7 @@ def limit_unexplained_confidence(
     """The same findings with at most 80 % confidence where a residual remains.
 
     A confidence compares effects of the catalogue with one another. A residual shows that
-    something else acts at the joint, which a finding may stand for.
+    something else acts at the joint, and a finding may be only similar to it.
 
     Args:
         explained: the findings.

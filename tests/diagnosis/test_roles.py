@@ -132,7 +132,7 @@ def test_a_finding_that_the_held_out_recordings_contradict_has_at_most_half_conf
 def test_a_finding_at_a_joint_with_a_residual_has_at_most_80_percent_confidence(
     four: tuple[Recorded, Diagnosis],
 ) -> None:
-    """Something else acts at the joint, which the finding may stand for."""
+    """Something else acts at the joint, and the finding may be only similar to it."""
     explained = four[1].explained
     (finding,) = explained.findings
     sure = replace(explained, findings=(replace(finding, confidence=1.0),))
