@@ -23,6 +23,7 @@ from pytest_twin.trial.joint_side import (
     add_shared_efforts,
     effort_factor,
     positions_at_joints,
+    without_other_joint,
 )
 from pytest_twin.trial.joints import in_model_names
 from pytest_twin.trial.roles import refuse_final
@@ -218,7 +219,10 @@ def _at_joints(
         if efforts is None
         else np.array(efforts[order], dtype=np.float64)[:, seen]
     )
-    position, velocity, notes = positions_at_joints(names, raw, speed, signals)
+    try:
+        position, velocity, notes = positions_at_joints(names, raw, speed, signals)
+    except ValueError as error:
+        raise without_other_joint(error, series.topic, recording.path) from None
     effort, unscaled, limit, said = _efforts(names, effort, signals)
     if efforts is not None and not measures:
         said.insert(

@@ -114,7 +114,7 @@ def states_at_joints(
             states.names, np.asarray(states.position, dtype=np.float64), states.velocity, signals
         )
     except ValueError as error:
-        raise _without_other(error, states.topic, path) from None
+        raise without_other_joint(error, states.topic, path) from None
     effort = None
     if states.effort is not None:
         effort = np.array(states.effort, dtype=np.float64)
@@ -159,7 +159,7 @@ def commands_at_joints(
             position, velocity, _ = positions_at_joints(names, own, own, signals)
             table[:, columns] = position if mode == "position" or velocity is None else velocity
     except ValueError as error:
-        raise _without_other(error, topic, path) from None
+        raise without_other_joint(error, topic, path) from None
     columns = np.flatnonzero(modes == "effort")
     for column in columns:
         joint = commands.joints[column]
@@ -180,7 +180,8 @@ def commands_at_joints(
     return replace(commands, table=table)
 
 
-def _without_other(error: ValueError, topic: str, path: Path) -> RecordingError:
+def without_other_joint(error: ValueError, topic: str, path: Path) -> RecordingError:
+    """Return the error of a recording without a joint that turns the motor of another one."""
     return RecordingError(
         f"{error}, which is not in the messages", path=path, where=topic,
         expected="both joints, or no shared_with: in signals: of twin.yaml",

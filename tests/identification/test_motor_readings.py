@@ -159,6 +159,15 @@ def test_what_cannot_be_converted_is_an_error(
     assert words in str(raised.value)
 
 
+def test_an_identification_needs_the_joint_that_also_turns_a_motor(tmp_path: Path) -> None:
+    (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
+    other = TWIN.replace("    gear:", "    shared_with: {joint: wrist}\n    gear:")
+    (tmp_path / "twin.yaml").write_text(other)
+    run = as_recorded(write_run(tmp_path / "p.csv", 1, limited(1.0)), tmp_path / "a.csv")
+    with pytest.raises(RecordingError, match="its motor is also turned by wrist, which is not in"):
+        identified(tmp_path / "out", tmp_path / "twin.yaml", [run, run, run])
+
+
 def test_options_of_recordings_keep_the_signals(cell: Path) -> None:
     options = load_twin(cell / "motor/twin.yaml").recordings
     assert options.signals.of("swing").gear == GEAR
