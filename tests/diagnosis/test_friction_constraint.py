@@ -24,7 +24,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.realization import Realization
 
-STEP, SECONDS, NOISE = 2e-4, 2.8, 2e-6
+STEP, SECONDS, NOISE = 2e-4, 1.8, 2e-6
 ARM = """
 <mujoco model="arm"><compiler angle="radian"/>
   <option timestep="0.002" integrator="implicitfast"/>
