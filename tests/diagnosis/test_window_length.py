@@ -33,7 +33,7 @@ def record_inverted_pendulum(folder: Path, seed: int, role: str, load: float) ->
 
     A payload of ``load`` kg is at its center of mass.
     """
-    setpoints = reference(seed, 3.0, 1)[:, 0]
+    setpoints = reference(seed, 1.8, 1)[:, 0]
     mass = MASS + load
     inertia = INERTIA + mass * LENGTH**2 + ARMATURE
     q = v = effort = 0.0
