@@ -23,7 +23,7 @@ def reduces_error_enough(
     before: FloatArray,
     after: FloatArray,
     whole: FloatArray,
-    floors: float = VERDICT.identifiable,
+    floors: float,
 ) -> bool:
     """Whether an effect reduces the error of at least one signal enough to be accepted.
 

@@ -23,7 +23,8 @@ def _is_accepted(before: float, after: float, whole: float, signal: int = 1) -> 
     """
     each = np.full((3, 2), 1.0)
     each[:, signal] = before, after, whole
-    return reduces_error_enough(FLOOR, *(each * FLOOR) ** 2)
+    squares = (each * FLOOR) ** 2
+    return reduces_error_enough(FLOOR, *squares, VERDICT.identifiable)
 
 
 def test_an_effect_that_removes_less_than_the_smallest_identifiable_error_is_rejected() -> None:

@@ -186,7 +186,8 @@ class ModelComparison:
             before, after: (signals,) mean squared errors without and with the effect.
             whole: (signals,) mean squared error of the nominal model.
         """
-        return reduces_error_enough(self.problem.signal_floor, before, after, whole)
+        floor = self.problem.signal_floor
+        return reduces_error_enough(floor, before, after, whole, VERDICT.identifiable)
 
     def mismatch(self, rival: ScoredModel, whole: FloatArray, left: FloatArray) -> FloatArray:
         """(signals,) mean squared error of the nominal model that other effects have to explain.

@@ -164,7 +164,7 @@ def _recordings_that_need(tested: RefitComparison, term: Term) -> int:
             in_noise_floors(r[owner == trial], problem.signal_floor) ** 2
             for r in (without, tested.fitted.residual)
         )
-        shown += reduces_error_enough(one, worse, base, one)
+        shown += reduces_error_enough(one, worse, base, one, VERDICT.identifiable)
     return shown
 
 
