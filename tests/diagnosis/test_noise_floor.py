@@ -25,7 +25,7 @@ from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.trial import Trial, make_trial
 
-STEP, TICK, SECONDS, NOISE = 0.001, 0.01, 3.0, 3e-4
+STEP, TICK, SECONDS, NOISE = 0.001, 0.01, 2.0, 3e-4
 
 
 def mjcf(drive: str) -> str:

@@ -29,7 +29,7 @@ def diagnosed(folder: Path, hidden: str, excess: float) -> Path:
     (folder / "model.xml").write_text(mjcf())
     files = [
         record(
-            folder / f"{role}_{name}{seed}.mcap", seed, role=role, seconds=1.6,
+            folder / f"{role}_{name}{seed}.mcap", seed, role=role, seconds=1.0,
             metadata=DECLARED | {"temperature": name}, **{hidden: level, "joint": 0},
         )
         for seed, (role, name, level) in enumerate(
