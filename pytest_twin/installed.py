@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping
-from importlib.metadata import Distribution, EntryPoint, entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from pytest_twin.errors import SpecError
@@ -90,10 +90,4 @@ def package_of(point: EntryPoint) -> str:
     """Name and version of the package of an entry point: ``package 'boxes' 1.0``."""
     if point.dist is None:
         return f"the package of {point.value}"
-    return _name_and_version(point.dist)
-
-
-@functools.cache
-def _name_and_version(package: Distribution) -> str:
-    """Read the metadata of a package once: ``importlib`` reads the file for each attribute."""
-    return f"package {package.name!r} {package.version}"
+    return f"package {point.dist.name!r} {point.dist.version}"
