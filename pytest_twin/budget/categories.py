@@ -149,7 +149,7 @@ _OF_NAME = {
     "contact_torsional_friction": "contact_and_material",
     "contact_rolling_friction": "contact_and_material",
 }
-"""Names that are no effects, and effects in another category than their family's."""
+"""Names that are not effects, and effects whose category is not that of their family."""
 
 
 def category_of_record(name: str) -> str:

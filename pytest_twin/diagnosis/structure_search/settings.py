@@ -26,7 +26,7 @@ class StructureSearchSettings:
         simulated_at_all_sizes: candidates that are simulated at all sizes of their grid, where the
             linearization explains nothing of the residual. All others have one size.
         scan_above: share of the incumbent's mean squared residual in a signal. If the best
-            simulated proposal leaves more, limits and elastic transmissions are scanned.
+            simulated proposal leaves more, the starts that effects propose are simulated.
         earns: penalized log-likelihood ratio that a larger model must gain. 5 are odds of 150 to 1,
             which are called very strong evidence (Kass, Raftery 1995).
         share: share of the log-likelihood ratio between a model and the nominal model that

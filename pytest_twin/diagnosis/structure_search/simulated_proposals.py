@@ -90,7 +90,7 @@ def _starts(
     problem: Problem, own: Hypothesis, terms: Sequence[Term], unexplained: NDArray[np.bool_]
 ) -> Iterator[tuple[Place, Hypothesis]]:
     """Each start at an unexplained joint, beside the effects of the fit and instead of them."""
-    for term in (*own.terms, *terms):
+    for term in dict.fromkeys((*own.terms, *terms)):
         if term.joint < 0 or not unexplained[term.joint]:
             continue
         for start in starts_at(problem, own, term):
