@@ -27,7 +27,7 @@ WAYS: dict[str, tuple[str, tuple[tuple[str, str], ...]]] = {
             ("plan", "stale goldens, each with the reason"),
             ("worker", "stimulus and comparison, in a child process"),
             ("verdict", "release or refusal, from outcomes alone"),
-            ("closing", "signed release and report"),
+            ("run_end", "signed release and report"),
         ),
     ),
     "diagnosis": (
@@ -56,14 +56,14 @@ WAYS: dict[str, tuple[str, tuple[tuple[str, str], ...]]] = {
             ("roles", "recordings to fit and to hold out"),
             ("regressor", "inverse dynamics, base parameters"),
             ("stages", "fit in order, each tested on held-out data"),
-            ("physical", "inertias that real bodies can have"),
+            ("full_parameters", "inertias that real bodies can have"),
             ("write", "fitted model and its record"),
         ),
     ),
     "excitation": (
         "excite",
         (
-            ("approved", "limits that a person approved"),
+            ("approved_limits", "limits that a person approved"),
             ("designs", "steps, chirps, static grid, Fourier series"),
             ("find_safe", "scaled down or redrawn until safe"),
             ("prediction", "covariance to expect from the motion"),
@@ -74,8 +74,8 @@ WAYS: dict[str, tuple[str, tuple[tuple[str, str], ...]]] = {
         "budget",
         (
             ("task", "frame and poses of the task"),
-            ("calibrated", "covariance of the calibrations"),
-            ("identified", "covariance of the identifications"),
+            ("calibration", "covariance of the calibrations"),
+            ("identification", "covariance of the identifications"),
             ("propagate", "error of the frame's pose"),
             ("lines", "one line for each record"),
         ),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_twin.session.options import Options, add_options, read_options
-from pytest_twin.session.released import TwinRelease, twin_release
+from pytest_twin.session.release_fixture import TwinRelease, twin_release
 from pytest_twin.systems import unsupported_system
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 from pytest_twin.replay import Replayed, Row, Run
 
 Force = Callable[[float, FloatArray, FloatArray], FloatArray]

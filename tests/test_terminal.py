@@ -11,7 +11,7 @@ import pytest
 from pytest_twin.commands import progress
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show, show_error
-from pytest_twin.report import each_minute
+from pytest_twin.report import progress_log
 
 TEXT = "X inertia.negative: a mass below zero\nExplained: nothing is left\nnote: one recording"
 
@@ -74,7 +74,7 @@ def test_a_log_file_gets_a_plain_progress_line_each_minute(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(progress, "_LOOK_SECONDS", 0.01)
-    monkeypatch.setattr(each_minute, "_INTERVAL_SECONDS", 0.1)
+    monkeypatch.setattr(progress_log, "_INTERVAL_SECONDS", 0.1)
     with Progress("choosing goldens") as shown:
         shown.begin("recording goldens")
         shown(0.5)

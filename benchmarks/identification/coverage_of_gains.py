@@ -19,7 +19,7 @@ from coverage_of_intervals import JOINTS, MODEL, EncoderErrors, covered, record
 from drawn_arms import nominal_parameters, true_parameters
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured import MeasuredSet
+from pytest_twin.identification.measured_recordings import MeasuredSet
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS

@@ -23,7 +23,7 @@ from scipy import signal
 
 from pytest_twin.identification.effort.encoders import BIAS
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization, load
 from pytest_twin.signals import NO_SIGNALS

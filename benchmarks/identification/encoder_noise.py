@@ -19,7 +19,7 @@ import numpy as np
 from coverage_of_intervals import JOINTS, MODEL
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization, load
 from pytest_twin.signals import NO_SIGNALS

@@ -28,13 +28,13 @@ import numpy as np
 import scipy.signal
 import tx40_files
 
-from pytest_twin.excitation.approved import ApprovedLimits, JointLimits, Stop
+from pytest_twin.excitation.approved_limits import ApprovedLimits, JointLimits, Stop
 from pytest_twin.excitation.d_optimal import Design
 from pytest_twin.excitation.minimizers import SOLVERS, minimizer
 from pytest_twin.excitation.motion import JointStates
 from pytest_twin.excitation.noise import noise_of
 from pytest_twin.excitation.prediction import of_base
-from pytest_twin.excitation.reading import movable_joints
+from pytest_twin.excitation.read_limits import movable_joints
 from pytest_twin.identification.regressor.base_parameters import structural_base
 from pytest_twin.identification.regressor.regressor import Regressor
 from pytest_twin.realization.joint_limits import model_effort, model_range

@@ -26,7 +26,7 @@ from scipy.stats import norm
 
 from pytest_twin import cli
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured import MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS

@@ -23,8 +23,8 @@ import usual_way
 
 from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.identify import identify_effort
-from pytest_twin.identification.effort.sampled import RecordingRows, sample
-from pytest_twin.identification.measured import MeasuredSet, read_measured
+from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
+from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS

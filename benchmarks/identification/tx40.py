@@ -26,8 +26,8 @@ from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.groups import dry_of
 from pytest_twin.identification.effort.identify import identify_effort
 from pytest_twin.identification.effort.least_squares import LinearProblem, linear_problem
-from pytest_twin.identification.effort.sampled import sample
-from pytest_twin.identification.measured import MeasuredSet, read_measured
+from pytest_twin.identification.effort.recording_rows import sample
+from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
 from pytest_twin.identification.regressor import Regressor, SharedMotor, structural_base
 from pytest_twin.realization import load
 from pytest_twin.twin import load_twin

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.adaptation.guard import Guard, Sample
-from pytest_twin.adaptation.simulated import Distort, Log, simulate
+from pytest_twin.adaptation.guarded_simulation import Distort, Log, simulate
 from pytest_twin.adaptation_spec import ResidualSpec
 from pytest_twin.arrays import FloatArray
 from pytest_twin.replay import Row

@@ -15,8 +15,8 @@ import numpy as np
 
 from pytest_twin.adaptation.faults import inject
 from pytest_twin.adaptation.guard import Guard
+from pytest_twin.adaptation.guarded_simulation import Log, simulate
 from pytest_twin.adaptation.laws import law_of
-from pytest_twin.adaptation.simulated import Log, simulate
 from pytest_twin.adaptation.update_trial import try_update
 from pytest_twin.adaptation_spec import ShadowPolicy
 from pytest_twin.arrays import FloatArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pytest_twin.asset.stated import StatedElement, neutral, stated_elements
+from pytest_twin.asset.stated_elements import StatedElement, neutral, stated_elements
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.finding import Finding, Place
 

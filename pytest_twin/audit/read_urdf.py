@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pytest_twin.asset.stated import stated_elements
+from pytest_twin.asset.stated_elements import stated_elements
 from pytest_twin.audit.asset import (
     Asset,
     Body,

@@ -35,7 +35,7 @@ from pytest_twin.audit.read import read
 from pytest_twin.audit.self_collision import PoseResult
 from pytest_twin.audit.srdf.files import srdfs_of
 from pytest_twin.realization.files.search import SearchFolders
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 
 SCHEMA = 1
 """Version of the audit's JSON."""

@@ -8,7 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.budget.calibrated import CalibrationUnknowns, Estimate, Part, UncertainPose
+from pytest_twin.budget.calibration import (
+    CalibrationUnknowns,
+    Estimate,
+    Part,
+    UncertainPose,
+)
 from pytest_twin.budget.categories import category_of_record
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import LinkParameter

@@ -20,11 +20,11 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.categories import category_of_parameter
 from pytest_twin.budget.changed_replays import Change, ChangedReplays
 from pytest_twin.budget.effect_parameters import EffectParameter
-from pytest_twin.budget.identified import IdentifiedParameters
+from pytest_twin.budget.identification import IdentifiedParameters
 from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, spread_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
-from pytest_twin.calibration.tangent import TransformWithJacobian
+from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.replay import Replayed

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.budget.calibrated import CalibrationUnknowns
+from pytest_twin.budget.calibration import CalibrationUnknowns
 from pytest_twin.budget.categories import category_of_parameter
 from pytest_twin.budget.forced_motion import simulated_displacement
-from pytest_twin.budget.identified import (
+from pytest_twin.budget.identification import (
     IdentifiedParameters,
     displacement_by_shifts,
     gravity_effort,

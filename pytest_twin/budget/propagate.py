@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.tangent import TransformWithJacobian
+from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
 from pytest_twin.errors import FormatError
 
 DRAWS = 256

@@ -9,7 +9,7 @@ from typing import Any
 from pytest_twin import __version__
 from pytest_twin.budget.calibration_unknowns import claims, read_calibration_unknowns
 from pytest_twin.budget.categories import CATEGORIES, Category
-from pytest_twin.budget.identified import identified_parameters
+from pytest_twin.budget.identification import identified_parameters
 from pytest_twin.budget.lines import (
     Line,
     calibration_line,
@@ -18,7 +18,7 @@ from pytest_twin.budget.lines import (
 )
 from pytest_twin.budget.propagate import Spread
 from pytest_twin.budget.task import Task, task_of
-from pytest_twin.budget.unmodelled import unmodelled_lines
+from pytest_twin.budget.unmodelled_errors import unmodelled_lines
 from pytest_twin.errors import TwinError
 from pytest_twin.gate.specs import load_golden, spec_paths
 from pytest_twin.realization import Realization, load

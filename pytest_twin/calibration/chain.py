@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.tangent import TransformWithJacobian, left_jacobian
+from pytest_twin.calibration.transform_derivatives import TransformWithJacobian, left_jacobian
 from pytest_twin.realization.serial_chain import SerialChain
 
 PARALLEL_SINE = 0.2

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.correlated import block_jackknife, is_odometry
+from pytest_twin.calibration.block_jackknife import block_jackknife, is_odometry
 from pytest_twin.calibration.parameters import State, Variables
 from pytest_twin.calibration.records import Estimate
 from pytest_twin.calibration.solve import Fit, at_state, prior_rows, prior_values

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.chain import ChainParameters, LinkParameter
-from pytest_twin.calibration.tangent import TransformWithJacobian, left_jacobian
+from pytest_twin.calibration.transform_derivatives import TransformWithJacobian, left_jacobian
 
 POSE_LABELS = ("x", "y", "z", "rx", "ry", "rz")
 """Order of a pose's six parameters: its position along the parent's axes (m), then its rotation

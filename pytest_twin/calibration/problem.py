@@ -18,8 +18,8 @@ from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import Layout, State, Variables
 from pytest_twin.calibration.plan import Mount, Plan
-from pytest_twin.calibration.tangent import TransformWithJacobian
 from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm, Term
+from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
 from pytest_twin.errors import FormatError
 from pytest_twin.realization.serial_chain import SerialChain
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.block_jackknife import block_jackknife, is_odometry
 from pytest_twin.calibration.closed_form import inverse
-from pytest_twin.calibration.correlated import block_jackknife, is_odometry
 from pytest_twin.calibration.jackknife import jackknife
 from pytest_twin.calibration.observability import Direction, affected
 from pytest_twin.calibration.parameters import POSE_LABELS
@@ -24,7 +24,7 @@ from pytest_twin.calibration.problem import (
     records_of,
 )
 from pytest_twin.calibration.solve import Fit, prior_rows
-from pytest_twin.calibration.tangent import skew
+from pytest_twin.calibration.transform_derivatives import skew
 from pytest_twin.metrics.pose import quaternion_of
 
 NOT_ASKED = {

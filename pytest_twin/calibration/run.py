@@ -14,9 +14,9 @@ import numpy as np
 from pytest_twin import __version__
 from pytest_twin.calibration.cameras.half_turn import with_consistent_orientation
 from pytest_twin.calibration.cameras.image_refinement import ImageRefinement, calibrate_intrinsics
-from pytest_twin.calibration.cameras.observed import Images, read_images
+from pytest_twin.calibration.cameras.images import Images, read_images
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
-from pytest_twin.calibration.coincident import LeftOut, without_coincident
+from pytest_twin.calibration.coincident_markers import LeftOut, without_coincident
 from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
 from pytest_twin.calibration.error_sources import weighed_by_source
 from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
@@ -31,7 +31,7 @@ from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
 from pytest_twin.calibration.problem import Problem, make_problem, reported_flange
-from pytest_twin.calibration.recordings.gathered import Gathered, gather
+from pytest_twin.calibration.recordings.gather import Gathered, gather
 from pytest_twin.calibration.records import (
     Estimate,
     estimate,

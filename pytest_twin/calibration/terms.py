@@ -15,7 +15,10 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import Poses, Variables
 from pytest_twin.calibration.plan import Mount
-from pytest_twin.calibration.tangent import TransformWithJacobian, inverse_left_jacobian
+from pytest_twin.calibration.transform_derivatives import (
+    TransformWithJacobian,
+    inverse_left_jacobian,
+)
 
 
 class Term(Protocol):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 
+from pytest_twin.checks.attribute_validation import checked
 from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
-from pytest_twin.checks.checked import checked
 from pytest_twin.errors import SpecError
 from pytest_twin.installed import (
     entry_points_by_name,

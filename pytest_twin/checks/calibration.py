@@ -96,11 +96,11 @@ class CalibrationCheck(Check):
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Compute errors of the realization's forward kinematics with the record's transforms."""
-        from pytest_twin.calibration.coincident import without_coincident
+        from pytest_twin.calibration.coincident_markers import without_coincident
         from pytest_twin.calibration.observations import load_observations
         from pytest_twin.calibration.plan import load_plan
         from pytest_twin.calibration.problem import make_problem
-        from pytest_twin.calibration.recorded import held_out_observations, recorded_state
+        from pytest_twin.calibration.record_prediction import held_out_observations, recorded_state
         from pytest_twin.calibration.residual_errors import errors_of
         from pytest_twin.calibration.run import without_gross_errors
 
@@ -199,7 +199,7 @@ def _of_streams(
     golden: Golden, plan: Plan, record: CalibrationRecord, twin: Twin
 ) -> dict[str, Any]:
     """Compute errors of the streams' held-out sections with the record's offset and transforms."""
-    from pytest_twin.calibration.clocks.recorded import held_out_errors
+    from pytest_twin.calibration.clocks.record_errors import held_out_errors
 
     stated = golden.target.get("streams")
     if stated is None:

@@ -17,7 +17,7 @@ from pytest_twin.checks.base import (
 from pytest_twin.checks.contact_scene import FLOOR, OBJECT, SIZES, Scene
 from pytest_twin.checks.fields import GRAVITY_SCHEMA, QUANTITY_SCHEMA
 from pytest_twin.checks.poses import POSE_SCHEMA, keyframe_parts
-from pytest_twin.checks.scalars import declared_measure, scalar_measures
+from pytest_twin.checks.scalar_measures import declared_measure, scalar_measures
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.golden import Golden

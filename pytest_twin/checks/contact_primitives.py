@@ -12,7 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.checks.base import Observation, Progress, Trace
 from pytest_twin.checks.contact_scene import Scene
 from pytest_twin.checks.fields import quantity, spec_error
-from pytest_twin.checks.scalars import sample_grid
+from pytest_twin.checks.scalar_measures import sample_grid
 from pytest_twin.golden import Golden
 from pytest_twin.metrics import contact as metrics
 from pytest_twin.metrics.pose import pose_vector

@@ -28,7 +28,7 @@ from pytest_twin.checks.drive import (
 )
 from pytest_twin.checks.fields import QUANTITY_SCHEMA, quantity, spec_error
 from pytest_twin.checks.poses import keyframe_parts
-from pytest_twin.checks.scalars import scalar_measures
+from pytest_twin.checks.scalar_measures import scalar_measures
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.golden import Golden

@@ -204,7 +204,7 @@ class Replay(Check):
 
     def trial(self, golden: Golden, realization: Realization) -> Trial:
         """Return the longest section of the recording, all joints at the same stamps."""
-        from pytest_twin.trial.one_base import on_one_base
+        from pytest_twin.trial.common_stamps import on_one_base
 
         return on_one_base(max(self.trials(golden, realization), key=lambda t: t.duration))
 

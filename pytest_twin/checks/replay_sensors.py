@@ -40,7 +40,7 @@ SENSORS_SCHEMA: Mapping[str, Any] = {
 
 def as_read(results: Sequence[Replayed], realization: Realization) -> list[Replayed]:
     """Return the replays with positions quantized as by the encoders of the twin's records."""
-    from pytest_twin.identification.sensing.predicted import encoders_of
+    from pytest_twin.identification.sensing.reading_prediction import encoders_of
 
     encoders = encoders_of(realization.twin)
     if not encoders:
@@ -68,7 +68,7 @@ def sensor_values(
     Raises:
         SpecError: no record has a sensor, or the recording lacks its readings.
     """
-    from pytest_twin.identification.sensing.predicted import compare_readings, sensors_of
+    from pytest_twin.identification.sensing.reading_prediction import compare_readings, sensors_of
 
     twin = realization.twin
     known = sensors_of(twin)

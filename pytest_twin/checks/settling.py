@@ -20,7 +20,7 @@ from pytest_twin.checks.fields import (
     spec_error,
 )
 from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, keyframe_parts, resolve_pose
-from pytest_twin.checks.scalars import declared_measure, sample_grid, scalar_measures
+from pytest_twin.checks.scalar_measures import declared_measure, sample_grid, scalar_measures
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.energy import energy_growth
@@ -225,7 +225,7 @@ class Settling(Check):
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """Propose settling under servos, after a displacement, or a fall, as the drives allow."""
-        from pytest_twin.checks.settling_first import first_specs
+        from pytest_twin.checks.settling_proposals import first_specs
 
         return first_specs(self, realization)
 

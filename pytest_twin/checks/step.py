@@ -20,7 +20,7 @@ from pytest_twin.checks.base import (
 from pytest_twin.checks.drive import BENCH_SCHEMA, TARGET_SCHEMA, command_unit, prepare
 from pytest_twin.checks.fields import POSITION_UNIT, QUANTITY_SCHEMA, quantity, spec_error
 from pytest_twin.checks.poses import keyframe_parts
-from pytest_twin.checks.scalars import sample_grid, scalar_measures
+from pytest_twin.checks.scalar_measures import sample_grid, scalar_measures
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.time_response import step_metrics, worst_sample

@@ -24,7 +24,7 @@ from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import TOPICS, JointSeries, Recording
 from pytest_twin.formats.recordings import read_recordings
 from pytest_twin.formats.recordings.candidates import pairs, topics_option, what_to_do
-from pytest_twin.formats.serialized import QUANTITIES
+from pytest_twin.formats.ros_serialization import QUANTITIES
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import COMMAND_MODES
 from pytest_twin.report.text import printable

@@ -26,7 +26,7 @@ from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
-from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
+from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
@@ -263,7 +263,7 @@ def diagnose_files(
     from pytest_twin.diagnosis.trace import Step, Trace
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
-    from pytest_twin.realization.quiet import quiet
+    from pytest_twin.realization.mujoco_warnings import quiet
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
     asked = DiagnosisRequest(**request)

@@ -16,7 +16,7 @@ from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic, yaml
 from pytest_twin.formats.file_names import portable_name
-from pytest_twin.gate.diagnosing import REPORT_FILE
+from pytest_twin.gate.failure_diagnosis import REPORT_FILE
 from pytest_twin.realization.executor import Dask, Executor, Forks
 from pytest_twin.realization.forks import usable_cores
 from pytest_twin.report.text import printable

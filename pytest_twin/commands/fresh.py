@@ -12,7 +12,7 @@ from pytest_twin.commands import json_output
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
-from pytest_twin.provenance.past import copy_release, release_folder
+from pytest_twin.provenance.released_files import copy_release, release_folder
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release import stamps
 from pytest_twin.report.text import printable

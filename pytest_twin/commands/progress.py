@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from pytest_twin.report.each_minute import EachMinute
+from pytest_twin.report.progress_log import EachMinute
 from pytest_twin.report.text import printable
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.asset import manifest
-from pytest_twin.asset.placing import frozen_source, put_in_place
+from pytest_twin.asset.placement import frozen_source, put_in_place
 from pytest_twin.commands import folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.predicting import distances, joined, predict, predicted_positions
+from pytest_twin.commands.prediction import distances, joined, predict, predicted_positions
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -167,7 +167,7 @@ def replay_file(
     import mujoco
 
     from pytest_twin.diagnosis.patched.frequency import best_responses
-    from pytest_twin.identification.sensing.predicted import (
+    from pytest_twin.identification.sensing.reading_prediction import (
         as_encoders_read,
         compare_readings,
         encoders_of,

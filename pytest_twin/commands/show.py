@@ -13,7 +13,7 @@ from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
     recording_options,
 )
-from pytest_twin.commands.showing import episodes_in_words, in_words, survey
+from pytest_twin.commands.recording_summary import episodes_in_words, in_words, survey
 from pytest_twin.commands.terminal import show
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.realization.sandbox import Sandbox

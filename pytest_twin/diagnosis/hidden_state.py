@@ -21,7 +21,7 @@ from pytest_twin.realization.first_state import (
     settle_under_load,
 )
 from pytest_twin.realization.inputs import command_input
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 from pytest_twin.trial import CommandMode
 from pytest_twin.trial.setpoint import Setpoint
 

@@ -14,7 +14,7 @@ from pytest_twin.errors import RecordingError, TwinError
 from pytest_twin.formats.recording import Recording
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.trial import Trial, make_trials, recordings_at
-from pytest_twin.trial.one_base import on_one_base
+from pytest_twin.trial.common_stamps import on_one_base
 from pytest_twin.trial.roles import refuse_final
 
 

@@ -51,7 +51,7 @@ from pytest_twin.effects.simulation_cache import SimulationCache, row_keys
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 
 Result = TypeVar("Result")
 Motion = tuple[FloatArray, FloatArray, FloatArray]

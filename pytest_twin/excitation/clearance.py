@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.realization.collision import Shapes, enabled_pairs
 from pytest_twin.realization.first_state import follow_joint_equalities
 from pytest_twin.realization.model import Realization

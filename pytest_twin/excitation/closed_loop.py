@@ -12,7 +12,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SimulationError, SpecError
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.motion import Motion
 from pytest_twin.realization.first_state import follow_joint_equalities
 from pytest_twin.realization.inputs import LINEAR_GAINS, command_input, joint_inputs

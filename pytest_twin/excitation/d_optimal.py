@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.closed_loop import WORSE
 from pytest_twin.excitation.fourier import REST, Series, free_time, series
 from pytest_twin.excitation.lbfgs_b import lbfgs_b

@@ -8,7 +8,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.excitation import d_optimal, single_joint
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.gravity_grid import grid, static_matrix
 from pytest_twin.excitation.motion import Design, JointStates, Role

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.closed_loop import WORSE, servo_modes
 from pytest_twin.excitation.find_safe import RejectedDesign, SafeMotion
 from pytest_twin.excitation.prediction import PredictedAccuracy

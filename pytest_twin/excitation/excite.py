@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.excitation import d_optimal, files, prediction
-from pytest_twin.excitation.approved import ApprovedLimits, missing_lines
+from pytest_twin.excitation.approved_limits import ApprovedLimits, missing_lines
 from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.closed_loop import servo_modes
 from pytest_twin.excitation.designs import (
@@ -25,7 +25,7 @@ from pytest_twin.excitation.gravity_grid import static_base
 from pytest_twin.excitation.minimizers import minimizer
 from pytest_twin.excitation.noise import Noise, noise_of
 from pytest_twin.excitation.prediction import PredictedAccuracy
-from pytest_twin.excitation.reading import missing_error, movable_joints, read_approved
+from pytest_twin.excitation.read_limits import missing_error, movable_joints, read_approved
 from pytest_twin.excitation.template import template
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.file_names import portable_names

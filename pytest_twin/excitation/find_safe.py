@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.closed_loop import WORSE, ClosedLoop, Response
 from pytest_twin.excitation.motion import Design, Motion

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 
 MOST_HARMONICS = 5
 """Largest number of harmonics of a joint's series (Swevers et al. 1997 use five)."""

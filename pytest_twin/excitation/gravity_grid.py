@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.motion import JointStates, Path
 from pytest_twin.identification.regressor.base_parameters import BaseParameters, base_of
 from pytest_twin.identification.regressor.regressor import Regressor

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import ApprovedLimits, JointLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits, JointLimits
 from pytest_twin.realization.model import Realization
 
 ASSUMED_EFFORT = 0.01

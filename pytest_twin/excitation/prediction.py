@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.closed_loop import Response
 from pytest_twin.excitation.gravity_grid import SETTLE, random_poses, static_matrix
 from pytest_twin.excitation.motion import Motion

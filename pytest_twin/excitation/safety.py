@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.closed_loop import Response
 from pytest_twin.excitation.motion import Motion

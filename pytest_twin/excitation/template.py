@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import mujoco
 
-from pytest_twin.excitation.approved import MECHANISMS
+from pytest_twin.excitation.approved_limits import MECHANISMS
 from pytest_twin.realization.joint_limits import model_effort, model_range
 from pytest_twin.realization.model import Realization
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pytest_twin.formats.recording import Notes
-from pytest_twin.formats.serialized import Integers
+from pytest_twin.formats.ros_serialization import Integers
 
 
 @dataclass(frozen=True)

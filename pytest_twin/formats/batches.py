@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.formats.recording import Notes
-from pytest_twin.formats.serialized import Batch, Floats, Integers
+from pytest_twin.formats.ros_serialization import Batch, Floats, Integers
 
 
 def table_of(

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 
 from pytest_twin.formats.json_fields import names_of, object_of, stamp_of, values_of
-from pytest_twin.formats.serialized import QUANTITIES, Batch, Cursor, Layout
+from pytest_twin.formats.ros_serialization import QUANTITIES, Batch, Cursor, Layout
 
 SCHEMA_NAME = "sensor_msgs/msg/JointState"
 SCHEMA_TEXT = """\

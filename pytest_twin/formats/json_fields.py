@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from pytest_twin.formats import limits
-from pytest_twin.formats.serialized import Floats, MessageError, check_names
+from pytest_twin.formats.ros_serialization import Floats, MessageError, check_names
 
 
 def object_of(message: bytes) -> dict[str, object]:

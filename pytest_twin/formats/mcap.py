@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats.atomic import open_replacement
 from pytest_twin.formats.bag import Contents
-from pytest_twin.formats.compressed import ZSTD_MAGIC, unpacked_file
+from pytest_twin.formats.decompression import ZSTD_MAGIC, unpacked_file
 from pytest_twin.formats.joint_state import SCHEMA_NAME, SCHEMA_TEXT, encode_cdr
 from pytest_twin.formats.mcap_walk import walk
 from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.paths import open_regular
 from pytest_twin.formats.recording import TOPICS, Damage, JointSeries, Recording
-from pytest_twin.formats.serialized import QUANTITIES, Floats
+from pytest_twin.formats.ros_serialization import QUANTITIES, Floats
 
 __all__ = [
     "TOPICS",

@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats.bag import Channel, Contents, Region
-from pytest_twin.formats.compressed import unpacked_messages
+from pytest_twin.formats.decompression import unpacked_messages
 from pytest_twin.formats.joint_state import SCHEMA_NAME
 from pytest_twin.formats.message_types import (
     TRAJECTORIES,
@@ -19,7 +19,13 @@ from pytest_twin.formats.message_types import (
     message_type,
 )
 from pytest_twin.formats.recording import Damage, Notes, Recording, Topic
-from pytest_twin.formats.serialized import QUANTITIES, Batch, Encoding, Integers, MessageError
+from pytest_twin.formats.ros_serialization import (
+    QUANTITIES,
+    Batch,
+    Encoding,
+    Integers,
+    MessageError,
+)
 from pytest_twin.formats.topic_reader import TopicReader
 
 _ROLES = ("state", "command")

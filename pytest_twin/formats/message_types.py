@@ -13,7 +13,7 @@ import numpy as np
 
 from pytest_twin.formats import joint_state
 from pytest_twin.formats.json_fields import names_of, object_of, stamp_of, values_of
-from pytest_twin.formats.serialized import (
+from pytest_twin.formats.ros_serialization import (
     QUANTITIES,
     Batch,
     Cursor,
@@ -34,7 +34,7 @@ class MessageType(Protocol):
     def serialized(
         self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
     ) -> Iterator[Decoded]:
-        """Decode many messages; see :func:`pytest_twin.formats.serialized.decode`."""
+        """Decode many messages; see :func:`pytest_twin.formats.ros_serialization.decode`."""
         ...
 
     def from_json(self, message: bytes, row: int) -> Batch:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pytest_twin.formats.serialized import Floats
+from pytest_twin.formats.ros_serialization import Floats
 
 
 @dataclass(frozen=True)

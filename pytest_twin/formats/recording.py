@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pytest_twin.formats.serialized import Floats, Integers
+from pytest_twin.formats.ros_serialization import Floats, Integers
 
 _NOTES = 40
 """Largest number of notes on a recording."""

@@ -10,12 +10,13 @@ import numpy as np
 
 from pytest_twin.errors import FormatError, RecordingError
 from pytest_twin.formats.bag import Channel, Contents, Region
-from pytest_twin.formats.compressed import unpacked_messages
+from pytest_twin.formats.decompression import unpacked_messages
 from pytest_twin.formats.limits import MCAP
 from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.message_types import long_name
 from pytest_twin.formats.recordings import reader_of
 from pytest_twin.formats.recordings.base import BagReader
+from pytest_twin.formats.ros_serialization import Encoding, Integers, MessageError
 from pytest_twin.formats.sensor_messages import (
     IMAGES,
     POSES,
@@ -26,7 +27,6 @@ from pytest_twin.formats.sensor_messages import (
     poses_of,
     stamp_of,
 )
-from pytest_twin.formats.serialized import Encoding, Integers, MessageError
 from pytest_twin.formats.stamped_readings import (
     READINGS,
     Reading,

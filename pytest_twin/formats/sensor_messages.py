@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.formats.serialized import Cursor, Encoding, MessageError
+from pytest_twin.formats.ros_serialization import Cursor, Encoding, MessageError
 
 POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 TRANSFORMS = ("tf2_msgs/msg/TFMessage",)

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
+from pytest_twin.formats.ros_serialization import Integers
 from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
-from pytest_twin.formats.serialized import Integers
 
 _FEWEST = 20
 """Smallest number of messages of a stream."""

@@ -19,7 +19,7 @@ import numpy as np
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Contents, Region, Schema
-from pytest_twin.formats.compressed import ZSTD_MAGIC, unpacked_file
+from pytest_twin.formats.decompression import ZSTD_MAGIC, unpacked_file
 from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.paths import open_regular
 

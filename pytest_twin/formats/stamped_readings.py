@@ -14,8 +14,8 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.json_fields import object_of, stamp_of
+from pytest_twin.formats.ros_serialization import Cursor, Encoding, MessageError
 from pytest_twin.formats.sensor_messages import Stamped
-from pytest_twin.formats.serialized import Cursor, Encoding, MessageError
 
 WRENCH, IMU = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/Imu"
 READINGS = (WRENCH, IMU)

@@ -11,7 +11,7 @@ from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Region
 from pytest_twin.formats.batches import named_joints, note_not_finite, table_of
-from pytest_twin.formats.compressed import ZSTD_MAGIC, unpacked_messages
+from pytest_twin.formats.decompression import ZSTD_MAGIC, unpacked_messages
 from pytest_twin.formats.message_types import (
     ANY_QUANTITY,
     TRAJECTORIES,
@@ -21,7 +21,7 @@ from pytest_twin.formats.message_types import (
     message_type,
 )
 from pytest_twin.formats.recording import JointSeries, Notes
-from pytest_twin.formats.serialized import (
+from pytest_twin.formats.ros_serialization import (
     QUANTITIES,
     Batch,
     Encoding,

@@ -20,7 +20,7 @@ from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats.limits import TOSSES
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.formats.pose_track import PoseTrack
-from pytest_twin.formats.serialized import Floats
+from pytest_twin.formats.ros_serialization import Floats
 
 SUFFIX = ".npz"
 _COLUMNS = 13

@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.formats import limits
 from pytest_twin.formats.json_fields import stamp_of, time_of, values_of
-from pytest_twin.formats.serialized import (
+from pytest_twin.formats.ros_serialization import (
     QUANTITIES,
     Batch,
     Cursor,

@@ -17,9 +17,9 @@ from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written,
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats import atomic
-from pytest_twin.gate.diagnosing import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
+from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization import Realization
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 from pytest_twin.report.diagnosis import render, words
 from pytest_twin.report.diagnosis_view import view_of
 

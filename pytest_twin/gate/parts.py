@@ -12,8 +12,8 @@ from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import bytes_sha256, file_sha256
-from pytest_twin.gate.promoted import unpromoted
-from pytest_twin.gate.source import changed_sources
+from pytest_twin.gate.promotion import unpromoted
+from pytest_twin.gate.source_changes import changed_sources
 from pytest_twin.golden import Golden
 from pytest_twin.installed import entry_points_by_name, package_of
 from pytest_twin.realization.features.cache import Features, features_of

@@ -17,7 +17,7 @@ from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.features.cache import Features
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 from pytest_twin.report.plots import plot
 from pytest_twin.trial import make_trials, recording_at
 from pytest_twin.twin import Twin, load_twin

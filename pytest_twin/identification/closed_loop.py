@@ -19,7 +19,7 @@ from pytest_twin.formats.identification_record import EncoderChange
 from pytest_twin.identification.drive_effects import DriveEffects, DriveRecordings, fit_drives
 from pytest_twin.identification.effort.servo_gains import ServoGains
 from pytest_twin.identification.fit_patches import Patches
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.metrics.joint_frequency import effort_response

@@ -24,16 +24,16 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.identify import EffortResult
 from pytest_twin.identification.effort.servo_gains import ServoGains
 from pytest_twin.identification.fit_patches import Patches
-from pytest_twin.identification.measured import MeasuredSet
+from pytest_twin.identification.measured_recordings import MeasuredSet
 from pytest_twin.identification.records import correlated
 from pytest_twin.identification.simulation.document import parameters_with_covariance
-from pytest_twin.identification.simulation.fitting import with_derivatives
 from pytest_twin.identification.simulation.identify import SimulationResult, identify_simulation
 from pytest_twin.identification.simulation.passive_joints import impossible
 from pytest_twin.identification.simulation.stage_effects import AFTER_EFFORT, StagePlan
+from pytest_twin.identification.simulation.stage_fit import with_derivatives
 from pytest_twin.identification.stages import Stage
 from pytest_twin.realization import Realization
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 from pytest_twin.trial.joint_side import effort_factor

@@ -12,12 +12,12 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.effort.delay import DELAY, LAG, without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
+from pytest_twin.identification.effort.effort_scale import Scale, payload_effort, scaled
 from pytest_twin.identification.effort.filtering import Filter
-from pytest_twin.identification.effort.judging import errors_of
 from pytest_twin.identification.effort.least_squares import linear_problem
-from pytest_twin.identification.effort.sampled import sample
-from pytest_twin.identification.effort.scale import Scale, payload_effort, scaled
-from pytest_twin.identification.measured import Measured, read_measured
+from pytest_twin.identification.effort.recording_rows import sample
+from pytest_twin.identification.effort.stage_comparison import errors_of
+from pytest_twin.identification.measured_recordings import Measured, read_measured
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
 from pytest_twin.twin import DEFAULT_TOPICS

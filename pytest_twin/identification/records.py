@@ -13,7 +13,7 @@ from pytest_twin.identification.effort.encoders import SCALE, undetermined_entri
 from pytest_twin.identification.effort.estimate import SQUARES
 from pytest_twin.identification.effort.groups import FRICTION
 from pytest_twin.identification.effort.identify import EffortResult
-from pytest_twin.identification.effort.judging import parameter_name
+from pytest_twin.identification.effort.stage_comparison import parameter_name
 from pytest_twin.identification.motions import undetermined_by_effort
 from pytest_twin.identification.stages import Stage, in_order
 from pytest_twin.metrics.joint_covariance import with_deviations

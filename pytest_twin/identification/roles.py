@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.errors import RecordingError, TwinError
-from pytest_twin.identification.measured import Measured, MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import Measured, MeasuredSet, read_measured
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals

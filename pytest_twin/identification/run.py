@@ -24,11 +24,11 @@ from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.encoder_changes import encoder_changes
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.known_effects import notes_on_effects
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify import identify_sensors
-from pytest_twin.identification.sensing.recorded import NamedSensor
+from pytest_twin.identification.sensing.sensor_recordings import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
@@ -230,7 +230,7 @@ def _from_commands(
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.identification.simulation.document import simulation_document
     from pytest_twin.identification.simulation.identify import identify_simulation
-    from pytest_twin.realization.quiet import quiet
+    from pytest_twin.realization.mujoco_warnings import quiet
 
     trials = read_trials(recordings, held_out, topics, realization.structure, options)
     inherited = patched_of(realization)

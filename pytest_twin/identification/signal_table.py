@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.signals import Signals
 
 

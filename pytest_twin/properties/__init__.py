@@ -12,10 +12,10 @@ They need hypothesis: ``pip install 'pytest-twin[properties]'``.
 from __future__ import annotations
 
 from pytest_twin.properties.asset import Asset
-from pytest_twin.properties.broken import Broken, PropertyError
 from pytest_twin.properties.form import Form
 from pytest_twin.properties.suite import PROPERTIES, Property, asset_properties
 from pytest_twin.properties.tolerances import Tolerances
+from pytest_twin.properties.violation import Broken, PropertyError
 
 __all__ = [
     "PROPERTIES",

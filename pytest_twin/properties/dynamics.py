@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from pytest_twin.properties.agreement import Q, gravity_scales, matrix_of
 from pytest_twin.properties.asset import Asset
-from pytest_twin.properties.broken import Broken
 from pytest_twin.properties.form import Form
+from pytest_twin.properties.violation import Broken
 from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
@@ -186,7 +186,7 @@ def energy_conservation(asset: Asset, q: Q) -> Iterator[Broken]:
     The robot is simulated with RK4, with springs and gravity only. The step is halved until the
     energy is constant, which it must be for a sufficiently small step.
     """
-    from pytest_twin.realization.quiet import quiet
+    from pytest_twin.realization.mujoco_warnings import quiet
 
     for form in asset.simulated:
         drift = bound = math.inf

@@ -10,10 +10,10 @@ from typing import Any
 
 from pytest_twin.errors import SpecError
 from pytest_twin.old_names import old_name
-from pytest_twin.properties import agreement, dynamics, transformed
+from pytest_twin.properties import agreement, dynamics, transformations
 from pytest_twin.properties.asset import Asset, load_asset
-from pytest_twin.properties.broken import Broken, PropertyError
 from pytest_twin.properties.tolerances import Tolerances
+from pytest_twin.properties.violation import Broken, PropertyError
 
 EXAMPLES = 10
 """Default number of random configurations."""
@@ -86,9 +86,9 @@ PROPERTIES: Mapping[str, Property] = {
         _property(dynamics.gravity_is_gradient, posed=True, compares=False),
         _property(dynamics.coriolis_forces, posed=True, compares=False),
         _property(dynamics.energy_conservation, posed=True, compares=False),
-        _property(transformed.written_and_read, posed=True, compares=False),
-        _property(transformed.mirrored, posed=True, compares=False),
-        _property(transformed.rerooted, posed=True, compares=False),
+        _property(transformations.written_and_read, posed=True, compares=False),
+        _property(transformations.mirrored, posed=True, compares=False),
+        _property(transformations.rerooted, posed=True, compares=False),
     )
 }
 """Name -> property, in the order in which they are tested."""

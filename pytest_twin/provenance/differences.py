@@ -23,6 +23,7 @@ from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.recording import Recording
 from pytest_twin.outcome import Reason
 from pytest_twin.provenance.displacement import Displacement, displacement_between, tool_poses
+from pytest_twin.provenance.motion_difference import simulated_differences
 from pytest_twin.provenance.poses import (
     Poses,
     drawn_poses,
@@ -31,7 +32,6 @@ from pytest_twin.provenance.poses import (
     recordings_of,
     variants_of,
 )
-from pytest_twin.provenance.simulated import simulated_differences
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.encoders import calibration_of
 from pytest_twin.staleness import changes, twin_parts

@@ -21,7 +21,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inertia import compiled_inertia
 from pytest_twin.realization.inverse_dynamics import INERTIAL, InverseDynamics, pseudo_inertia
-from pytest_twin.realization.rigid import moments
+from pytest_twin.realization.rigid_model import moments
 
 AXES = ("s11", "s22", "s33", "s44", "s21", "s31", "s32", "s41", "s42", "s43")
 """Names of the coordinates: the diagonal of ``S``, then the rows below it."""

@@ -13,10 +13,10 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.errors import SpecError
 from pytest_twin.ranges.bodies import Body
-from pytest_twin.ranges.calibrated import zeros_of
+from pytest_twin.ranges.calibrated_zeros import zeros_of
 from pytest_twin.ranges.distribution import Coordinate, Distribution, Source, distribution_of
-from pytest_twin.ranges.identified import RecordCoordinates, coordinates_of_record
-from pytest_twin.ranges.passive import with_bounded_sums, with_passive_joints
+from pytest_twin.ranges.drive_limits import with_bounded_sums, with_passive_joints
+from pytest_twin.ranges.identified_coordinates import RecordCoordinates, coordinates_of_record
 from pytest_twin.ranges.tolerances import with_tolerances
 from pytest_twin.ranges.trials import spread_over_trials
 from pytest_twin.realization import Realization

@@ -12,17 +12,17 @@ import numpy as np
 from pytest_twin import __version__
 from pytest_twin.diagnosis.noise import sensor_noise
 from pytest_twin.diagnosis.patched.model import patched_of
-from pytest_twin.ranges.against import compare
 from pytest_twin.ranges.bodies import Body
 from pytest_twin.ranges.check import FEWEST_ROBOTS, assess, plotted, predict_envelopes
 from pytest_twin.ranges.distribution import Distribution
 from pytest_twin.ranges.gather import UncertainParameters, collect_uncertain_parameters
 from pytest_twin.ranges.quantities import quantities
+from pytest_twin.ranges.range_comparison import compare
 from pytest_twin.ranges.range_files import read_ranges
 from pytest_twin.ranges.recordings import RecordingsByRole, checked_recordings
 from pytest_twin.ranges.simulate import Traces, VariedRobots
+from pytest_twin.ranges.summary import summary_lines
 from pytest_twin.ranges.widening import fewest_robots, widened
-from pytest_twin.ranges.words import summary_lines
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.sandbox import MEMORY_BYTES
 from pytest_twin.recording_options import RecordingOptions

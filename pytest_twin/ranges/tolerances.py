@@ -12,9 +12,9 @@ from pytest_twin.effects.base import si_unit
 from pytest_twin.effects.sensing import EncoderBias
 from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.ranges.bodies import AXES, Body, bodies_of
-from pytest_twin.ranges.calibrated import encoder_zero
+from pytest_twin.ranges.calibrated_zeros import encoder_zero
 from pytest_twin.ranges.distribution import Coordinate, Source
-from pytest_twin.ranges.identified import FIELDS, RecordCoordinates, joint_coordinate
+from pytest_twin.ranges.identified_coordinates import FIELDS, RecordCoordinates, joint_coordinate
 from pytest_twin.ranges_spec import Tolerance
 from pytest_twin.realization import Realization
 from pytest_twin.realization.patch import suggest

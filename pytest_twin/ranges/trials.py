@@ -10,7 +10,7 @@ from scipy import stats
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.ranges.distribution import Coordinate, Source
-from pytest_twin.ranges.identified import RecordCoordinates
+from pytest_twin.ranges.identified_coordinates import RecordCoordinates
 from pytest_twin.ranges_spec import TrialGroup
 from pytest_twin.realization import Realization
 from pytest_twin.twin import Twin

@@ -15,7 +15,7 @@ from pytest_twin.realization import inertia
 from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.patch import suggest
 from pytest_twin.realization.reference import Reference
-from pytest_twin.realization.rigid import moments
+from pytest_twin.realization.rigid_model import moments
 
 _PINOCCHIO_ORDER = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 INERTIAL = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")

@@ -17,7 +17,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.realization import reference_mjcf, reference_urdf
 from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.patch import suggest
-from pytest_twin.realization.rigid import RigidModel
+from pytest_twin.realization.rigid_model import RigidModel
 
 Vector = NDArray[np.float64]
 Value = float | Vector

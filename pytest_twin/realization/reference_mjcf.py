@@ -14,7 +14,7 @@ from pytest_twin.errors import FormatError, ModelError
 from pytest_twin.realization import inertia, mesh, shapes
 from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.named_model import NamedModel
-from pytest_twin.realization.rigid import RigidModel, add_inertia, moments
+from pytest_twin.realization.rigid_model import RigidModel, add_inertia, moments
 
 Vector = NDArray[np.float64]
 Inertia = tuple[float, Vector, Vector]

@@ -10,7 +10,7 @@ import pinocchio as pin
 from pytest_twin.errors import ModelError
 from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.node import Node
-from pytest_twin.realization.rigid import RigidModel, add_inertia, moments
+from pytest_twin.realization.rigid_model import RigidModel, add_inertia, moments
 from pytest_twin.realization.urdf import Robot
 
 _KINEMATIC = frozenset({"pos", "quat", "axis", "ref"})

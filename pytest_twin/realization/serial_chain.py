@@ -15,7 +15,7 @@ from pytest_twin.formats import xml
 from pytest_twin.realization import reference_mjcf, reference_urdf, urdf
 from pytest_twin.realization.loading import load
 from pytest_twin.realization.patch import suggest
-from pytest_twin.realization.rigid import RigidModel
+from pytest_twin.realization.rigid_model import RigidModel
 from pytest_twin.twin import JointCalibration, load_twin
 
 Vector = NDArray[np.float64]

@@ -13,7 +13,7 @@ from securesystemslib.signer import Key
 from pytest_twin.errors import LimitError, PathError, ReleaseError, TwinError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.digest import bytes_sha256
-from pytest_twin.release import accepted
+from pytest_twin.release import accepted_releases
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
 from pytest_twin.release.statement import Release
@@ -118,7 +118,7 @@ def _check(
     circumstances = _circumstances(path, root, trusted, release, remember)
     verdict = judge(release, listing, now=now, circumstances=circumstances)
     if remember and verdict.holds:
-        accepted.remember(release.header.series, release.number)
+        accepted_releases.remember(release.header.series, release.number)
     return verdict
 
 
@@ -134,7 +134,7 @@ def _circumstances(
         twin=_stated_name(root) if path.parent.name == folders.RELEASES else None,
         newer=_first_authentic(newer, trusted),
         before=None if _follows(release, older) else _first_authentic(older, trusted),
-        seen=accepted.highest(release.header.series) if remember else None,
+        seen=accepted_releases.highest(release.header.series) if remember else None,
     )
 
 

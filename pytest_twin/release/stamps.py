@@ -11,12 +11,12 @@ from securesystemslib.signer import Key
 
 from pytest_twin.errors import ReleaseError, TwinError
 from pytest_twin.formats.stamps import Carrier
-from pytest_twin.release import accepted, stamp
+from pytest_twin.release import accepted_releases, stamp
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
-from pytest_twin.release.parsed_in_child import carriers_in_child
 from pytest_twin.release.restore import authentic
 from pytest_twin.release.stamp import Stamp, StampVerdict
+from pytest_twin.release.stamp_sandbox import carriers_in_child
 from pytest_twin.twin import find_twin
 
 _SERIES = frozenset("0123456789abcdef")
@@ -63,7 +63,7 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
     for one in found:
         assert one.stamp is not None
         one.carrier.write(one.stamp.to_text())
-    accepted.remember_twin(released.header.series, release_folder.absolute().parent.parent)
+    accepted_releases.remember_twin(released.header.series, release_folder.absolute().parent.parent)
     return found
 
 
@@ -132,7 +132,7 @@ def twins_near(dataset: Path, found: list[Stamped]) -> Iterator[Path]:
     for one in found:
         series = one.stamp.ids["series"] if one.stamp is not None else None
         if isinstance(series, str) and len(series) == 32 and set(series) <= _SERIES:
-            root = accepted.twin_of(series)
+            root = accepted_releases.twin_of(series)
             if root is not None:
                 given[root] = None
     yield from given

@@ -13,7 +13,7 @@ from typing import Any
 from pytest_twin.dependency import Part, canonical
 from pytest_twin.errors import ReleaseError
 from pytest_twin.outcome import Outcome
-from pytest_twin.release import canonical_json, names
+from pytest_twin.release import canonical_json, file_names
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
 
 STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
@@ -371,7 +371,7 @@ def _check_files(files: Sequence[FileEntry], limits: ReleaseLimits) -> None:
             "too many files", value=len(files), expected=f"at most {limits.files_count}"
         )
     for entry in files:
-        problem = names.problem_with(entry.name, limits)
+        problem = file_names.problem_with(entry.name, limits)
         if problem:
             raise ReleaseError(
                 f"the name of a file {problem}",
@@ -379,7 +379,7 @@ def _check_files(files: Sequence[FileEntry], limits: ReleaseLimits) -> None:
                 value=entry.name,
                 expected="a relative path with names that every system can hold",
             )
-    for one, other in names.colliding(entry.name for entry in files):
+    for one, other in file_names.colliding(entry.name for entry in files):
         raise ReleaseError(
             f"two files have the same name on other systems: {one!r} and {other!r}",
             where="subject",

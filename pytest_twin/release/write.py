@@ -21,7 +21,7 @@ from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.file_names import portable_paths
 from pytest_twin.formats.paths import open_regular
-from pytest_twin.release import accepted, statement
+from pytest_twin.release import accepted_releases, statement
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
 from pytest_twin.release.check import baseline
@@ -86,7 +86,7 @@ def write(
         raise PathError(f"cannot be written: {error.strerror or error}", path=releases) from None
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-    note = accepted.remember(header.series, header.number)
+    note = accepted_releases.remember(header.series, header.number)
     return release, (*notes, *([note] if note else []))
 
 
@@ -135,7 +135,7 @@ def _header(
         series = secrets.token_hex(16)
     else:
         series = before.header.series
-        numbers.append(accepted.highest(series) or 0)
+        numbers.append(accepted_releases.highest(series) or 0)
     # If another process finished a release in between, this one would state the wrong predecessor.
     since = folders.numbered(releases)
     if since != there:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.report.drawn import png, svg
+from pytest_twin.report.figures import png, svg
 from pytest_twin.report.plot_style import DIM, FAIL, GOLDEN, INK, NOW, PASS
 from pytest_twin.report.text import printable
 

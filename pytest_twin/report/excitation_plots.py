@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pytest_twin.report.drawn import svg
+from pytest_twin.report.figures import svg
 from pytest_twin.report.log_axes import logarithmic
 from pytest_twin.report.plot_style import BAND, DIM, FAIL, INK, NOW, PASS
 from pytest_twin.report.text import printable

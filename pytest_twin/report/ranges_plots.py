@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pytest_twin.report.drawn import svg
+from pytest_twin.report.figures import svg
 from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW
 from pytest_twin.report.text import printable
 

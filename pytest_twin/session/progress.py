@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pytest_twin.report.each_minute import EachMinute
+from pytest_twin.report.progress_log import EachMinute
 
 _FIRST_SECONDS = 1.0
 """Time before the first update; short goldens show none."""

@@ -13,14 +13,14 @@ import pytest
 
 from pytest_twin.checks import kinds
 from pytest_twin.errors import TwinError
-from pytest_twin.gate.closing import Policy, finish
-from pytest_twin.gate.diagnosing import RealizationDiagnosis, diagnose_failures
+from pytest_twin.gate.failure_diagnosis import RealizationDiagnosis, diagnose_failures
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import line_of
+from pytest_twin.gate.plan_lines import update_lines, why_lines
+from pytest_twin.gate.run_end import Policy, finish
 from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update
 from pytest_twin.gate.verdict import SessionFacts
-from pytest_twin.gate.why import update_lines, why_lines
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Outcome, Reason
 from pytest_twin.report.failure import failure_text, what

@@ -15,9 +15,9 @@ except ModuleNotFoundError as _error:
     ) from None
 
 from pytest_twin.strategies.configurations import configurations
-from pytest_twin.strategies.drawn import DrawnJoint, DrawnLink, DrawnShape
 from pytest_twin.strategies.drawn_robot import DrawnRobot
-from pytest_twin.strategies.perturbed import Perturbation, Spread, perturbed_assets
+from pytest_twin.strategies.perturbation import Perturbation, Spread, perturbed_assets
+from pytest_twin.strategies.robot_elements import DrawnJoint, DrawnLink, DrawnShape
 from pytest_twin.strategies.robots import mjcf_robots, robots, urdf_robots
 
 del _hypothesis

@@ -10,7 +10,7 @@ from typing import Literal
 
 from pytest_twin.formats import atomic
 from pytest_twin.strategies import robot_text
-from pytest_twin.strategies.drawn import DrawnJoint, DrawnLink
+from pytest_twin.strategies.robot_elements import DrawnJoint, DrawnLink
 
 
 @dataclass(frozen=True)

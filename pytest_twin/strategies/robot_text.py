@@ -11,7 +11,7 @@ from lxml import etree
 
 from pytest_twin.metrics.pose import quaternion_of
 from pytest_twin.realization.urdf import rotation
-from pytest_twin.strategies.drawn import DrawnJoint, DrawnLink, DrawnShape, Triple
+from pytest_twin.strategies.robot_elements import DrawnJoint, DrawnLink, DrawnShape, Triple
 
 _Element = Any
 

@@ -7,7 +7,8 @@ from typing import Literal
 
 from hypothesis import strategies as st
 
-from pytest_twin.strategies.drawn import (
+from pytest_twin.strategies.drawn_robot import DrawnRobot
+from pytest_twin.strategies.robot_elements import (
     MOVING,
     DrawnJoint,
     DrawnLink,
@@ -15,7 +16,6 @@ from pytest_twin.strategies.drawn import (
     JointKind,
     Triple,
 )
-from pytest_twin.strategies.drawn_robot import DrawnRobot
 
 _KINDS: tuple[JointKind, ...] = ("revolute", "continuous", "prismatic", "fixed")
 _UNIT_AXES: tuple[Triple, ...] = (

@@ -21,10 +21,10 @@ from pytest_twin.recording_options import (
 )
 from pytest_twin.trial.clock import TimedMessages, on_one_clock
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
+from pytest_twin.trial.gaps import stretches
 from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
 from pytest_twin.trial.joints import in_model_names, listed, named_by_actuators
 from pytest_twin.trial.recording_checks import RecordingChecks
-from pytest_twin.trial.stretches import stretches
 from pytest_twin.trial.table import (
     StateRows,
     kept_commands,

@@ -13,7 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
 from pytest_twin.recording_options import CommandMode
-from pytest_twin.trial.stretches import gaps
+from pytest_twin.trial.gaps import gaps
 from pytest_twin.trial.trial import Mark, MarkKind
 
 _UNITS: Mapping[str, tuple[str, str]] = {

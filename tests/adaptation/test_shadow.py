@@ -23,7 +23,7 @@ from pytest_twin.adaptation.guard import Guard
 from pytest_twin.commands import shadow as command
 from pytest_twin.effects.unnamed_law import KNOTS
 from pytest_twin.formats.schema import load_schema
-from pytest_twin.gate.promoted import unpromoted
+from pytest_twin.gate.promotion import unpromoted
 from pytest_twin.twin import load_twin
 
 FK = """\

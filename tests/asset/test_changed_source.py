@@ -11,7 +11,7 @@ from asset_robots import write_arm
 
 from pytest_twin.cli import main
 from pytest_twin.gate.parts import collect_dependencies
-from pytest_twin.gate.source import changed_sources
+from pytest_twin.gate.source_changes import changed_sources
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.twin import load_twin
 

@@ -19,7 +19,7 @@ from pytest_twin.budget.categories import category_of_parameter
 from pytest_twin.budget.changed_replays import Change, ChangedReplays
 from pytest_twin.budget.effect_parameters import effect_parameter, with_values
 from pytest_twin.budget.run import budget_of_file
-from pytest_twin.commands.predicting import predict
+from pytest_twin.commands.prediction import predict
 from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.realization import Realization, load
 from pytest_twin.replay import replay

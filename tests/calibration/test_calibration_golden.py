@@ -19,8 +19,8 @@ from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.gate.parts import installed_version
 from pytest_twin.gate.plan import Plan, Task
+from pytest_twin.gate.plan_lines import why_lines
 from pytest_twin.gate.specs import load_golden
-from pytest_twin.gate.why import why_lines
 from pytest_twin.golden import Golden
 from pytest_twin.realization import load
 from pytest_twin.staleness import Baseline, DependencyMap, Lookups, Model, dependency_map, staleness

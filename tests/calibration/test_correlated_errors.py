@@ -8,7 +8,7 @@ import cells
 import numpy as np
 import pytest
 
-from pytest_twin.calibration.correlated import block_jackknife
+from pytest_twin.calibration.block_jackknife import block_jackknife
 from pytest_twin.calibration.run import calibrate
 
 TRUTH = np.array([0.7, -0.3])

@@ -7,7 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from pytest_twin.realization.lockstep import lockstep
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 
 PENDULUM = """\
 <mujoco><option timestep="0.002"/><worldbody><body name="link">

@@ -124,7 +124,7 @@ def write_drawn(folder: Path, robot: DrawnRobot, seed: int) -> Path:
 
 
 def _overlapping_pairs(path: Path, section: dict[str, Any]) -> list[list[str]]:
-    from pytest_twin.excitation.reading import read_approved
+    from pytest_twin.excitation.read_limits import read_approved
 
     wide = {**section, "clearance": {"self": 0.1, "environment": 0.1}}
     path.write_text(yaml.safe_dump({"model": "drawn.urdf", "excitation": wide}))

@@ -12,9 +12,9 @@ from approved_arms import ARM, approved_for_arm, loaded, write_twin
 
 from pytest_twin import cli
 from pytest_twin.errors import TwinError
-from pytest_twin.excitation.approved import missing_lines
+from pytest_twin.excitation.approved_limits import missing_lines
 from pytest_twin.excitation.excite import excite, missing_template
-from pytest_twin.excitation.reading import read_approved
+from pytest_twin.excitation.read_limits import read_approved
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 

@@ -11,13 +11,13 @@ import pytest
 from approved_arms import Excited, approved_for_arm, loaded, write_twin
 
 from pytest_twin.excitation import single_joint
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.closed_loop import WORSE
 from pytest_twin.excitation.excite import Excitation, excite
 from pytest_twin.excitation.find_safe import Robot, SafeMotion
 from pytest_twin.excitation.motion import Motion
-from pytest_twin.excitation.reading import read_approved
+from pytest_twin.excitation.read_limits import read_approved
 from pytest_twin.excitation.safety import commanded, reasons, simulated
 from pytest_twin.identification.regressor.regressor import Regressor
 

@@ -18,12 +18,12 @@ from in_process import InProcess
 
 from pytest_twin import cli
 from pytest_twin.errors import SpecError
-from pytest_twin.excitation.approved import ApprovedLimits
+from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.d_optimal import Design
 from pytest_twin.excitation.excite import excite
 from pytest_twin.excitation.minimizers import SOLVERS, minimizer
 from pytest_twin.excitation.noise import noise_of
-from pytest_twin.excitation.reading import read_approved
+from pytest_twin.excitation.read_limits import read_approved
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.identification.regressor.base_parameters import structural_base
 from pytest_twin.identification.regressor.regressor import Regressor

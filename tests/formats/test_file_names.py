@@ -13,7 +13,7 @@ from pytest_twin.formats.file_names import (
     portable_names,
     portable_paths,
 )
-from pytest_twin.release.names import colliding, problem_with
+from pytest_twin.release.file_names import colliding, problem_with
 
 NAMES = st.one_of(
     st.text(max_size=12),

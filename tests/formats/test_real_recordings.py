@@ -13,7 +13,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from pytest_twin.formats.recording import Recording
 from pytest_twin.formats.recordings import read_one
-from pytest_twin.formats.serialized import QUANTITIES
+from pytest_twin.formats.ros_serialization import QUANTITIES
 
 RECORDINGS = Path(
     os.environ.get("TWIN_RECORDINGS", Path(__file__).parents[3] / "shared" / "recordings")

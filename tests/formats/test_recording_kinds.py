@@ -17,7 +17,7 @@ from pytest_twin.errors import FormatError, LimitError, PathError, TwinError
 from pytest_twin.formats import limits
 from pytest_twin.formats.recording import JointSeries, Recording
 from pytest_twin.formats.recordings import read_one, read_recordings
-from pytest_twin.formats.serialized import QUANTITIES
+from pytest_twin.formats.ros_serialization import QUANTITIES
 
 MESSAGES = [
     message

@@ -10,8 +10,8 @@ import sensor_bags
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.pose_tracks import read_pose_tracks
+from pytest_twin.formats.ros_serialization import MessageError
 from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
-from pytest_twin.formats.serialized import MessageError
 from pytest_twin.formats.stamped_readings import (
     IMU,
     WRENCH,

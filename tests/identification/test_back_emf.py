@@ -9,8 +9,8 @@ from test_identify_simulation import NOMINAL
 
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.identification.simulation.fitting import held_out_error
 from pytest_twin.identification.simulation.passive_joints import impossible, with_largest_back_emf
+from pytest_twin.identification.simulation.stage_fit import held_out_error
 
 DAMPING = NOMINAL["damping"]
 ROLLOFF, DRAG = Term("torque_rolloff", 0), Term("viscous_friction", 0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pytest_twin.identification.effort.filtering import choose_filter
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 
 TIME = np.arange(0.0, 20.0, 0.005)
 

@@ -27,7 +27,7 @@ from pytest_twin.formats.schema import load_schema
 from pytest_twin.identification.drive_effects import changed_attributes
 from pytest_twin.identification.effort.identify import identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
-from pytest_twin.identification.measured import MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
 from pytest_twin.identification.run import identify_files
 from pytest_twin.identification.simulation import staged_fit
 from pytest_twin.realization import load

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import signal
 
 from pytest_twin.identification.closed_loop import effort_responses
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 
 RATE = 100.0
 

@@ -12,7 +12,7 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.encoders import EncoderError, EncoderErrors, widened
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.effort.least_squares import LinearProblem, Solution
-from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
 from pytest_twin.identification.records import effort_document
 from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS

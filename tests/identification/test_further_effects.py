@@ -21,8 +21,8 @@ from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.identification.simulation import identify
-from pytest_twin.identification.simulation.fitting import add_effects, held_out_error
 from pytest_twin.identification.simulation.stage_effects import FURTHER, StagePlan
+from pytest_twin.identification.simulation.stage_fit import add_effects, held_out_error
 from pytest_twin.realization import load
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.twin import DEFAULT_TOPICS

@@ -10,7 +10,7 @@ import pytest
 from arms import JOINTS, closed_loop, true_arm, write_model
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from pytest_twin.identification.paired import Paired, paired
+from pytest_twin.identification.paired_test import Paired, paired
 
 LENGTHS = (400, 600)
 

@@ -9,7 +9,7 @@ import pytest
 from arms import JOINTS, REAL, TRUE, simulated_effort, write_mcap, write_model
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS

@@ -20,7 +20,7 @@ from pytest_twin.identification.drive_effects import DriveRecordings, drive_reco
 from pytest_twin.identification.effort.identify import identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.fit_patches import patches_of
-from pytest_twin.identification.measured import MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import NO_OPTIONS

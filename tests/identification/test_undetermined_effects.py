@@ -16,10 +16,10 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.excitation.approved import MECHANISMS
+from pytest_twin.excitation.approved_limits import MECHANISMS
 from pytest_twin.identification.motions import undetermined_by_command, undetermined_by_effort
 from pytest_twin.identification.simulation.stage_effects import SIMULATED
-from pytest_twin.identification.simulation.undetermined import undetermined_terms
+from pytest_twin.identification.simulation.undetermined_terms import undetermined_terms
 from pytest_twin.realization import load
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.twin import DEFAULT_TOPICS

@@ -11,7 +11,7 @@ from arms import NOMINAL, TRUE, write_model
 from test_wrong_signals import identified, measured
 
 from pytest_twin.identification.effort.position_mistakes import clipped_ends, position_mistakes
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.realization import load
 from pytest_twin.signals import Signals
 

@@ -11,9 +11,9 @@ from arms import JOINTS, REAL, simulated_effort, true_arm, write_model, write_re
 from scipy import signal
 
 from pytest_twin.errors import RecordingError
-from pytest_twin.excitation.approved import MECHANISMS
+from pytest_twin.excitation.approved_limits import MECHANISMS
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured import Measured, MeasuredSet, saturation_level
+from pytest_twin.identification.measured_recordings import Measured, MeasuredSet, saturation_level
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import load

@@ -24,7 +24,7 @@ from securesystemslib.signer import CryptoSigner, Key
 
 from pytest_twin import release
 from pytest_twin.errors import ReleaseError
-from pytest_twin.release import canonical_json, folder, keys, names, statement
+from pytest_twin.release import canonical_json, file_names, folder, keys, statement
 from pytest_twin.release.envelope import PAYLOAD_TYPE, open_envelope, seal
 from pytest_twin.release.limits import ReleaseLimits
 from pytest_twin.release.verify import FolderEntry, verify
@@ -655,12 +655,12 @@ def test_at_most_20_problems_are_listed_with_a_count_of_the_others(root: Path, f
     ],
 )
 def test_file_names_that_are_not_portable_are_refused(name: str) -> None:
-    assert names.problem_with(name) is not None
+    assert file_names.problem_with(name) is not None
 
 
 @pytest.mark.parametrize("name", ["a", "a/b.stl", "Arm 2 (left).xml", ".hidden", "größe.yaml"])
 def test_portable_file_names_are_accepted(name: str) -> None:
-    assert names.problem_with(name) is None
+    assert file_names.problem_with(name) is None
 
 
 @pytest.mark.parametrize(
@@ -668,12 +668,12 @@ def test_portable_file_names_are_accepted(name: str) -> None:
     [("a", "A"), ("a/b", "A/c"), ("straße", "STRASSE"), ("a", "a/b"), ("a", "A/b"), ("x", "x")],
 )
 def test_file_names_that_collide_on_other_systems_are_found(pair: tuple[str, str]) -> None:
-    assert names.colliding(pair)
-    assert names.colliding(reversed(pair))
+    assert file_names.colliding(pair)
+    assert file_names.colliding(reversed(pair))
 
 
 def test_distinct_file_names_do_not_collide() -> None:
-    assert names.colliding(["a/b", "a/c", "b/a", "ab"]) == []
+    assert file_names.colliding(["a/b", "a/c", "b/a", "ab"]) == []
 
 
 # verification without disk access

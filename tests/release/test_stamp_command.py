@@ -21,7 +21,7 @@ from pytest_twin.errors import SimulationError, TwinError
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.formats.stamps import carriers_of
 from pytest_twin.realization import confinement
-from pytest_twin.release.parsed_in_child import ParsedInChild, carriers_in_child
+from pytest_twin.release.stamp_sandbox import ParsedInChild, carriers_in_child
 
 sys.path.append(str(Path(__file__).parents[1] / "formats"))
 

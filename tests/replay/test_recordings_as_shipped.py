@@ -14,7 +14,7 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import Damage, JointSeries, Recording
 from pytest_twin.recording_options import JointNames, RecordingOptions
 from pytest_twin.trial import Trial, make_trial, make_trials
-from pytest_twin.trial.one_base import on_one_base
+from pytest_twin.trial.common_stamps import on_one_base
 
 COUNT = 400
 TIME = 0.01 * np.arange(COUNT)

@@ -334,7 +334,7 @@ def test_mirrored_and_rerooted_properties_detect_a_wrong_transformation(
 ) -> None:
     # A new asset, because imported forms are cached.
     asset = asset_of(tmp_path)
-    monkeypatch.setattr(f"pytest_twin.properties.transformed.trees.{name}", broken)
+    monkeypatch.setattr(f"pytest_twin.properties.transformations.trees.{name}", broken)
     with pytest.raises(
         PropertyError, match=r"frame '\w+': .*(mirrored|with root 'tool'), has another orientation"
     ):

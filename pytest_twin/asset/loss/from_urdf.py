@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.asset import stated
+from pytest_twin.asset import stated_elements
 from pytest_twin.asset.loss import shapes
 from pytest_twin.asset.loss.description import Description, JointFacts, LinkFacts
 from pytest_twin.asset.loss.shapes import Shape
@@ -88,7 +88,7 @@ def describe(robot: Robot, extras: Extras, meshes: Mapping[str, Vector]) -> Desc
             if (node := joint.node.find("safety_controller")) is not None
         },
         custom=extras.custom,
-        stated=stated.rows(robot.node) | _idle_ranges(robot),
+        stated=stated_elements.rows(robot.node) | _idle_ranges(robot),
     )
 
 

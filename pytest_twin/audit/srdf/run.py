@@ -18,7 +18,7 @@ from pytest_twin.audit.srdf.files import urdf_of
 from pytest_twin.errors import ModelError
 from pytest_twin.realization import urdf
 from pytest_twin.realization.files.search import SearchFolders
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 
 
 def audit_srdf(

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.detection import Detection
 from pytest_twin.calibration.boards.target import Target
-from pytest_twin.calibration.cameras.observed import Images
+from pytest_twin.calibration.cameras.images import Images
 
 
 def has_half_turn_symmetry(target: Target) -> bool:

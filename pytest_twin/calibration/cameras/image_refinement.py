@@ -11,9 +11,9 @@ from scipy.stats import t as student
 
 from pytest_twin import __version__
 from pytest_twin.calibration.cameras.bundle import Bundle
-from pytest_twin.calibration.cameras.observed import Images
-from pytest_twin.calibration.cameras.refined import intrinsics_record, refined
-from pytest_twin.calibration.coincident import LeftOut
+from pytest_twin.calibration.cameras.corner_refinement import intrinsics_record, refined
+from pytest_twin.calibration.cameras.images import Images
+from pytest_twin.calibration.coincident_markers import LeftOut
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.records import Estimate

@@ -18,7 +18,6 @@ from pytest_twin.calibration.clocks.correlation import (
     correlate_speeds,
 )
 from pytest_twin.calibration.clocks.figures import angular_speeds, scene_of_streams
-from pytest_twin.calibration.clocks.mistakes import mistakes_of_streams
 from pytest_twin.calibration.clocks.offset import (
     MOST_OFFSET_SPREAD_S,
     ClockFit,
@@ -27,6 +26,7 @@ from pytest_twin.calibration.clocks.offset import (
     hand_times,
 )
 from pytest_twin.calibration.clocks.residuals import residuals_of
+from pytest_twin.calibration.clocks.stream_mistakes import mistakes_of_streams
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import INVERTED_RECORDS, describe_pose, records_of

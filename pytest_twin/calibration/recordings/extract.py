@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.target import KINDS
 from pytest_twin.calibration.clocks.streams import PoseStream
-from pytest_twin.calibration.coincident import LeftOut
+from pytest_twin.calibration.coincident_markers import LeftOut
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.recordings.at_rest import (
     STILL_M,

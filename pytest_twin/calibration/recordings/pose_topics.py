@@ -14,9 +14,9 @@ from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
+from pytest_twin.formats.ros_serialization import Integers
 from pytest_twin.formats.sensor_bag import SensorCollector
 from pytest_twin.formats.sensor_messages import Stamped
-from pytest_twin.formats.serialized import Integers
 
 TF = ("/tf", "/tf_static")
 

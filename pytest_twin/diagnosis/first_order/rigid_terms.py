@@ -18,7 +18,7 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.rigid_body import InertialParameters, Payload
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
-from pytest_twin.realization.quiet import quiet
+from pytest_twin.realization.mujoco_warnings import quiet
 
 # Finite-difference step of positions (rad or m) and velocities (rad/s or m/s).
 _NUDGE = 1e-4

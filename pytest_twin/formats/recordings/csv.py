@@ -17,7 +17,7 @@ from pytest_twin.formats.paths import decode_text, read_bytes
 from pytest_twin.formats.recording import Damage, JointSeries, Recording
 from pytest_twin.formats.recordings.base import ReadingOptions
 from pytest_twin.formats.recordings.csv_numbers import Body
-from pytest_twin.formats.serialized import QUANTITIES, Floats, Integers
+from pytest_twin.formats.ros_serialization import QUANTITIES, Floats, Integers
 
 TIME = "time"
 FIELDS = (*QUANTITIES, "command")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.errors import FormatError
-from pytest_twin.formats.serialized import Floats, Integers
+from pytest_twin.formats.ros_serialization import Floats, Integers
 
 # Characters: a Unix time in s with 15 decimals fits; longer text is not a time.
 _TIME_CHARS = 40

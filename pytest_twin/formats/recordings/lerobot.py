@@ -23,7 +23,7 @@ from pytest_twin.formats.recording import JointSeries, Notes, Recording
 from pytest_twin.formats.recordings.base import ReadingOptions
 from pytest_twin.formats.recordings.lerobot_units import Unit, unit_of
 from pytest_twin.formats.recordings.parquet import data_files, read_columns
-from pytest_twin.formats.serialized import QUANTITIES, Floats, Integers
+from pytest_twin.formats.ros_serialization import QUANTITIES, Floats, Integers
 
 INFO = "meta/info.json"
 _VERSION = re.compile(r"v[23]\.\d{1,3}")

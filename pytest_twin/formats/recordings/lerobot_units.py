@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.recording import Notes
-from pytest_twin.formats.serialized import Floats
+from pytest_twin.formats.ros_serialization import Floats
 
 _DEGREES = {"deg", "degree", "degrees"}
 _RADIANS = {"rad", "radian", "radians"}

@@ -12,7 +12,7 @@ import numpy as np
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import Roots, open_regular
-from pytest_twin.formats.serialized import Floats
+from pytest_twin.formats.ros_serialization import Floats
 
 _FIELD = re.compile(r"\{(episode_chunk|episode_index|chunk_index|file_index)(?::0?\d{1,2}d)?\}")
 

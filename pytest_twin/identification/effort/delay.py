@@ -9,10 +9,10 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.essential import SIGNIFICANT
+from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT
 from pytest_twin.identification.effort.instruments import solve_instrumental
 from pytest_twin.identification.effort.least_squares import LinearProblem, solve
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 
 DELAY, LAG = "robot.effort_delay", "robot.effort_lag"
 """Names of delay and time constant among the parameters of a record."""

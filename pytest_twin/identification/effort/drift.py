@@ -9,7 +9,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.input_mistakes import InputMistake
 from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, dry_levels
-from pytest_twin.identification.effort.sampled import RecordingRows
+from pytest_twin.identification.effort.recording_rows import RecordingRows
 
 _SURE = 6.0
 """Number of standard deviations above which a change is significant."""

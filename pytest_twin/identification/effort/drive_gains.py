@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.essential import SIGNIFICANT
+from pytest_twin.identification.effort.effort_scale import Scale, payload_scales
+from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import choose_filter
-from pytest_twin.identification.effort.scale import Scale, payload_scales
-from pytest_twin.identification.measured import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.essential import SIGNIFICANT, shrinkage
+from pytest_twin.identification.effort.effort_scale import payload_parameters
+from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT, shrinkage
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.least_squares import (
     LinearProblem,
@@ -18,9 +19,8 @@ from pytest_twin.identification.effort.least_squares import (
     solve,
     weighed,
 )
-from pytest_twin.identification.effort.sampled import predicted
-from pytest_twin.identification.effort.scale import payload_parameters
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.effort.recording_rows import predicted
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.identification.motions import entry
 from pytest_twin.identification.regressor import BaseParameters, Regressor
 from pytest_twin.realization import Realization

@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.blocks import Bootstrap, bootstrap
-from pytest_twin.identification.effort.essential import Essential, essential, omission
+from pytest_twin.identification.effort.essential_parameters import Essential, essential, omission
 from pytest_twin.identification.effort.instruments import (
     Endogeneity,
     endogeneity,

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import signal
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 
 _ORDER = 4
 """Order of the Butterworth low-pass filter, which is applied forward and backward."""

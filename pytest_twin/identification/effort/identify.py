@@ -14,6 +14,13 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.delay import LAG, Delay, delay_of, without_delay
 from pytest_twin.identification.effort.drift import drifts
 from pytest_twin.identification.effort.drive_gains import as_torques, drive_gains
+from pytest_twin.identification.effort.effort_scale import (
+    Scale,
+    known_payload,
+    payload_effort,
+    payload_scales,
+    scaled,
+)
 from pytest_twin.identification.effort.encoders import (
     EncoderError,
     EncoderErrors,
@@ -23,7 +30,7 @@ from pytest_twin.identification.effort.encoders import (
     widened,
     without_errors,
 )
-from pytest_twin.identification.effort.essential import Essential, essential
+from pytest_twin.identification.effort.essential_parameters import Essential, essential
 from pytest_twin.identification.effort.estimate import INSTRUMENTS, Estimate, estimate
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
 from pytest_twin.identification.effort.groups import EXCLUDES, dry_of, stages_of
@@ -32,13 +39,6 @@ from pytest_twin.identification.effort.instruments import (
     instruments_of,
     solve_instrumental,
     with_commanded_motion,
-)
-from pytest_twin.identification.effort.judging import (
-    EffortError,
-    accepted_values,
-    compare_stages,
-    errors_of,
-    with_data,
 )
 from pytest_twin.identification.effort.least_squares import (
     LinearProblem,
@@ -50,16 +50,16 @@ from pytest_twin.identification.effort.least_squares import (
     weighed,
 )
 from pytest_twin.identification.effort.position_mistakes import position_mistakes
-from pytest_twin.identification.effort.sampled import RecordingRows, sample
-from pytest_twin.identification.effort.scale import (
-    Scale,
-    known_payload,
-    payload_effort,
-    payload_scales,
-    scaled,
+from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
+from pytest_twin.identification.effort.stage_comparison import (
+    EffortError,
+    accepted_values,
+    compare_stages,
+    errors_of,
+    with_data,
 )
-from pytest_twin.identification.measured import Measured, MeasuredSet
-from pytest_twin.identification.physical import Physical, physical
+from pytest_twin.identification.full_parameters import Physical, physical
+from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
 from pytest_twin.identification.regressor import (
     BaseParameters,
     Regressor,

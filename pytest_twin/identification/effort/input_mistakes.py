@@ -11,8 +11,8 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, solve
-from pytest_twin.identification.effort.sampled import RecordingRows, sample
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
 

@@ -26,7 +26,7 @@ from pytest_twin.identification.effort.least_squares import (
     row_weights,
     weighed,
 )
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 
 _ITERATIONS = 3
 """Number of iterations of the row weights, starting from those of least squares."""

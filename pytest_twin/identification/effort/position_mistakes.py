@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.input_mistakes import InputMistake
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.realization import Realization
 
 _OUTSIDE = 3.0

@@ -14,12 +14,12 @@ from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.effects.base import si_unit
 from pytest_twin.identification.effort.delay import without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
+from pytest_twin.identification.effort.effort_scale import scaled
 from pytest_twin.identification.effort.filtering import Filter, differentiate, uniform
 from pytest_twin.identification.effort.identify import EffortResult
 from pytest_twin.identification.effort.least_squares import LinearProblem, solve
-from pytest_twin.identification.effort.sampled import inner_rows
-from pytest_twin.identification.effort.scale import scaled
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.effort.recording_rows import inner_rows
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.inputs import LINEAR_GAINS, joint_inputs

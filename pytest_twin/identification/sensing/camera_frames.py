@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
-from pytest_twin.formats.serialized import Integers
+from pytest_twin.formats.ros_serialization import Integers
 from pytest_twin.realization import Realization
-from pytest_twin.realization.sensed import orientations_at
+from pytest_twin.realization.ideal_sensors import orientations_at
 from pytest_twin.sensors.camera import CameraTiming, frames_of
 from pytest_twin.sensors.linear import in_blocks
 

@@ -14,10 +14,10 @@ from scipy.stats import t as student
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.sensor_record import CAMERA, GROUPS, IMU, sensor_fields
 from pytest_twin.identification.sensing.camera_frames import CameraTrial, delay_of, turn_errors
-from pytest_twin.identification.sensing.recorded import SensorTrial
+from pytest_twin.identification.sensing.sensor_recordings import SensorTrial
 from pytest_twin.sensors.force_torque import limits_of, low_passed
+from pytest_twin.sensors.identified_sensors import axes_of, readings_of, unit_of
 from pytest_twin.sensors.linear import Linear, fit_linear, in_blocks
-from pytest_twin.sensors.stated import axes_of, readings_of, unit_of
 
 _MOST_FILTER_S = 0.1
 """Longest time constant of a sensor's filter (cutoff 1.6 Hz)."""

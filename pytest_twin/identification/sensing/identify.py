@@ -21,7 +21,11 @@ from pytest_twin.identification.sensing.estimate import (
     estimate,
     estimate_camera,
 )
-from pytest_twin.identification.sensing.recorded import NamedSensor, SensorTrial, read_sensor
+from pytest_twin.identification.sensing.sensor_recordings import (
+    NamedSensor,
+    SensorTrial,
+    read_sensor,
+)
 from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization

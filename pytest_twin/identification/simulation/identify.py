@@ -23,7 +23,6 @@ from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_sign
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.identification.simulation.equation_error import first_values
-from pytest_twin.identification.simulation.fitting import with_derivatives
 from pytest_twin.identification.simulation.stage_effects import (
     ALL_STAGES,
     StagePlan,
@@ -31,8 +30,9 @@ from pytest_twin.identification.simulation.stage_effects import (
     start,
     terms_of,
 )
+from pytest_twin.identification.simulation.stage_fit import with_derivatives
 from pytest_twin.identification.simulation.staged_fit import StagedFit
-from pytest_twin.identification.simulation.undetermined import undetermined_terms
+from pytest_twin.identification.simulation.undetermined_terms import undetermined_terms
 from pytest_twin.identification.stages import Stage, StageName, shares
 from pytest_twin.realization import Realization
 

@@ -16,7 +16,14 @@ from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
-from pytest_twin.identification.simulation.fitting import (
+from pytest_twin.identification.simulation.stage_effects import (
+    ALL_STAGES,
+    EXCLUDES,
+    StagePlan,
+    nuisance_of,
+    terms_of,
+)
+from pytest_twin.identification.simulation.stage_fit import (
     LEAST_GAIN,
     add_effects,
     fit_terms,
@@ -24,13 +31,6 @@ from pytest_twin.identification.simulation.fitting import (
     held_out_error,
     take_better_terms,
     with_derivatives,
-)
-from pytest_twin.identification.simulation.stage_effects import (
-    ALL_STAGES,
-    EXCLUDES,
-    StagePlan,
-    nuisance_of,
-    terms_of,
 )
 from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_stage
 

@@ -17,9 +17,9 @@ import cells
 from pytest_twin.calibration.boards.detection import Detection
 from pytest_twin.calibration.boards.target import make_target
 from pytest_twin.calibration.cameras.arm import arm_of
+from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.increments import by_measured, changed, difference
 from pytest_twin.calibration.cameras.intrinsics import make_intrinsics
-from pytest_twin.calibration.cameras.observed import Images
 from pytest_twin.calibration.chain import link_parameters
 from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations

@@ -21,7 +21,7 @@ from simulated import draw_robot, flange_poses, rigid
 from pytest_twin import cli
 from pytest_twin.calibration.observations import load_observations
 from pytest_twin.calibration.plan import load_plan
-from pytest_twin.calibration.recordings.gathered import gather
+from pytest_twin.calibration.recordings.gather import gather
 from pytest_twin.formats.sensor_messages import picture_of
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")

@@ -9,7 +9,7 @@ import pytest
 from arms import simulated_effort, true_arm, write_model, write_recording
 
 from pytest_twin.errors import RecordingError
-from pytest_twin.identification.measured import Measured, read_measured, velocity_notes
+from pytest_twin.identification.measured_recordings import Measured, read_measured, velocity_notes
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import Signals

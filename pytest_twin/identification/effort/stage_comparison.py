@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
-from pytest_twin.identification.effort.essential import Essential
+from pytest_twin.identification.effort.essential_parameters import Essential
 from pytest_twin.identification.effort.groups import EXCLUDES
 from pytest_twin.identification.effort.least_squares import (
     LinearProblem,

@@ -12,14 +12,14 @@ from scipy.signal import savgol_filter
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
+from pytest_twin.formats.ros_serialization import Integers
 from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
 from pytest_twin.formats.sensor_record import FORCE_TORQUE, IMU, JOINT_TORQUE
-from pytest_twin.formats.serialized import Integers
 from pytest_twin.formats.stamped_readings import IMU as IMU_TYPE
 from pytest_twin.identification.sensing.camera_frames import CameraTrial, frames_seen
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.realization.sensed import ideal_sensor_signals, load_at
+from pytest_twin.realization.ideal_sensors import ideal_sensor_signals, load_at
 from pytest_twin.sensors.encoder import encoder_of
 
 _WINDOW_S = 0.1

@@ -8,7 +8,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.clocks.calibrate_streams import seen_in, streams_of, stretches
 from pytest_twin.calibration.clocks.offset import ClockFit, errors_at
 from pytest_twin.calibration.plan import Plan
-from pytest_twin.calibration.recorded import recorded_pose
+from pytest_twin.calibration.record_prediction import recorded_pose
 from pytest_twin.calibration.solvers.algebraic import HandEye
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.calibration_record import CalibrationRecord

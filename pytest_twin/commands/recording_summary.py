@@ -11,7 +11,7 @@ import numpy as np
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.recording import TOPICS, JointSeries, Recording, Topic
 from pytest_twin.formats.recordings.candidates import described, pairs, topics_option
-from pytest_twin.formats.serialized import QUANTITIES, Integers
+from pytest_twin.formats.ros_serialization import QUANTITIES, Integers
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import make_trials
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.filtering import Filter, Motion, decimated, differentiate
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.identification.regressor import Regressor
 
 _EDGE = 1.0

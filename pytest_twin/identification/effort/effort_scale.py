@@ -10,10 +10,10 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.essential import SIGNIFICANT
+from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import Filter
-from pytest_twin.identification.effort.sampled import RecordingRows, sample
-from pytest_twin.identification.measured import Measured
+from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
+from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
 

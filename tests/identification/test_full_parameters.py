@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_twin.identification.physical import LinkInertia
+from pytest_twin.identification.full_parameters import LinkInertia
 from pytest_twin.realization.inverse_dynamics import INERTIAL
 
 STATED = {"Ixx": 0.03, "Ixy": 0.002, "Ixz": -0.001, "Iyy": 0.14, "Iyz": 0.0005, "Izz": 0.13,

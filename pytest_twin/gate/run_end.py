@@ -15,7 +15,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.gate.authority import difference_lines
-from pytest_twin.gate.diagnosing import RealizationDiagnosis
+from pytest_twin.gate.failure_diagnosis import RealizationDiagnosis
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import NEVER_PROVEN, Task, line_of
 from pytest_twin.gate.runner import plot_path

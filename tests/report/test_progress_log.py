@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_twin.report import each_minute
-from pytest_twin.report.each_minute import EachMinute
+from pytest_twin.report import progress_log
+from pytest_twin.report.progress_log import EachMinute
 
 
 def test_each_minute_a_line_states_fraction_time_left_and_stage(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 0.0
-    monkeypatch.setattr(each_minute.time, "monotonic", lambda: now)
+    monkeypatch.setattr(progress_log.time, "monotonic", lambda: now)
     log = EachMinute("diagnosing")
     said = []
     for seconds, fraction in ((30.0, 0.1), (61.0, 0.2), (90.0, 0.3), (125.0, 0.5)):

@@ -13,10 +13,14 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.sensor_record import CAMERA, SensorFields
 from pytest_twin.identification.sensing.camera_frames import CameraTrial, turn_errors
-from pytest_twin.identification.sensing.recorded import NamedSensor, SensorTrial, read_sensor
+from pytest_twin.identification.sensing.sensor_recordings import (
+    NamedSensor,
+    SensorTrial,
+    read_sensor,
+)
 from pytest_twin.realization import Realization
 from pytest_twin.sensors.encoder import Encoder
-from pytest_twin.sensors.stated import axes_of, readings_of, unit_of
+from pytest_twin.sensors.identified_sensors import axes_of, readings_of, unit_of
 from pytest_twin.twin import Twin
 
 

@@ -23,7 +23,7 @@ from pytest_twin.calibration.cameras.camera_calibration import (
 from pytest_twin.calibration.cameras.intrinsics import Intrinsics, make_intrinsics
 from pytest_twin.calibration.cameras.pose import AMBIGUOUS, TargetPose, target_pose
 from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
-from pytest_twin.calibration.coincident import LeftOut
+from pytest_twin.calibration.coincident_markers import LeftOut
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.errors import TwinError

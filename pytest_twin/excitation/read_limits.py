@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.errors import ModelError, SpecError
-from pytest_twin.excitation.approved import (
+from pytest_twin.excitation.approved_limits import (
     DEFAULT_MARGIN,
     MECHANISMS,
     NO_CLEARANCE,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.trial.stretches import GAP_INTERVALS
+from pytest_twin.trial.gaps import GAP_INTERVALS
 from pytest_twin.trial.trial import Trial
 
 

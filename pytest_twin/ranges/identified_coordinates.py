@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.effect_parameters import effect_parameter
-from pytest_twin.budget.identified import columns_of, regressor_of
+from pytest_twin.budget.identification import columns_of, regressor_of
 from pytest_twin.budget.propagate import root_of
 from pytest_twin.diagnosis.patched.model import Patched
 from pytest_twin.effects import catalogue

@@ -13,7 +13,7 @@ import numpy as np
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Region
-from pytest_twin.formats.serialized import Integers
+from pytest_twin.formats.ros_serialization import Integers
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _BLOCK_BYTES = 4 * 2**20

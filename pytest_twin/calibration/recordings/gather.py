@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.coincident import LeftOut
+from pytest_twin.calibration.coincident_markers import LeftOut
 from pytest_twin.calibration.observations import Observations, load_observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.recordings.extract import extract, write_table

@@ -12,9 +12,9 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.arm import arm_of
 from pytest_twin.calibration.cameras.bundle import Bundle, bundle
 from pytest_twin.calibration.cameras.camera_calibration import Camera
+from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.intrinsics import NAMES, Intrinsics
 from pytest_twin.calibration.cameras.normal_equations import Unknowns
-from pytest_twin.calibration.cameras.observed import Images
 from pytest_twin.calibration.problem import predicted_poses
 from pytest_twin.calibration.records import Estimate
 from pytest_twin.calibration.terms import PoseTerm

@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.fit import Fitted, finite_differences, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import at_zero
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.identification.paired import paired
+from pytest_twin.identification.paired_test import paired
 from pytest_twin.identification.simulation.passive_joints import (
     LargestBackEmf,
     has_excessive_back_emf,

@@ -8,7 +8,7 @@ from pytest_twin.budget.propagate import root_of
 from pytest_twin.dependency import Structure
 from pytest_twin.effects.sensing import EncoderBias
 from pytest_twin.ranges.distribution import Coordinate
-from pytest_twin.ranges.identified import RecordCoordinates
+from pytest_twin.ranges.identified_coordinates import RecordCoordinates
 from pytest_twin.twin import CalibrationEntry
 
 _PREFIX = "joint_zeros."

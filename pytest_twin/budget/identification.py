@@ -19,12 +19,12 @@ from pytest_twin.budget.propagate import (
 from pytest_twin.budget.shifts import DELAYS, NO_RULE, Shift, shift_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
-from pytest_twin.calibration.tangent import TransformWithJacobian
+from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
 from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
-from pytest_twin.realization.sensed import load_at
+from pytest_twin.realization.ideal_sensors import load_at
 from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import FitEntry
 
