@@ -33,7 +33,7 @@ def size_of(problem: Problem, hypothesis: Hypothesis) -> Size:
     """Number of effects and parameters of a set, where common effects count once."""
     repeated = [t for group in _common(problem, hypothesis) for t in group[1:]]
     values = hypothesis.theta
-    tied = sum(int(t.movable(values[hypothesis.slice_of(t)]).sum()) for t in repeated)
+    tied = sum(int(t.is_estimated(values[hypothesis.slice_of(t)]).sum()) for t in repeated)
     return Size(len(hypothesis.terms) - len(repeated), hypothesis.free - tied)
 
 

@@ -64,7 +64,9 @@ def cost(budget: Budget, since: float, of_alternatives: float = 0.0) -> Cost:
     problems = budget.problems
     problem = problems[0]
     known = problem.simulator
-    simulator = BatchSimulator(known.segments, known.joints, threads=known.threads, sparing=False)
+    simulator = BatchSimulator(
+        known.segments, known.joints, threads=known.threads, disable_unused=False
+    )
     stepped = sum(p.stepped + p.memory.steps_for_initial_states for p in problems)
     shortest = min(problem.fit, key=lambda at: len(known.segments[at].time))
     rows = np.full(_ROWS_PER_THREAD * known.threads, shortest)

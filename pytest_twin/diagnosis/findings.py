@@ -458,7 +458,7 @@ def trade_offs(
     owner = [(t, p) for t in hypothesis.terms for p in t.parameters]
     place = hypothesis.slice_of(term)
     lines = []
-    moved = np.flatnonzero(hypothesis.movable)
+    moved = np.flatnonzero(hypothesis.is_estimated)
     for i in moved[(place.start <= moved) & (moved < place.stop)]:
         for k in moved:
             other, q = owner[k]

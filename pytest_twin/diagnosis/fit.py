@@ -180,7 +180,7 @@ def _fill_jacobians(
     at = 0
     for i in which:
         slopes = np.zeros((*residual[i].shape, current[i].theta.size))
-        for k in np.flatnonzero(current[i].movable):
+        for k in np.flatnonzero(current[i].is_estimated):
             slopes[..., k] = (residual[i] - found[at]) / steps[at]
             at += 1
         into[i] = np.nan_to_num(slopes)
@@ -197,7 +197,7 @@ def finite_differences(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
     _, upper = h.bounds
     parameters = [p for t in h.terms for p in t.parameters]
     rows, steps = [], []
-    for k in np.flatnonzero(h.movable):
+    for k in np.flatnonzero(h.is_estimated):
         p = parameters[k]
         step = p.step * max(1.0, abs(h.theta[k]))
         step = -step if h.theta[k] + step > upper[k] else step
@@ -260,7 +260,7 @@ def propose(
     normal, gradient = a.T @ a, a.T @ b
     moves = np.sqrt(np.mean(slopes**2, axis=0)) * h.sizes
     # The Jacobian of a discrete choice is rounding error too.
-    free = h.movable & (moves > _NEGLIGIBLE_CHANGE * np.sqrt(np.mean(b**2)))
+    free = h.is_estimated & (moves > _NEGLIGIBLE_CHANGE * np.sqrt(np.mean(b**2)))
     if not np.isfinite(normal).all() or not free.any():
         return h
     theta = h.theta.copy()

@@ -257,7 +257,7 @@ def _stretch(simulator: BatchSimulator, hypothesis: Hypothesis, scales: Scales) 
     laws = [*(t.law for t in hypothesis.terms), *(catalogue()[e] for e in simulator.fixed)]
     if len(rows) and any(law.is_elastic_transmission for law in laws):
         values = effect_values([hypothesis] * len(rows), joints, scales)
-        out[rows] = simulator.gear_stretch(rows, values, scales.of["effort"])
+        out[rows] = simulator.transmission_deflection(rows, values, scales.of["effort"])
     return out
 
 

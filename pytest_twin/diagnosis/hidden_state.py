@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.segment import Unrecorded
+from pytest_twin.effects.segment import UnrecordedState
 from pytest_twin.realization.first_state import (
     follow_joint_equalities,
     holding_controls,
@@ -71,7 +71,7 @@ class HiddenState:
 
     def at(
         self, starts: Sequence[float], states: Sequence[tuple[FloatArray, FloatArray]]
-    ) -> list[Unrecorded]:
+    ) -> list[UnrecordedState]:
         """The unrecorded state at the start of each segment.
 
         Args:
@@ -83,7 +83,7 @@ class HiddenState:
         for (position, velocity), memory in zip(states, memories, strict=True):
             self._place(position, velocity)
             placed = {name: getattr(self._data, name).copy() for name in _PLACED}
-            out.append(Unrecorded({**placed, **memory, "ctrl": self._idle}))
+            out.append(UnrecordedState({**placed, **memory, "ctrl": self._idle}))
         return out
 
     def _memories(self, starts: Sequence[float]) -> list[dict[str, FloatArray]]:

@@ -12,7 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.base import SMOOTH_STEP, Effect, Parameter
-from pytest_twin.effects.proposal import movable, switches
+from pytest_twin.effects.proposal import amplitude_indices, is_estimated
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -37,16 +37,16 @@ class Term:
         """Parameters of the effect."""
         return self.law.parameters
 
-    def movable(self, theta: FloatArray) -> NDArray[np.bool_]:
+    def is_estimated(self, theta: FloatArray) -> NDArray[np.bool_]:
         """(parameters,) whether a fit estimates each of them.
 
         Discrete choices are not estimated, nor parameters that the chosen form lacks.
         """
-        return movable(self.law, theta)
+        return is_estimated(self.law, theta)
 
     def lone(self, theta: FloatArray) -> int | None:
         """Index of the only estimated parameter of this form; None if there are several."""
-        (which,) = np.nonzero(self.movable(theta))
+        (which,) = np.nonzero(self.is_estimated(theta))
         return int(which[0]) if len(which) == 1 else None
 
     @property
@@ -55,9 +55,9 @@ class Term:
         name = self.law.dry_friction_level
         return next((k for k, p in enumerate(self.parameters) if p.name == name), None)
 
-    def switches(self, theta: FloatArray) -> tuple[int, ...]:
-        """Indices of parameters that switch the effect on, in the form that ``theta`` selects."""
-        return switches(self.law, theta)
+    def amplitude_indices(self, theta: FloatArray) -> tuple[int, ...]:
+        """Indices of the amplitudes of the effect, in the form that ``theta`` selects."""
+        return amplitude_indices(self.law, theta)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,12 +173,12 @@ class Hypothesis:
     @property
     def free(self) -> int:
         """Number of parameters that a fit estimates."""
-        return int(self.movable.sum())
+        return int(self.is_estimated.sum())
 
     @property
-    def movable(self) -> NDArray[np.bool_]:
+    def is_estimated(self) -> NDArray[np.bool_]:
         """(parameters,) whether a fit estimates each of them."""
-        parts = [t.movable(self.theta[self.slice_of(t)]) for t in self.terms]
+        parts = [t.is_estimated(self.theta[self.slice_of(t)]) for t in self.terms]
         return np.concatenate([np.empty(0, dtype=bool), *parts])
 
     @property
@@ -229,7 +229,7 @@ def absent_values(parameter: Parameter, joints: int, scales: Scales) -> FloatArr
     """(joints,) values of a parameter at joints where its effect is absent, SI units."""
     if parameter.neutral is not None:
         return np.full(joints, parameter.neutral)
-    return np.array([parameter.absent * scales.value(parameter, j) for j in range(joints)])
+    return np.array([parameter.absent_value * scales.value(parameter, j) for j in range(joints)])
 
 
 def effect_values(rows: Sequence[Hypothesis], joints: int, scales: Scales) -> EffectValues:

@@ -123,7 +123,7 @@ def parameter_spread(
     for i, p in enumerate(p for t in fitted.hypothesis.terms for p in t.parameters):
         if p.step > SMOOTH_STEP:
             shift[i] = max(shift[i], p.step)
-    not_estimated = ~fitted.hypothesis.movable
+    not_estimated = ~fitted.hypothesis.is_estimated
     half[not_estimated] = shift[not_estimated] = 0.0
     return Spread(
         half + shift,

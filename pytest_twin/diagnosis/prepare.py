@@ -38,7 +38,7 @@ from pytest_twin.diagnosis.temperature import (
 from pytest_twin.diagnosis.windows import WINDOW, Cutting, segments_of
 from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.batch_simulator import BatchSimulator
-from pytest_twin.effects.contact_geoms import NEAR, ContactGeoms
+from pytest_twin.effects.contact_geoms import CONTACT_DISTANCE, ContactGeoms
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError
 from pytest_twin.realization import Realization
@@ -163,7 +163,7 @@ def prepare(
         raise RecordingError(
             "the robot is close to a surface all the time",
             path=trials[0].path,
-            expected=f"motion at least {NEAR:g} m away from all surfaces",
+            expected=f"motion at least {CONTACT_DISTANCE:g} m away from all surfaces",
         )
     shown = greatest_noise(cut.segments, [s.position for s in cut.segments], owner)
     segments = with_initial_velocity(

@@ -62,9 +62,9 @@ def set_price(
 
 
 def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]) -> list[int]:
-    """Number of switches of each set that change the prediction by less than the noise.
+    """Number of amplitudes of each set that change the prediction by less than the noise.
 
-    They are not penalized. Each effect keeps at least one penalized switch.
+    They are not penalized. Each effect keeps at least one penalized amplitude.
 
     Args:
         problem: the problem.
@@ -75,7 +75,7 @@ def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]
     for h in sets:
         base.append({})
         for t in h.terms:
-            for k in _movable_switches(t, h):
+            for k in _estimated_amplitudes(t, h):
                 base[-1][t, k] = len(tried)
                 theta = h.theta.copy()
                 theta[h.slice_of(t).start + k] = float(t.parameters[k].neutral or 0.0)
@@ -85,7 +85,7 @@ def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]
     for h, slope, neutral in zip(sets, slopes, base, strict=False):
         count = 0
         for t in h.terms:
-            own, start = _movable_switches(t, h), h.slice_of(t).start
+            own, start = _estimated_amplitudes(t, h), h.slice_of(t).start
             idle = 0
             for k in own:
                 # The mean slope over the way: a tilt about an axis across all joints changes
@@ -99,10 +99,10 @@ def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]
     return out
 
 
-def _movable_switches(term: Term, h: Hypothesis) -> list[int]:
-    """Indices of the estimated parameters of a term that switch it on."""
+def _estimated_amplitudes(term: Term, h: Hypothesis) -> list[int]:
+    """Indices of the estimated amplitudes of a term."""
     theta = h.theta[h.slice_of(term)]
-    return [k for k in term.switches(theta) if term.movable(theta)[k]]
+    return [k for k in term.amplitude_indices(theta) if term.is_estimated(theta)[k]]
 
 
 def recordings_of(problem: Problem, *, fitted: bool) -> int:

@@ -69,7 +69,7 @@ def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
         return ""
     theta = hypothesis.theta[hypothesis.slice_of(term)]
     has = term.law.has(theta)
-    switches = [k for k in term.switches(theta) if has[k]]
+    amplitude_indices = [k for k in term.amplitude_indices(theta) if has[k]]
     own = {
         at: total.own
         for total in totals(problem, hypothesis)
@@ -77,7 +77,7 @@ def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
         if t == term
     }
     start = hypothesis.slice_of(term).start
-    for k in switches:
+    for k in amplitude_indices:
         p = term.parameters[k]
         value = abs(float(theta[k]) * problem.scales.value(p, term.joint))
         if start + k in own:
@@ -90,7 +90,7 @@ def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
             within = False
         if not within:
             return ""
-    return _USUAL if switches else ""
+    return _USUAL if amplitude_indices else ""
 
 
 def _longest_shift(problem: Problem, hypothesis: Hypothesis, term: Term) -> float:

@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.hidden_state import HiddenState
 from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
 from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.effects.contact_geoms import ContactGeoms, is_far_from_surfaces
-from pytest_twin.effects.memory_warmup import LEAD
+from pytest_twin.effects.memory_warmup import WARM_UP_TIME
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
@@ -91,7 +91,7 @@ def segments_of(
     clear = np.arange(len(recorded.time)) >= first
     if after_hole:
         # Unknown commands during the hole still influence the motion for a while.
-        clear &= recorded.time >= LEAD
+        clear &= recorded.time >= WARM_UP_TIME
     if cutting.window is None and recorded.mode != "effort":
         if after_hole:
             return _windows(recorded, joints, clear, trial.duration, whole=True)

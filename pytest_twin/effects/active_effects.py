@@ -16,10 +16,10 @@ EffectValues = Mapping[str, Values]
 ActiveEffects = Sequence[tuple[Effect, Values]]
 """Effects with their parameters for rows."""
 
-BETWEEN_STEPS = ("command", "servo", "drive", "friction", "force", "gear")
+STEP_HOOKS = ("command", "servo", "drive", "friction", "force", "gear")
 
 
-def with_fixed(values: EffectValues, fixed: EffectValues, rows: int) -> EffectValues:
+def add_fixed_effects(values: EffectValues, fixed: EffectValues, rows: int) -> EffectValues:
     """Effects of rows combined with fixed effects: amplitudes add, fixed shape parameters stay."""
     if not fixed:
         return values
@@ -43,27 +43,27 @@ def hooks_between_steps(
     effects: Sequence[tuple[Effect, Values]],
 ) -> dict[str, list[tuple[Effect, Values]]]:
     """Hook -> effects that override it, in their order."""
-    return {h: [(e, v) for e, v in effects if e.overrides(h)] for h in BETWEEN_STEPS}
+    return {h: [(e, v) for e, v in effects if e.overrides(h)] for h in STEP_HOOKS}
 
 
-def between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
+def acts_between_steps(values: EffectValues, count: int) -> NDArray[np.bool_]:
     """(rows, effects) whether an effect with a hook between steps acts on a row."""
     laws = [(catalogue()[name], v) for name, v in values.items()]
-    found = [acts_at(e, v).any(axis=1) for e, v in laws if e.overrides(*BETWEEN_STEPS)]
+    found = [acts_at(e, v).any(axis=1) for e, v in laws if e.overrides(*STEP_HOOKS)]
     return np.array(found, dtype=bool).reshape(-1, count).T
 
 
-def any_hook(effects: Sequence[tuple[Effect, Values]], *hooks: str) -> bool:
+def overrides_any(effects: Sequence[tuple[Effect, Values]], *hooks: str) -> bool:
     """Whether any effect overrides one of these hooks."""
     return any(effect.overrides(*hooks) for effect, _ in effects)
 
 
 def active_effects(values: EffectValues) -> list[tuple[Effect, Values]]:
     """Effects that act on at least one row, in the order in which they act on a reading."""
-    return [(effect, v) for effect, v in in_reading_order(values) if acts_at(effect, v).any()]
+    return [(effect, v) for effect, v in sort_by_hook_order(values) if acts_at(effect, v).any()]
 
 
-def in_reading_order(values: EffectValues) -> list[tuple[Effect, Values]]:
+def sort_by_hook_order(values: EffectValues) -> list[tuple[Effect, Values]]:
     """Effects in the order in which they act on a reading."""
     effects = [(catalogue()[e], v) for e, v in values.items()]
     return sorted(effects, key=lambda each: each[0].hook_order)

@@ -32,7 +32,7 @@ class _FilterEffect(Effect):
 
     remembers = True
 
-    def memories(self, world: World, values: Values) -> tuple[_Filter, _Filter]:
+    def initial_filters(self, world: World, values: Values) -> tuple[_Filter, _Filter]:
         """Filters of the setpoint and of the effort at the start of a motion."""
         raise NotImplementedError
 
@@ -53,7 +53,7 @@ class _FilterEffect(Effect):
     def _filters(self, world: World, values: Values) -> tuple[_Filter, _Filter]:
         found: tuple[_Filter, _Filter] | None = world.state.get(self.id)
         if found is None:
-            found = world.state[self.id] = self.memories(world, values)
+            found = world.state[self.id] = self.initial_filters(world, values)
         return found
 
 
@@ -86,54 +86,56 @@ class ActuatorLag(_FilterEffect):
         "armature": "repeat the recording with two payloads: a lag does not depend on the payload",
     }
 
-    def memories(self, world: World, values: Values) -> tuple[_Lag, _Lag]:
+    def initial_filters(
+        self, world: World, values: Values
+    ) -> tuple[_FirstOrderLag, _FirstOrderLag]:
         # For an effort drive command and effort are one signal: its lag counts as the effort's.
         of_setpoint = values["of_setpoint"] * (world.servo != "effort")
         of_effort = 1.0 - values["of_setpoint"]
         each = (values["time_constant"] * share for share in (of_setpoint, of_effort))
-        before, after = (_Lag.of(lag, world.timestep) for lag in each)
+        before, after = (_FirstOrderLag.of(lag, world.timestep) for lag in each)
         return before, after
 
 
 @dataclass(slots=True)
-class _Lag:
+class _FirstOrderLag:
     """A first-order lag, exact for an input that is constant over the step.
 
     Attributes:
-        kept: (rows, joints) share of the difference to the input that remains after a step.
-        mean_kept: the mean of that share over the step.
+        decay: (rows, joints) share of the difference to the input that remains after a step.
+        mean_decay: the mean of that share over the step.
         is_active: whether any time constant is positive; otherwise the input passes unchanged.
         output: (rows, joints) output.
     """
 
-    kept: FloatArray
-    mean_kept: FloatArray
+    decay: FloatArray
+    mean_decay: FloatArray
     is_active: bool
     output: FloatArray | None = None
 
     @classmethod
-    def of(cls, lag: FloatArray, timestep: float) -> _Lag:
+    def of(cls, lag: FloatArray, timestep: float) -> _FirstOrderLag:
         """The lag with (rows, joints) time constants, s."""
         steps = timestep / np.maximum(lag, 1e-9)
-        mean_kept = np.where(lag > 0.0, -np.expm1(-steps) / steps, 0.0)
-        return cls(np.exp(-steps), mean_kept, bool(lag.any()))
+        mean_decay = np.where(lag > 0.0, -np.expm1(-steps) / steps, 0.0)
+        return cls(np.exp(-steps), mean_decay, bool(lag.any()))
 
     def mean(self, filter_input: FloatArray) -> FloatArray:
         """(rows, joints) mean output over the next step for the input ``filter_input``."""
         if not self.is_active:
             return filter_input
-        behind = (filter_input if self.output is None else self.output) - filter_input
-        self.output = filter_input + self.kept * behind
-        mean: FloatArray = filter_input + self.mean_kept * behind
+        difference = (filter_input if self.output is None else self.output) - filter_input
+        self.output = filter_input + self.decay * difference
+        mean: FloatArray = filter_input + self.mean_decay * difference
         return mean
 
     def hold(self, filter_input: FloatArray, steps: FloatArray) -> None:
         """Hold the (rows, joints) input for a number of steps, fractions included."""
-        behind = (filter_input if self.output is None else self.output) - filter_input
-        self.output = filter_input + self.kept**steps * behind
+        difference = (filter_input if self.output is None else self.output) - filter_input
+        self.output = filter_input + self.decay**steps * difference
 
 
-_SLOWNESSES = tuple(0.15 * 1.25**k for k in range(16))
+_INVERSE_RATES = tuple(0.15 * 1.25**k for k in range(16))
 
 
 class RateLimit(_FilterEffect):
@@ -150,12 +152,12 @@ class RateLimit(_FilterEffect):
     parameters = (
         # Absent at infinity: the parameter is the reciprocal of the rate.
         Parameter(
-            "inverse_rate", "one", 0.0, 0.0, 60.0, _SLOWNESSES, "slowness",
+            "inverse_rate", "one", 0.0, 0.0, 60.0, _INVERSE_RATES, "slowness",
             ("rate", "command_rate"), under=("of_effort", (0.0,)),
             meaning="rate limit of the setpoint",
         ),
         Parameter(
-            "inverse_effort_rate", "one", 0.0, 0.0, 60.0, _SLOWNESSES, "effort_slowness",
+            "inverse_effort_rate", "one", 0.0, 0.0, 60.0, _INVERSE_RATES, "effort_slowness",
             ("effort_rate", "effort_rate"), under=("of_effort", (1.0,)),
             meaning="rate limit of the effort",
         ),
@@ -172,7 +174,7 @@ class RateLimit(_FilterEffect):
         "that of a rate limit does not",
     }
 
-    def memories(self, world: World, values: Values) -> tuple[_RateLimiter, _RateLimiter]:
+    def initial_filters(self, world: World, values: Values) -> tuple[_RateLimiter, _RateLimiter]:
         # For an effort drive command and effort are one signal: one limit for both.
         of_effort = values["inverse_effort_rate"] * (world.servo != "effort")
         before = _RateLimiter.of(values["inverse_rate"], world.timestep)
@@ -184,14 +186,14 @@ class _RateLimiter:
     """A rate limit, exact for an input that is constant over the step.
 
     Attributes:
-        reach: (rows, joints) largest change in a step.
+        max_change: (rows, joints) largest change in a step.
         is_active: whether any limit exists; otherwise the input passes unchanged.
-        held: (rows, joints) output.
+        output: (rows, joints) output.
     """
 
-    reach: FloatArray
+    max_change: FloatArray
     is_active: bool
-    held: FloatArray | None = None
+    output: FloatArray | None = None
 
     @classmethod
     def of(cls, inverse_rate: FloatArray, timestep: float) -> _RateLimiter:
@@ -203,17 +205,17 @@ class _RateLimiter:
         """(rows, joints) mean output over the next step for the input ``filter_input``."""
         if not self.is_active:
             return filter_input
-        held = filter_input if self.held is None else self.held
-        moved = fast_clip(filter_input - held, -self.reach, self.reach)
-        self.held = held + moved
-        mean: FloatArray = held + moved * (1.0 - np.abs(moved) / (2.0 * self.reach))
+        output = filter_input if self.output is None else self.output
+        moved = fast_clip(filter_input - output, -self.max_change, self.max_change)
+        self.output = output + moved
+        mean: FloatArray = output + moved * (1.0 - np.abs(moved) / (2.0 * self.max_change))
         return mean
 
     def hold(self, filter_input: FloatArray, steps: FloatArray) -> None:
         """Hold the (rows, joints) input for a number of steps, fractions included."""
-        held = filter_input if self.held is None else self.held
-        reach = steps * self.reach
-        self.held = held + fast_clip(filter_input - held, -reach, reach)
+        output = filter_input if self.output is None else self.output
+        max_change = steps * self.max_change
+        self.output = output + fast_clip(filter_input - output, -max_change, max_change)
 
 
 class TorqueConstant(Effect):
@@ -325,9 +327,9 @@ class TorqueSpeedLimit(Effect):
         stall = world.state.get(self.id)
         if stall is None:
             stall = world.state[self.id] = np.where(inverse > 0.0, values["stall"], np.inf)
-        used = inverse * world.motor_velocity
-        world.upper = np.minimum(world.upper, stall * fast_clip(1.0 - used, 0.0, 1.0))
-        world.lower = np.maximum(world.lower, -stall * fast_clip(1.0 + used, 0.0, 1.0))
+        speed_ratio = inverse * world.motor_velocity
+        world.upper = np.minimum(world.upper, stall * fast_clip(1.0 - speed_ratio, 0.0, 1.0))
+        world.lower = np.maximum(world.lower, -stall * fast_clip(1.0 + speed_ratio, 0.0, 1.0))
 
 
 class DeadZone(Effect):
@@ -360,18 +362,20 @@ class DeadZone(Effect):
     }
 
     def servo(self, world: World, values: Values) -> None:
-        width, of_position, _ = self._known(world, values)
+        width, of_position, _ = self._widths(world, values)
         if width is None:
             return
         error = world.setpoint - np.where(of_position, world.motor_position, 0.0)
         world.setpoint = world.setpoint - fast_clip(error, -width, width)
 
     def drive(self, world: World, values: Values) -> None:
-        _, _, none = self._known(world, values)
-        if none is not None:
-            world.delivered = world.delivered - fast_clip(world.delivered, -none, none)
+        _, _, effort_width = self._widths(world, values)
+        if effort_width is not None:
+            world.delivered = world.delivered - fast_clip(
+                world.delivered, -effort_width, effort_width
+            )
 
-    def _known(
+    def _widths(
         self, world: World, values: Values
     ) -> tuple[FloatArray | None, NDArray[np.bool_], FloatArray | None]:
         """(rows, joints) width of the error's dead zone, whether the servo controls position, and
@@ -382,10 +386,10 @@ class DeadZone(Effect):
             # For an effort drive command and effort are one signal: one dead zone for both.
             of_effort = values["of_effort"] * (world.servo != "effort")
             width = values["width"] * (1.0 - values["of_effort"])
-            none = world.gain * values["width"] * of_effort
+            effort_width = world.gain * values["width"] * of_effort
             world.state[self.id] = (
                 width if width.any() else None, world.servo == "position",
-                none if none.any() else None,
+                effort_width if effort_width.any() else None,
             )  # fmt: skip
         found = world.state[self.id]
         return found
@@ -428,10 +432,10 @@ class Cogging(Effect):
         world.push_motor(values["sine"] * np.sin(angle) + values["cosine"] * np.cos(angle))
 
 
-_SOFT_SHARES = (0.1, 0.05, 0.02, 0.01, 0.005)
+_STIFFNESS_RATIOS = (0.1, 0.05, 0.02, 0.01, 0.005)
 """Shares of the model's servo stiffness: a vendor's model may be 50 times as stiff as the firmware.
 A first-order fit finds larger shares; a softer servo still has another cause."""
-_DRY_WITH_SOFT = 0.05
+_COULOMB_START = 0.05
 """Dry friction to try with a soft servo, in multiples of the drive's RMS effort."""
 
 
@@ -476,10 +480,10 @@ class ControllerGain(Effect):
         """
         if not at.is_nominal or at.servo != "position":
             return
-        dry: Mapping[str, Mapping[str, float]] = {"coulomb_friction": {"coulomb": _DRY_WITH_SOFT}}
-        for share in _SOFT_SHARES:
+        dry: Mapping[str, Mapping[str, float]] = {"coulomb_friction": {"coulomb": _COULOMB_START}}
+        for ratio in _STIFFNESS_RATIOS:
             # The damping of a mode is proportional to the root of its stiffness.
-            soft = np.array([share - 1.0, np.sqrt(share) - 1.0])
+            soft = np.array([ratio - 1.0, np.sqrt(ratio) - 1.0])
             yield Start(soft)
             yield Start(soft, dry)
 

@@ -37,7 +37,7 @@ Quantity = Literal[
 Scope = Literal["joint", "robot"]
 MODES: tuple[CommandMode, ...] = get_args(CommandMode)
 """What a drive may be commanded."""
-PATHS: Mapping[str, str] = {
+SIGNAL_PATHS: Mapping[str, str] = {
     "timing": "sensor",
     "sensing": "sensor",
     "actuation": "actuator",
@@ -71,7 +71,7 @@ _UNITS: Mapping[str, tuple[str, str]] = {
     "temperature": ("K", "K"),
     "effort_rate": ("N*m/s", "N/s"),
 }
-_COMMANDED: Mapping[tuple[str, str], tuple[str, str]] = {
+_COMMAND_UNITS: Mapping[tuple[str, str], tuple[str, str]] = {
     # (quantity, what is commanded) -> (unit on a hinge, unit on a slide)
     ("command", "position"): _UNITS["position"],
     ("command", "velocity"): _UNITS["velocity"],
@@ -162,7 +162,7 @@ class Parameter:
     sums_with: str = ""
 
     @property
-    def absent(self) -> float:
+    def absent_value(self) -> float:
         """Value where the law is absent or its form lacks the parameter, in multiples of
         ``reference``.
         """
@@ -189,7 +189,7 @@ class Parameter:
         """
         quantity = self.quantity if self.reciprocal_of is None else self.reciprocal_of[1]
         commanded = servo if servo in MODES else MODES[0]
-        units = _COMMANDED.get((quantity, commanded)) or _UNITS[quantity]
+        units = _COMMAND_UNITS.get((quantity, commanded)) or _UNITS[quantity]
         return units[1 if joint_type == "slide" else 0]
 
     def fitted_unit(self, joint_type: str, servo: str = "position") -> str:
@@ -205,9 +205,9 @@ class Parameter:
 
 def reciprocal_unit(unit: str) -> str:
     """Unit of the reciprocal of a value: ``s/rad`` of ``rad/s``, ``1/(N*m)`` of ``N*m``."""
-    above, _, below = unit.partition("/")
-    divisor = f"({above})" if "*" in above else above
-    return f"{below or 1}/{divisor}"
+    numerator, _, denominator = unit.partition("/")
+    divisor = f"({numerator})" if "*" in numerator else numerator
+    return f"{denominator or 1}/{divisor}"
 
 
 def si_unit(quantity: Quantity, slide: bool) -> str:
@@ -237,8 +237,8 @@ class World:
         friction_level: largest dry friction that the solver may apply, N*m or N.
         applied: added generalized force, N*m or N.
         load: gravity and Coriolis effort that the drive carries, N*m or N.
-        motor_armature, motor_damping, motor_constant: motor side of an elastic transmission, which
-            then holds the joint's armature, damping, dry friction and drive. The last is a
+        motor_armature, motor_damping, motor_constant_effort: motor side of an elastic transmission,
+            which then holds the joint's armature, damping, dry friction and drive. The last is a
             constant effort on the motor, N*m or N.
         link_inertia: smallest inertia of the link as the transmission sees it, kg*m^2 or kg.
         cold_fraction: (rows,) normalized temperature of the trial: 1 in the coldest, 0 in the
@@ -266,7 +266,7 @@ class World:
     load: FloatArray
     motor_armature: FloatArray
     motor_damping: FloatArray
-    motor_constant: FloatArray
+    motor_constant_effort: FloatArray
     link_inertia: FloatArray
     least_setpoint: FloatArray = field(default_factory=lambda: np.full((1, 1), -np.inf))
     greatest_setpoint: FloatArray = field(default_factory=lambda: np.full((1, 1), np.inf))
@@ -278,12 +278,12 @@ class World:
     @property
     def motor_position(self) -> FloatArray:
         """Motor positions, converted to the joint side."""
-        return self.position if self.motor is None else self.motor.angle
+        return self.position if self.motor is None else self.motor.position
 
     @property
     def motor_velocity(self) -> FloatArray:
         """Motor velocities, converted to the joint side."""
-        return self.velocity if self.motor is None else self.motor.speed
+        return self.velocity if self.motor is None else self.motor.velocity
 
     def limit_setpoint(self) -> None:
         """Limit the commands to the range that the drives accept."""
@@ -305,7 +305,7 @@ class World:
         if self.motor is None:
             self.applied -= damping * self.velocity
         else:
-            self.motor.drag += damping
+            self.motor.damping += damping
 
     def control_effort(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """(rows, joints) effort of the control law before its limits, N*m or N.
@@ -321,6 +321,7 @@ class World:
 
     asked = old_name("asked", "control_effort")
     coldness = old_name("coldness", "cold_fraction")
+    motor_constant = old_name("motor_constant", "motor_constant_effort")
 
 
 class Effect:
@@ -401,7 +402,7 @@ class Effect:
         """
         if self.overrides("command_latency", "command") and not self.overrides("servo", "drive"):
             return "command"
-        return PATHS[self.family]
+        return SIGNAL_PATHS[self.family]
 
     @property
     def is_elastic_transmission(self) -> bool:
@@ -551,16 +552,16 @@ class Effect:
         return effort
 
 
-def moving_apart(
+def find_elastic_joints(
     effects: Sequence[tuple[Effect, Values]], shape: tuple[int, ...]
 ) -> NDArray[np.bool_]:
     """(rows, joints) where the transmission is not rigid."""
-    apart = np.zeros(shape, dtype=bool)
+    is_elastic = np.zeros(shape, dtype=bool)
     for effect, v in effects:
         elastic = effect.separates(v)
         if elastic is not None:
-            apart |= elastic
-    return apart
+            is_elastic |= elastic
+    return is_elastic
 
 
 @dataclass(slots=True)
@@ -639,13 +640,13 @@ class ModelFields:
         scaled = (self.mass_scale != 1.0) | (self.inertia_scale != 1.0)
         return bool((scaled | self.center_moves | (self.added_mass != 0.0)).any())
 
-    def split_force(self, apart: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    def split_force(self, is_elastic: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
         """(rows, joints) constant forces on links and on motors, N*m or N.
 
         Args:
-            apart: (rows, joints) whether the transmission is elastic; otherwise a force on the
+            is_elastic: (rows, joints) whether the transmission is elastic; otherwise a force on the
                 motor acts on the link.
         """
-        link: FloatArray = self.constant_force + np.where(apart, 0.0, self.motor_force)
-        motor: FloatArray = np.where(apart, self.motor_force, 0.0)
+        link: FloatArray = self.constant_force + np.where(is_elastic, 0.0, self.motor_force)
+        motor: FloatArray = np.where(is_elastic, self.motor_force, 0.0)
         return link, motor

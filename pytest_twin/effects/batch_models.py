@@ -14,10 +14,10 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.active_effects import BETWEEN_STEPS, any_hook
-from pytest_twin.effects.base import Effect, ModelFields, Values, World, moving_apart
-from pytest_twin.effects.constraint import hold
-from pytest_twin.effects.contact_geoms import ContactGeoms, contact_geoms, least_time_constant
+from pytest_twin.effects.active_effects import STEP_HOOKS, overrides_any
+from pytest_twin.effects.base import Effect, ModelFields, Values, World, find_elastic_joints
+from pytest_twin.effects.constraint import stiffen_friction
+from pytest_twin.effects.contact_geoms import ContactGeoms, find_contact_geoms, least_time_constant
 from pytest_twin.effects.engine_options import disable_unused_features
 from pytest_twin.effects.layout import Index, Layout, as_slice
 from pytest_twin.effects.link_inertia import link_inertia
@@ -25,32 +25,32 @@ from pytest_twin.effects.point_mass import with_point_mass
 from pytest_twin.effects.sampling import age_of_initial_state
 from pytest_twin.effects.segment import Segment
 
-OF_ROWS = (
+ROW_ATTRIBUTES = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
     "upper", "delivered", "friction_level", "applied", "load", "motor_armature", "motor_damping",
-    "motor_constant", "link_inertia", "cold_fraction", "least_setpoint", "greatest_setpoint",
+    "motor_constant_effort", "link_inertia", "cold_fraction", "least_setpoint", "greatest_setpoint",
 )  # fmt: skip
 """Attributes of a world that have a row for each simulation."""
 
-_WORTH_THREADS = 64
+_MIN_SIZE_FOR_THREADS = 64
 """Smallest number of rows times degrees of freedom for which threads save time."""
 # Largest number of poses of a segment at which the inertia of its links is computed, and the
 # shortest time between two of them in s.
-_POSES, _POSE_SECONDS = 8, 0.2
-_LAW = ("gain", "stiffness", "damping", "offset")
+_MAX_POSES, _MIN_POSE_INTERVAL = 8, 0.2
+_CONTROL_LAW = ("gain", "stiffness", "damping", "offset")
 _UNBOUNDED = 1e9
 """Limit of an unlimited control or force, N*m, N or the control's unit."""
 _INERTIAL = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class PreparedBatch:
     """A batch whose model fields hold the effects of each row.
 
     Attributes:
         batch: batch of the engine.
         world: initial state and drives of the rows.
-        apart: (rows, joints) whether the transmission is not rigid.
+        is_elastic: (rows, joints) whether the transmission is not rigid.
         constant: (rows, joints) constant effort on the links, N*m or N.
         friction: (rows, dofs) dry friction of the batch, N*m or N; None if no effect changes it
             between steps.
@@ -60,7 +60,7 @@ class Rows:
 
     batch: Batch
     world: World
-    apart: NDArray[np.bool_]
+    is_elastic: NDArray[np.bool_]
     constant: FloatArray
     friction: FloatArray | None
     force_range: FloatArray | None
@@ -83,7 +83,7 @@ class _Drives(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class _Batched:
+class _BatchWithModels:
     """A batch and the model of each of its rows."""
 
     batch: Batch
@@ -97,10 +97,10 @@ class _Batched:
     def expand(self, name: str) -> FloatArray:
         """(rows, ...) writable values of a field, initialized from the model of each row."""
         array: FloatArray = self.batch.expand(name)
-        (array[:],) = self.of_each(name)
+        (array[:],) = self.values_per_row(name)
         return array
 
-    def of_each(self, *names: str) -> list[FloatArray]:
+    def values_per_row(self, *names: str) -> list[FloatArray]:
         """(rows, ...) values of fields of each row's model."""
         distinct = {id(m): m for m in self.models}
         number = {key: i for i, key in enumerate(distinct)}
@@ -115,16 +115,21 @@ class BatchModels:
         segments: segments whose models have the same joints and drives.
         layout: indices of these joints and drives.
         timestep: time step, s.
-        sparing: whether engine features without influence on the result are disabled.
+        disable_unused: whether engine features without influence on the result are disabled.
     """
 
     def __init__(
-        self, segments: Sequence[Segment], layout: Layout, timestep: float, *, sparing: bool = True
+        self,
+        segments: Sequence[Segment],
+        layout: Layout,
+        timestep: float,
+        *,
+        disable_unused: bool = True,
     ) -> None:
         self.segments = segments
         self.layout = layout
         self.timestep = timestep
-        self.sparing = sparing
+        self.disable_unused = disable_unused
         self._bounded: dict[int, mujoco.MjModel] = {}
         self._link_inertia: dict[int, tuple[FloatArray, FloatArray]] = {}
 
@@ -132,9 +137,9 @@ class BatchModels:
     def contact(self) -> ContactGeoms:
         """Return the surfaces that the robot touches, or nearly touches, at measured positions."""
         poses = [s.position for s in self.segments]
-        return contact_geoms(self.segments[0].model, self.layout.joint_ids, poses)
+        return find_contact_geoms(self.segments[0].model, self.layout.joint_ids, poses)
 
-    def bounded(self, segment: int) -> mujoco.MjModel:
+    def bounded_model(self, segment: int) -> mujoco.MjModel:
         """A copy of a segment's model in which every actuator has an active force range.
 
         Rows can then reduce the range. The copy also has the time step and the friction constraint
@@ -148,8 +153,8 @@ class BatchModels:
             model.actuator_forcerange[free] = (-_UNBOUNDED, _UNBOUNDED)
             model.opt.timestep = self.timestep
             if not of.has_friction_creep:
-                hold(model, self.layout.dof_index, float(of.model.opt.timestep))
-            if self.sparing:
+                stiffen_friction(model, self.layout.dof_index, float(of.model.opt.timestep))
+            if self.disable_unused:
                 disable_unused_features(model)
             self._bounded[id(of.model)] = model
         return self._bounded[id(of.model)]
@@ -163,10 +168,10 @@ class BatchModels:
         models = {id(s.model): s.model for s in new.values()}
         data = {key: mujoco.MjData(model) for key, model in models.items()}
         for key, s in new.items():
-            apart = int(np.searchsorted(s.time, s.time[0] + _POSE_SECONDS))
-            apart = max(apart, len(s.time) // _POSES, 1)
+            stride = int(np.searchsorted(s.time, s.time[0] + _MIN_POSE_INTERVAL))
+            stride = max(stride, len(s.time) // _MAX_POSES, 1)
             least = link_inertia(
-                data[id(s.model)], s.position[::apart], self.layout.qpos_index,
+                data[id(s.model)], s.position[::stride], self.layout.qpos_index,
                 self.layout.dof_index,
             )  # fmt: skip
             self._link_inertia[key] = (s.position, least)
@@ -175,7 +180,7 @@ class BatchModels:
     def precompute(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> None:
         """Compute and cache data shared by batches of ``rows``, before processes are forked."""
         for r in np.unique(rows):
-            self.bounded(int(r))
+            self.bounded_model(int(r))
         if any(effect.is_elastic_transmission for effect, _ in effects):
             self.link_inertia(np.unique(rows))
 
@@ -183,7 +188,7 @@ class BatchModels:
         """Initial states of segments ``rows``, with the nominal drives."""
         segments, of = np.unique(rows, return_inverse=True)
         # There are many segments and few models.
-        of_segment = [self.bounded(int(s)) for s in segments]
+        of_segment = [self.bounded_model(int(s)) for s in segments]
         models = list({id(m): m for m in of_segment}.values())
         place = {id(m): i for i, m in enumerate(models)}
         which = np.array([place[id(m)] for m in of_segment], dtype=int)
@@ -211,7 +216,7 @@ class BatchModels:
             load=np.zeros(count),
             motor_armature=np.zeros(count),
             motor_damping=np.zeros(count),
-            motor_constant=np.zeros(count),
+            motor_constant_effort=np.zeros(count),
             link_inertia=np.full(count, np.inf),
             cold_fraction=np.array([self.segments[r].cold_fraction for r in segments]),
             least_setpoint=np.full(count, -np.inf),
@@ -220,7 +225,7 @@ class BatchModels:
         limited, ends = self._command_ranges()
         world.least_setpoint[:, limited] = ends.min(axis=0)
         world.greatest_setpoint[:, limited] = ends.max(axis=0)
-        world.gain[:, layout.bare] = 1.0
+        world.gain[:, layout.is_unactuated] = 1.0
         gain = np.array([m.actuator_gainprm[act, 0] for m in models])
         world.gain[:, driven] = (gain * gear * layout.scale[driven])[which]
         biased = np.array([m.actuator_biastype[act].any() for m in models])[which]
@@ -231,7 +236,7 @@ class BatchModels:
         world.damping[at] = -bias[..., 2] * gear**2
         limits = np.array([m.actuator_forcerange[act] * gear[:, None] for m in models])[which]
         world.lower[:, driven], world.upper[:, driven] = limits.min(axis=2), limits.max(axis=2)
-        for name in OF_ROWS:
+        for name in ROW_ATTRIBUTES:
             setattr(world, name, getattr(world, name)[of])
         return world
 
@@ -256,9 +261,9 @@ class BatchModels:
         ends = model.actuator_ctrlrange[layout.actuator[limited]].T / layout.scale[limited]
         return limited, ends
 
-    def written(
+    def prepare(
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], threads: int
-    ) -> Rows:
+    ) -> PreparedBatch:
         """Return a batch of segments with the effects in its model fields.
 
         Args:
@@ -266,11 +271,15 @@ class BatchModels:
             effects: effects with their (rows, joints) parameters.
             threads: threads of the batch.
         """
-        models = [self.bounded(int(r)) for r in rows]
+        models = [self.bounded_model(int(r)) for r in rows]
         # Effects between steps synchronize the threads at every step, so few rows use one thread.
-        few = any_hook(effects, *BETWEEN_STEPS) and len(rows) * models[0].nv < _WORTH_THREADS
-        batched = _Batched(Batch(models[0], len(rows), nthread=1 if few else threads), models)
-        self._place_unrecorded(batched.batch, rows)
+        few = (
+            overrides_any(effects, *STEP_HOOKS) and len(rows) * models[0].nv < _MIN_SIZE_FOR_THREADS
+        )
+        batched = _BatchWithModels(
+            Batch(models[0], len(rows), nthread=1 if few else threads), models
+        )
+        self._set_unrecorded_state(batched.batch, rows)
         world = self.world(rows)
         for effect, parameters in reversed(effects):
             world.position, world.velocity = effect.unsense(
@@ -285,31 +294,31 @@ class BatchModels:
         fields = ModelFields.neutral(gravity.copy(), joints)
         for effect, v in effects:
             effect.fields(fields, v)
-        native = {n: getattr(world, n).copy() for n in (*_LAW, "lower", "upper")}
+        native = {n: getattr(world, n).copy() for n in (*_CONTROL_LAW, "lower", "upper")}
         for effect, v in effects:
             effect.gains(world, v)
         changed = {n for n, before in native.items() if (before != getattr(world, n)).any()}
-        apart = moving_apart(effects, (len(rows), joints))
+        is_elastic = find_elastic_joints(effects, (len(rows), joints))
         if batched.has_several_models:
             for name in _INERTIAL:
                 batched.expand(name)
-        friction = self._write_dofs(batched, rows, effects, fields, world, apart)
+        friction = self._write_dofs(batched, rows, effects, fields, world, is_elastic)
         if (fields.gravity != gravity).any() or batched.has_several_models:
             batched.batch.expand("opt.gravity")[:] = fields.gravity
         if fields.has_changed_links:
             self._write_inertia(batched, fields)
         own = batched.has_several_models
-        if own or apart.any() or changed.intersection(_LAW):
-            self._write_gains(batched, world, apart)
+        if own or is_elastic.any() or changed.intersection(_CONTROL_LAW):
+            self._write_gains(batched, world, is_elastic)
         force_range = None
-        narrowed = any_hook(effects, "servo") or not changed.isdisjoint(("lower", "upper"))
+        narrowed = overrides_any(effects, "servo") or not changed.isdisjoint(("lower", "upper"))
         if (own or narrowed) and len(self.layout.driven):
             force_range = batched.expand("actuator_forcerange")
-            self.write_bounds(force_range, world)
-        if any_hook(effects, "servo"):
+            self.write_force_ranges(force_range, world)
+        if overrides_any(effects, "servo"):
             # The command range applies to commands, not to a setpoint that a servo has changed.
             batched.expand("actuator_ctrlrange")[:] = (-_UNBOUNDED, _UNBOUNDED)
-        constant, world.motor_constant = fields.split_force(apart)
+        constant, world.motor_constant_effort = fields.split_force(is_elastic)
         if any(effect.family == "contact" for effect, _ in effects):
             least_time = least_time_constant(models[0], self.timestep)
             self.contact.write(batched.expand, fields, least_time)
@@ -317,9 +326,9 @@ class BatchModels:
         moved = any(batched.batch.expanded(n) is not None for n in ("body_mass", "geom_pos"))
         if own or fields.armature.any() or moved:
             batched.batch.set_const()
-        return Rows(batched.batch, world, apart, constant, friction, force_range)
+        return PreparedBatch(batched.batch, world, is_elastic, constant, friction, force_range)
 
-    def _place_unrecorded(self, batch: Batch, rows: NDArray[np.int64]) -> None:
+    def _set_unrecorded_state(self, batch: Batch, rows: NDArray[np.int64]) -> None:
         """Set the initial state of joints, drives and actuators that are not recorded."""
         rest = [self.segments[r].unrecorded for r in rows]
         known = [each.state for each in rest if each is not None]
@@ -330,12 +339,12 @@ class BatchModels:
 
     def _write_dofs(
         self,
-        batched: _Batched,
+        batched: _BatchWithModels,
         rows: NDArray[np.int64],
         effects: Sequence[tuple[Effect, Values]],
         fields: ModelFields,
         world: World,
-        apart: NDArray[np.bool_],
+        is_elastic: NDArray[np.bool_],
     ) -> FloatArray | None:
         """Write damping, armature, dry friction and stiffness of the joints.
 
@@ -343,46 +352,48 @@ class BatchModels:
             (rows, dofs) dry friction of the batch, N*m or N; None if no effect changes it later.
         """
         batch, dof = batched.batch, self.layout.dof_index
-        between_steps = any_hook(effects, "friction")
-        resisting = {
+        between_steps = overrides_any(effects, "friction")
+        added = {
             "dof_damping": fields.damping,
             "dof_armature": fields.armature,
             "dof_frictionloss": fields.friction,
         }
-        for name, change in resisting.items():
+        for name, change in added.items():
             moving = name == "dof_frictionloss" and between_steps
-            if batched.has_several_models or change.any() or moving or apart.any():
+            if batched.has_several_models or change.any() or moving or is_elastic.any():
                 batched.expand(name)[:, dof] += change
         if batch.expanded("dof_frictionloss") is not None:
             levels = batch.expand("dof_frictionloss")
             np.maximum(levels, 0.0, out=levels)
             world.friction_level = levels[:, dof].copy()
-        if apart.any():
+        if is_elastic.any():
             # Properties of the motor side are simulated between steps instead of on the link.
             world.motor_armature = batch.expand("dof_armature")[:, dof]
             world.motor_damping = batch.expand("dof_damping")[:, dof]
             world.link_inertia = self.link_inertia(rows)
-            for name in resisting:
+            for name in added:
                 array = batch.expand(name)
-                array[:, dof] = np.where(apart, 0.0, array[:, dof])
+                array[:, dof] = np.where(is_elastic, 0.0, array[:, dof])
         if fields.stiffness.any():
             batched.expand("jnt_stiffness")[:, self.layout.joint_ids] += fields.stiffness
         return batch.expand("dof_frictionloss") if between_steps else None
 
-    def _write_gains(self, batched: _Batched, world: World, apart: NDArray[np.bool_]) -> None:
+    def _write_gains(
+        self, batched: _BatchWithModels, world: World, is_elastic: NDArray[np.bool_]
+    ) -> None:
         """Write the control laws of the drives; zero where the transmission is not rigid."""
         driven = self.layout.driven
         if not len(driven):
             return
         act, gear = self.layout.actuator[driven], self.layout.gear[driven]
         gain, bias = batched.expand("actuator_gainprm"), batched.expand("actuator_biasprm")
-        rigid = ~apart[:, driven]
+        rigid = ~is_elastic[:, driven]
         gain[:, act, 0] = rigid * world.gain[:, driven] / (gear * self.layout.scale[driven])
         bias[:, act, 0] = rigid * world.offset[:, driven] / gear
         bias[:, act, 1] = rigid * -world.stiffness[:, driven] / gear**2
         bias[:, act, 2] = rigid * -world.damping[:, driven] / gear**2
 
-    def write_bounds(self, force_range: FloatArray, world: World) -> None:
+    def write_force_ranges(self, force_range: FloatArray, world: World) -> None:
         """Write the effort limits of the drives into (rows, actuators, 2) force ranges."""
         driven, act, gear, reversed_drive = self._drives
         low, high = world.lower[:, driven], world.upper[:, driven]
@@ -406,7 +417,7 @@ class BatchModels:
             reversed_drive if reversed_drive.any() else None,
         )
 
-    def _write_inertia(self, batched: _Batched, fields: ModelFields) -> None:
+    def _write_inertia(self, batched: _BatchWithModels, fields: ModelFields) -> None:
         """Write changed masses, inertias and centres of mass of links, and added point masses."""
         mass, ipos, inertia, iquat = (batched.expand(name) for name in _INERTIAL)
         bodies = self.layout.body_index
@@ -414,16 +425,16 @@ class BatchModels:
         inertia[:, bodies] *= fields.inertia_scale[:, :, None]
         if fields.center_moves.any():
             every = np.arange(len(bodies))
-            ipos[:, bodies] += self.layout.shift(
+            ipos[:, bodies] += self.layout.center_shift(
                 fields.center_radial, fields.center_tangential, every
             )
         row, joint = np.nonzero(fields.added_mass)
         if not len(row):
             return
         here = (row, bodies[joint])
-        (position,) = batched.of_each("jnt_pos")
+        (position,) = batched.values_per_row("jnt_pos")
         at = position[row, self.layout.joint_ids[joint]]
-        at = at + self.layout.in_link(fields.added_at[row, joint], joint)
+        at = at + self.layout.to_link_frame(fields.added_at[row, joint], joint)
         mass[here], ipos[here], inertia[here], iquat[here] = with_point_mass(
             mass[here], ipos[here], inertia[here], iquat[here], fields.added_mass[row, joint], at
         )

@@ -22,20 +22,20 @@ from pytest_twin.effects.active_effects import (
     EffectValues,
     active_effects,
     acts_at,
-    between_steps,
+    acts_between_steps,
+    add_fixed_effects,
     hooks_between_steps,
-    with_fixed,
 )
 from pytest_twin.effects.base import Effect, Values, World
-from pytest_twin.effects.batch_division import Part, divide_rows, worth_forks
-from pytest_twin.effects.batch_models import BatchModels, Rows
+from pytest_twin.effects.batch_division import Part, divide_rows, is_worth_forking
+from pytest_twin.effects.batch_models import BatchModels, PreparedBatch
 from pytest_twin.effects.commands_over_steps import CommandsOverSteps
 from pytest_twin.effects.layout import Layout, as_slice
 from pytest_twin.effects.memory_warmup import (
-    LEAD,
-    PATH_STEP,
+    PATH_TIMESTEP,
+    WARM_UP_TIME,
     Hooks,
-    gears,
+    build_transmission,
     run_hooks,
     shift_motors,
     update_fading_memories,
@@ -76,7 +76,7 @@ class BatchSimulator:
             use.
         refine: substeps per model step, to measure the discretization error.
         fixed: effects that act in every row: parameters as (1, joints) arrays.
-        sparing: whether engine features without influence on the result are disabled.
+        disable_unused: whether engine features without influence on the result are disabled.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class BatchSimulator:
         threads: int = 0,
         refine: int = 1,
         fixed: EffectValues | None = None,
-        sparing: bool = True,
+        disable_unused: bool = True,
     ) -> None:
         self.segments = list(segments)
         self.joints = tuple(joints)
@@ -96,16 +96,18 @@ class BatchSimulator:
         self.layout = Layout(model, self.segments, joints)
         self.refine = refine
         self.timestep = float(model.opt.timestep) / refine
-        self.models = BatchModels(self.segments, self.layout, self.timestep, sparing=sparing)
+        self.models = BatchModels(
+            self.segments, self.layout, self.timestep, disable_unused=disable_unused
+        )
         self.steps = np.array(
             [int(np.ceil((s.time[-1] - s.start) / self.timestep - 1e-6)) + 1 for s in segments]
         )
         self.fixed: EffectValues = fixed or {}
         self._count = _StepCount()
-        self._known = SimulationCache()
-        idle = np.array([self._holding(s) for s in self.segments])
+        self._cache = SimulationCache()
+        idle = np.array([self._holding_commands(s) for s in self.segments])
         followable = self.models.command_range(np.arange(len(self.segments)))
-        self._held = CommandsOverSteps(self.segments, self.timestep, idle, *followable)
+        self._commands = CommandsOverSteps(self.segments, self.timestep, idle, *followable)
 
     @property
     def stepped(self) -> int:
@@ -131,7 +133,7 @@ class BatchSimulator:
         ]
         return other
 
-    def _holding(self, segment: Segment) -> FloatArray:
+    def _holding_commands(self, segment: Segment) -> FloatArray:
         """(joints,) commands that hold position servos without recorded commands; 0 elsewhere."""
         servo = (self.layout.servo == "position") & (self.layout.control >= 0)
         if segment.unrecorded is None:
@@ -151,9 +153,9 @@ class BatchSimulator:
         Returns:
             The sensor readings of each row at the stamps of its segment; NaN if it diverged.
         """
-        values = with_fixed(values, self.fixed, len(rows))
+        values = add_fixed_effects(values, self.fixed, len(rows))
         keys = row_keys([self.segments[r] for r in rows], values)
-        found = {key: self._known.get(key) for key in keys}
+        found = {key: self._cache.get(key) for key in keys}
         first = {key: i for i, key in reversed(list(enumerate(keys)))}
         new = np.array(sorted(first[k] for k, known in found.items() if known is None), dtype=int)
         steps = self.steps[rows]
@@ -161,21 +163,21 @@ class BatchSimulator:
         self._count.repeated += int(steps.sum() - steps[new].sum())
         if new.size:
             some = {e: {n: v[new] for n, v in vs.items()} for e, vs in values.items()}
-            for i, predicted in zip(new, self._simulated(rows[new], some), strict=True):
+            for i, predicted in zip(new, self._simulate_new(rows[new], some), strict=True):
                 segment = self.segments[rows[i]]
-                found[keys[i]] = self._known.keep(keys[i], segment, predicted)
+                found[keys[i]] = self._cache.store(keys[i], segment, predicted)
         return [p for key in keys if (p := found[key]) is not None]
 
-    def _simulated(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
+    def _simulate_new(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
         """Sensor readings of rows that are not in the cache; ``values`` has the fixed effects."""
-        return self._each(rows, values, self._read)
+        return self._map_rows(rows, values, self._read)
 
     def _read(
         self, segments: Sequence[Segment], effects: ActiveEffects, motion: Motion
     ) -> list[Predicted]:
         return predicted_readings(segments, effects, motion, self.timestep)
 
-    def _each(
+    def _map_rows(
         self,
         rows: NDArray[np.int64],
         values: EffectValues,
@@ -188,7 +190,7 @@ class BatchSimulator:
             values: effects, the fixed ones included.
             read: segments, effects and motion -> one result for each segment.
         """
-        laws = between_steps(values, len(rows))
+        laws = acts_between_steps(values, len(rows))
         cores = free_cores(self.threads)
         divided = divide_rows(self.steps[rows], laws, len(self.joints), cores)
 
@@ -197,15 +199,19 @@ class BatchSimulator:
             effects = active_effects(
                 {e: {n: v[part.rows] for n, v in vs.items()} for e, vs in values.items()}
             )
-            return read([self.segments[r] for r in of_part], effects, self._moved(of_part, effects))
+            return read(
+                [self.segments[r] for r in of_part],
+                effects,
+                self._simulate_motion(of_part, effects),
+            )
 
-        if not worth_forks(divided):
+        if not is_worth_forking(divided):
             cores = 1
         if cores > 1:
             self.models.precompute(rows, active_effects(values))
-        each = Forks(cores).map(work, divided)
+        results_of_parts = Forks(cores).map(work, divided)
         found: dict[int, Result] = {}
-        for part, results in zip(divided, each, strict=True):
+        for part, results in zip(divided, results_of_parts, strict=True):
             found.update(zip(part.rows.tolist(), results, strict=True))
         return [found[i] for i in range(len(rows))]
 
@@ -219,8 +225,8 @@ class BatchSimulator:
         Returns:
             Positions (rad or m) and velocities (rad/s or m/s), both (rows, steps + 1, joints).
         """
-        effects = active_effects(with_fixed(values, self.fixed, len(rows)))
-        q, v, _ = self._moved(rows, effects)
+        effects = active_effects(add_fixed_effects(values, self.fixed, len(rows)))
+        q, v, _ = self._simulate_motion(rows, effects)
         self.count(rows)
         return q, v
 
@@ -228,8 +234,8 @@ class BatchSimulator:
         self, rows: NDArray[np.int64], values: EffectValues
     ) -> tuple[FloatArray, FloatArray, list[Predicted]]:
         """As :meth:`trajectories`, with the sensor readings of each row."""
-        effects = active_effects(with_fixed(values, self.fixed, len(rows)))
-        motion = self._moved(rows, effects)
+        effects = active_effects(add_fixed_effects(values, self.fixed, len(rows)))
+        motion = self._simulate_motion(rows, effects)
         self.count(rows)
         segments = [self.segments[r] for r in rows]
         return motion[0], motion[1], predicted_readings(segments, effects, motion, self.timestep)
@@ -242,8 +248,8 @@ class BatchSimulator:
         Each is (stamps, joints), N m or N.
         """
         self.count(rows)
-        return self._each(
-            rows, with_fixed(values, self.fixed, len(rows)), self._read_at_neighbouring_steps
+        return self._map_rows(
+            rows, add_fixed_effects(values, self.fixed, len(rows)), self._read_at_neighbouring_steps
         )
 
     def _read_at_neighbouring_steps(
@@ -257,7 +263,7 @@ class BatchSimulator:
         )
         return [(a.effort, b.effort, c.effort) for a, b, c in zip(here, before, after, strict=True)]
 
-    def gear_stretch(
+    def transmission_deflection(
         self, rows: NDArray[np.int64], values: EffectValues, load: FloatArray
     ) -> FloatArray:
         """(rows, joints) deflection of elastic transmissions under ``load``, rad or m.
@@ -269,17 +275,19 @@ class BatchSimulator:
             values: effects.
             load: (joints,) effort, N m or N.
         """
-        effects = active_effects(with_fixed(values, self.fixed, len(rows)))
-        geared = hooks_between_steps(effects)["gear"]
-        if not geared:
+        effects = active_effects(add_fixed_effects(values, self.fixed, len(rows)))
+        gear_effects = hooks_between_steps(effects)["gear"]
+        if not gear_effects:
             return np.zeros((len(rows), len(self.joints)))
         with quiet():
-            gear = gears(self.written(rows, effects).world, geared)
-        return np.where(gear.apart, gear.stretch(load), 0.0)
+            gear = build_transmission(self.prepare_batch(rows, effects).world, gear_effects)
+        return np.where(gear.is_elastic, gear.deflection(load), 0.0)
 
-    def written(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> Rows:
-        """Rows with their model fields written, their initial state and their drives."""
-        return self.models.written(rows, effects, threads_here(self.threads))
+    def prepare_batch(
+        self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]
+    ) -> PreparedBatch:
+        """A batch of rows: model fields with the effects, initial states and drives."""
+        return self.models.prepare(rows, effects, threads_here(self.threads))
 
     def count(self, rows: NDArray[np.int64], *, repeated: bool = False) -> None:
         """Add the steps of rows to :attr:`stepped`, and to :attr:`repeated` on request."""
@@ -307,8 +315,8 @@ class BatchSimulator:
             (rows, steps, columns), in the unit of each command.
         """
         joints = self._columns(rows, joints)
-        delay = self._late(rows, effects, joints.shape[1])
-        return self._held.means(rows, delay, steps, joints, self.timestep)
+        delay = self._command_delay(rows, effects, joints.shape[1])
+        return self._commands.means(rows, delay, steps, joints, self.timestep)
 
     def true_reading_times(
         self,
@@ -338,19 +346,21 @@ class BatchSimulator:
         if not any(e.remembers for e, _ in effects) or any(h is None for h in histories):
             return
         joints = self._columns(rows, joints)
-        steps = round(LEAD / world.timestep)
+        steps = round(WARM_UP_TIME / world.timestep)
         before = -world.timestep * np.arange(steps, 0, -1)
         which, of = np.unique(rows, return_inverse=True)
         known = np.empty((2, len(which), len(self.joints), steps))
         for i, r in enumerate(which):
             segment = self.segments[r]
-            known[:, i] = np.moveaxis(segment.before(segment.start + before), 1, 2)
+            known[:, i] = np.moveaxis(segment.state_before(segment.start + before), 1, 2)
         motion = np.ascontiguousarray(np.moveaxis(known[:, of[:, None], joints], -1, 1))
-        late = self._late(rows, effects, joints.shape[1]) + LEAD
-        until = np.array([self.segments[r].start for r in rows])[:, None] - late
+        delay = self._command_delay(rows, effects, joints.shape[1]) + WARM_UP_TIME
+        until = np.array([self.segments[r].start for r in rows])[:, None] - delay
         for effect, v in effects:
-            effect.follow_commands(world, v, self._held.before(rows, joints, until))
-        command = np.moveaxis(self._held.means(rows, late, steps, joints, world.timestep), 1, 0)
+            effect.follow_commands(world, v, self._commands.commands_before(rows, joints, until))
+        command = np.moveaxis(
+            self._commands.means(rows, delay, steps, joints, world.timestep), 1, 0
+        )
         for effect, v in reversed(effects):
             if effect.overrides("unsense"):
                 affected = np.flatnonzero(acts_at(effect, v).any(axis=1))
@@ -360,7 +370,9 @@ class BatchSimulator:
                 motion[:, :, affected] = true.reshape(2, steps, len(affected), -1)
         fading = [(e, v) for e, v in effects if e.remembers_path]
         if fading:
-            update_fading_memories(world, fading, self._paths(which)[:, of[:, None], joints])
+            update_fading_memories(
+                world, fading, self._displacements(which)[:, of[:, None], joints]
+            )
         warm_up(world, hooks_between_steps(effects), motion[0], motion[1], command)
 
     def _columns(
@@ -368,50 +380,52 @@ class BatchSimulator:
     ) -> NDArray[np.int64]:
         return np.tile(np.arange(len(self.joints)), (len(rows), 1)) if joints is None else joints
 
-    def _late(
+    def _command_delay(
         self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]], columns: int
     ) -> FloatArray:
         """(rows, columns) delay between sending a command and its action on the drive, s."""
-        late = age_of_initial_state([self.segments[r] for r in rows], effects, columns)
+        delay = age_of_initial_state([self.segments[r] for r in rows], effects, columns)
         for effect, v in effects:
             added = effect.command_latency(v)
-            late = late if added is None else late + added
-        return late
+            delay = delay if added is None else delay + added
+        return delay
 
-    def _paths(self, rows: NDArray[np.int64]) -> FloatArray:
+    def _displacements(self, rows: NDArray[np.int64]) -> FloatArray:
         """(steps, rows, joints) displacement in each step before the warm-up, rad or m.
 
         It is zero before the start of the trial.
         """
-        longest = max(self.segments[r].start for r in rows) - LEAD
-        steps = max(0, int(np.ceil(longest / PATH_STEP)))
+        longest = max(self.segments[r].start for r in rows) - WARM_UP_TIME
+        steps = max(0, int(np.ceil(longest / PATH_TIMESTEP)))
         out = np.zeros((steps, len(rows), len(self.joints)))
         for i, r in enumerate(rows):
             segment = self.segments[r]
-            stamps = segment.start - LEAD - PATH_STEP * np.arange(steps, -1, -1)
-            out[:, i] = np.diff(segment.before(stamps)[0], axis=0)
+            stamps = segment.start - WARM_UP_TIME - PATH_TIMESTEP * np.arange(steps, -1, -1)
+            out[:, i] = np.diff(segment.state_before(stamps)[0], axis=0)
         return out
 
-    def _moved(self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]) -> Motion:
+    def _simulate_motion(
+        self, rows: NDArray[np.int64], effects: Sequence[tuple[Effect, Values]]
+    ) -> Motion:
         """Motion of rows, (rows, steps + 1, joints) each; NaN in rows that diverged."""
         steps = int(self.steps[rows].max())
         commands = self.commands(rows, effects, steps)
         hooks = hooks_between_steps(effects)
-        added = self._added_forces(rows, steps)
+        added = self._forces_at_steps(rows, steps)
         with quiet():
-            written = self.written(rows, effects)
-            if any(hooks.values()) or self.layout.bare.any() or added is not None:
-                self._set_initial_state(written, rows, effects, hooks)
-                motion = self._stepped(written, hooks, commands, added)
+            prepared = self.prepare_batch(rows, effects)
+            if any(hooks.values()) or self.layout.is_unactuated.any() or added is not None:
+                self._set_initial_state(prepared, rows, effects, hooks)
+                motion = self._step_through(prepared, hooks, commands, added)
             else:
-                motion = self._rolled_out(written, commands)
-        failed = written.batch.warning[:, :, 1].any(axis=1)
+                motion = self._roll_out(prepared, commands)
+        failed = prepared.batch.warning[:, :, 1].any(axis=1)
         for array in motion:
             array[:, failed] = np.nan
         q, v, effort = (array.swapaxes(0, 1) for array in motion)
         return q, v, effort
 
-    def _added_forces(self, rows: NDArray[np.int64], steps: int) -> FloatArray | None:
+    def _forces_at_steps(self, rows: NDArray[np.int64], steps: int) -> FloatArray | None:
         """(steps, rows, joints) forces that segments add at each step; None if none does."""
         segments = [self.segments[r] for r in rows]
         if all(s.added_force is None for s in segments):
@@ -425,25 +439,25 @@ class BatchSimulator:
                     out[:, i, j] = np.interp(time, stamps, force)
         return out
 
-    def _motion(self, steps: int, rows: int) -> Motion:
+    def _empty_motion(self, steps: int, rows: int) -> Motion:
         """Empty arrays; steps come first, so that all rows of a step are adjacent in memory."""
         q, v = np.empty((2, steps + 1, rows, len(self.joints)))
         return q, v, np.zeros(q.shape)
 
-    def _rolled_out(self, written: Rows, commands: FloatArray) -> Motion:
+    def _roll_out(self, prepared: PreparedBatch, commands: FloatArray) -> Motion:
         """Motion of rows whose effects are all in the model fields: one call of the engine."""
-        batch, world, layout = written.batch, written.world, self.layout
+        batch, world, layout = prepared.batch, prepared.world, self.layout
         at_qpos, at_dof = as_slice(layout.qpos_index), as_slice(layout.dof_index)
         batch.bind("qpos")[:, at_qpos] = world.position
         batch.bind("qvel")[:, at_dof] = world.velocity
-        batch.bind("qfrc_applied")[:, at_dof] = written.constant
+        batch.bind("qfrc_applied")[:, at_dof] = prepared.constant
         ctrl = batch.bind("ctrl")
         rows, steps = commands.shape[:2]
         driven = layout.driven
         inputs = np.zeros((rows, steps, ctrl.shape[1]))
         inputs[:] = ctrl[:, None]
         inputs[:, :, layout.control[driven]] = commands[:, :, driven] * layout.scale[driven]
-        q, v, effort = self._motion(steps, rows)
+        q, v, effort = self._empty_motion(steps, rows)
         q[0], v[0] = world.position, world.velocity
         try:
             out = batch.rollout(steps, inputs, record=("qpos", "qvel", "qfrc_actuator"))
@@ -458,17 +472,17 @@ class BatchSimulator:
 
     def _set_initial_state(
         self,
-        written: Rows,
+        prepared: PreparedBatch,
         rows: NDArray[np.int64],
         effects: Sequence[tuple[Effect, Values]],
         hooks: Hooks,
     ) -> None:
         """Set the initial state of rows, and the memory of effects that act between steps."""
-        batch, world = written.batch, written.world
+        batch, world = prepared.batch, prepared.world
         at_qpos, at_dof = as_slice(self.layout.qpos_index), as_slice(self.layout.dof_index)
         batch.bind("qpos")[:, at_qpos] = world.position
         batch.bind("qvel")[:, at_dof] = world.velocity
-        batch.bind("qfrc_applied")[:, at_dof] = written.constant
+        batch.bind("qfrc_applied")[:, at_dof] = prepared.constant
         batch.forward()
         if _reads_load(hooks):
             world.load = batch.bind("qfrc_bias")[:, at_dof]
@@ -479,35 +493,41 @@ class BatchSimulator:
             shift = np.array([none if s is None else s for s in shifts])
             shift_motors(world, hooks["gear"], shift)
 
-    def _stepped(
-        self, written: Rows, hooks: Hooks, commands: FloatArray, added_forces: FloatArray | None
+    def _step_through(
+        self,
+        prepared: PreparedBatch,
+        hooks: Hooks,
+        commands: FloatArray,
+        added_forces: FloatArray | None,
     ) -> Motion:
         """Motion of rows whose effects or added forces act between the steps of the engine."""
-        batch, world, layout = written.batch, written.world, self.layout
+        batch, world, layout = prepared.batch, prepared.world, self.layout
         at_qpos, at_dof = as_slice(layout.qpos_index), as_slice(layout.dof_index)
         qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
         ctrl, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
         bias, actuator_force = batch.bind("qfrc_bias"), batch.bind("qfrc_actuator")
-        driven, bare = layout.driven, layout.bare
+        driven, is_unactuated = layout.driven, layout.is_unactuated
         control, at_driven = as_slice(layout.control[driven]), as_slice(driven)
         scale = layout.scale[driven]
         rows, steps = commands.shape[:2]
-        q, v, effort = self._motion(steps, rows)
+        q, v, effort = self._empty_motion(steps, rows)
         level, start = world.friction_level, world.time
-        loaded = _reads_load(hooks)
+        reads_load = _reads_load(hooks)
         commanded = np.ascontiguousarray(commands.swapaxes(0, 1))
-        pushed = np.empty((rows, len(self.joints)))
-        by_hand = bare.any()
+        applied_effort = np.empty((rows, len(self.joints)))
+        has_unactuated = is_unactuated.any()
         # The drive's effort is computed between steps only if an effect reads or changes it.
         needs_drive = bool(hooks["drive"]) or any(
             e.reads_delivered_effort for e, _ in hooks["friction"]
         )
         is_forced = added_forces is not None
-        pushes = bool(hooks["force"] or hooks["drive"] or hooks["gear"] or by_hand or is_forced)
-        apart = written.apart.any()
+        applies_effort = bool(
+            hooks["force"] or hooks["drive"] or hooks["gear"] or has_unactuated or is_forced
+        )
+        has_elastic = prepared.is_elastic.any()
         has_own_bounds = False
 
-        def before(k: int) -> None:
+        def act_before_step(k: int) -> None:
             nonlocal has_own_bounds
             world.time = start + k * self.timestep
             q[k], v[k] = qpos[:, at_qpos], qvel[:, at_dof]
@@ -515,42 +535,46 @@ class BatchSimulator:
             if k:
                 effort[k - 1] += actuator_force[:, at_dof]
             world.setpoint = commanded[k]
-            if pushes:
-                pushed[:] = written.constant
+            if applies_effort:
+                applied_effort[:] = prepared.constant
                 if added_forces is not None:
-                    pushed[:] += added_forces[k]
-                world.applied = pushed
-            if loaded:
+                    applied_effort[:] += added_forces[k]
+                world.applied = applied_effort
+            if reads_load:
                 world.friction_level = level
                 world.load = bias[:, at_dof]
             bounds = world.lower, world.upper
             native = run_hooks(world, hooks, drives=needs_drive)
             if hooks["servo"]:
                 own = world.lower is bounds[0] and world.upper is bounds[1]
-                if written.force_range is not None and not (own and has_own_bounds):
-                    self.models.write_bounds(written.force_range, world)
+                if prepared.force_range is not None and not (own and has_own_bounds):
+                    self.models.write_force_ranges(prepared.force_range, world)
                 world.lower, world.upper = bounds
                 has_own_bounds = own
-            if written.friction is not None:
+            if prepared.friction is not None:
                 level_now = np.maximum(world.friction_level, 0.0)
-                written.friction[:, at_dof] = (
-                    np.where(written.apart, 0.0, level_now) if apart else level_now
+                prepared.friction[:, at_dof] = (
+                    np.where(prepared.is_elastic, 0.0, level_now) if has_elastic else level_now
                 )
             if hooks["drive"] or hooks["gear"]:
                 # On a rigid joint the engine applies the control law itself. The motor of an
                 # elastic transmission is not part of the engine's model.
                 added = world.delivered - native
-                world.applied += np.where(written.apart, 0.0, added) if apart else added
-                effort[k] = np.where(written.apart, world.delivered, added) if apart else added
-            if by_hand:
-                by_command = np.where(written.apart, 0.0, world.setpoint)[:, bare]
-                world.applied[:, bare] += by_command
-                effort[k][:, bare] += by_command
-            if pushes:
+                world.applied += np.where(prepared.is_elastic, 0.0, added) if has_elastic else added
+                effort[k] = (
+                    np.where(prepared.is_elastic, world.delivered, added) if has_elastic else added
+                )
+            if has_unactuated:
+                commanded_effort = np.where(prepared.is_elastic, 0.0, world.setpoint)[
+                    :, is_unactuated
+                ]
+                world.applied[:, is_unactuated] += commanded_effort
+                effort[k][:, is_unactuated] += commanded_effort
+            if applies_effort:
                 applied[:, at_dof] = world.applied
             ctrl[:, control] = world.setpoint[:, at_driven] * scale
 
-        lockstep(batch, steps, before)
+        lockstep(batch, steps, act_before_step)
         q[steps], v[steps] = qpos[:, at_qpos], qvel[:, at_dof]
         effort[steps - 1] += actuator_force[:, at_dof]
         effort[steps] = effort[steps - 1]

@@ -6,7 +6,15 @@ import itertools
 from collections.abc import Collection, Sequence
 from typing import NoReturn, get_args
 
-from pytest_twin.effects.base import MODES, PATHS, REFERENCES, Effect, Parameter, Quantity, Scope
+from pytest_twin.effects.base import (
+    MODES,
+    REFERENCES,
+    SIGNAL_PATHS,
+    Effect,
+    Parameter,
+    Quantity,
+    Scope,
+)
 from pytest_twin.errors import SpecError
 
 
@@ -35,7 +43,7 @@ def _checked(effect: object, name: str) -> Effect:
         if not getattr(effect, field, None):
             _refuse(name, field, None, "a value, set by the class")
     _one_of(name, "id", effect.id, (name,))
-    _one_of(name, "family", effect.family, PATHS)
+    _one_of(name, "family", effect.family, SIGNAL_PATHS)
     _one_of(name, "scope", effect.scope, get_args(Scope))
     for mode in effect.modes:
         _one_of(name, "modes", mode, MODES)

@@ -18,29 +18,31 @@ from pytest_twin.arrays import FloatArray
 _IMPEDANCE = (0.999, 0.9999, 0.001)
 """First values of ``solimp``: impedance at zero violation and at the width, and the width. With
 MuJoCo's defaults, 0.9 and 0.95, a joint at rest creeps."""
-_BY_DEFAULT = mujoco.MjSpec().default.joint
+_DEFAULT_JOINT = mujoco.MjSpec().default.joint
 
 
-def stiff(timestep: float) -> tuple[FloatArray, FloatArray]:
+def stiff_friction(timestep: float) -> tuple[FloatArray, FloatArray]:
     """(2,) ``solref`` and (5,) ``solimp`` of stiff dry friction for a time step in s."""
-    impedance = np.array(_BY_DEFAULT.solimp_friction)
+    impedance = np.array(_DEFAULT_JOINT.solimp_friction)
     impedance[:3] = _IMPEDANCE
     return np.array([2.0 * timestep, 1.0]), impedance
 
 
-def _is_free_to_choose(solref: FloatArray, solimp: FloatArray, timestep: float) -> bool:
+def _is_default(solref: FloatArray, solimp: FloatArray, timestep: float) -> bool:
     """Whether a friction constraint is MuJoCo's default, or the stiff one of a time step in s.
 
     The latter becomes stiffer with a finer step.
     """
-    default = _BY_DEFAULT.solref_friction, _BY_DEFAULT.solimp_friction
+    default = _DEFAULT_JOINT.solref_friction, _DEFAULT_JOINT.solimp_friction
     return any(
         np.allclose(solref, known[0], rtol=1e-5) and np.allclose(solimp, known[1], rtol=1e-5)
-        for known in (default, stiff(timestep))
+        for known in (default, stiff_friction(timestep))
     )
 
 
-def hold(model: mujoco.MjModel, dofs: Sequence[int] | NDArray[np.int64], timestep: float) -> None:
+def stiffen_friction(
+    model: mujoco.MjModel, dofs: Sequence[int] | NDArray[np.int64], timestep: float
+) -> None:
     """Make dry friction stiff where the model does not set the constraint itself.
 
     Args:
@@ -48,7 +50,7 @@ def hold(model: mujoco.MjModel, dofs: Sequence[int] | NDArray[np.int64], timeste
         dofs: degrees of freedom.
         timestep: time step of the nominal model, s.
     """
-    solref, solimp = stiff(float(model.opt.timestep))
+    solref, solimp = stiff_friction(float(model.opt.timestep))
     for dof in dofs:
-        if _is_free_to_choose(model.dof_solref[dof], model.dof_solimp[dof], timestep):
+        if _is_default(model.dof_solref[dof], model.dof_solimp[dof], timestep):
             model.dof_solref[dof], model.dof_solimp[dof] = solref, solimp

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import ModelFields
 
-NEAR = 0.05
+CONTACT_DISTANCE = 0.05
 """Distance in m below which two geoms of a recording may touch."""
-_MOST_POSES = 3000
+_MAX_POSES = 3000
 """Largest number of recorded poses at which distances are computed."""
-_HALF = 15
+_MASK_BITS = 15
 """Number of bits of a collision mask for each of the robot and its surroundings."""
 _FLAT = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
@@ -25,7 +25,7 @@ _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 Ids = NDArray[np.int64]
 
 
-def _none() -> Ids:
+def _no_ids() -> Ids:
     return np.empty(0, dtype=np.int64)
 
 
@@ -41,10 +41,10 @@ class ContactGeoms:
         has_friction: whether any of these contacts has friction.
     """
 
-    world: Ids = field(default_factory=_none)
+    world: Ids = field(default_factory=_no_ids)
     normal: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    robot: Ids = field(default_factory=_none)
-    pairs: Ids = field(default_factory=_none)
+    robot: Ids = field(default_factory=_no_ids)
+    pairs: Ids = field(default_factory=_no_ids)
     has_friction: bool = False
 
     def has(self, effect: str) -> bool:
@@ -122,7 +122,7 @@ def scaled_solref(
     )
 
 
-def contact_geoms(
+def find_contact_geoms(
     model: mujoco.MjModel, joint_ids: Ids, poses: Iterable[FloatArray]
 ) -> ContactGeoms:
     """Geoms that come close to each other in measured poses.
@@ -132,16 +132,16 @@ def contact_geoms(
         joint_ids: (joints,) of the poses' columns; other joints keep the model's position.
         poses: (n, joints) arrays, rad or m.
     """
-    robot, world = _sides(model, joint_ids)
+    robot, world = _robot_and_world(model, joint_ids)
     if not _may_touch(model, robot, world):
         return ContactGeoms()
     everywhere = np.concatenate(list(poses))
-    everywhere = everywhere[:: max(1, -(-len(everywhere) // _MOST_POSES))]
+    everywhere = everywhere[:: max(1, -(-len(everywhere) // _MAX_POSES))]
     data = mujoco.MjData(model)
     found: dict[tuple[int, int], tuple[int, FloatArray, int]] = {}
-    for data in _near_at(model, joint_ids, robot, world, everywhere):
+    for data in _collisions_at(model, joint_ids, robot, world, everywhere):
         seen: set[tuple[int, int]] = set()
-        for k in np.flatnonzero(data.contact.dist < NEAR):
+        for k in np.flatnonzero(data.contact.dist < CONTACT_DISTANCE):
             one, two = (int(g) for g in data.contact.geom[k])
             if min(one, two) < 0:
                 continue
@@ -151,7 +151,7 @@ def contact_geoms(
                 continue
             count, normal, dim = found.get(key, (0, np.zeros(3), 1))
             # Deep penetrations have less weight: their normal may point to the far side.
-            weight = max(NEAR - abs(float(data.contact.dist[k])), 0.0)
+            weight = max(CONTACT_DISTANCE - abs(float(data.contact.dist[k])), 0.0)
             normal = normal + sign * weight * data.contact.frame[k, :3]
             dim = max(dim, int(data.contact.dim[k]))
             found[key] = (count + (key not in seen), normal, dim)
@@ -159,7 +159,7 @@ def contact_geoms(
     for key, (count, _, _) in list(found.items()):
         if count == len(everywhere) and _is_own_base(model, *key):
             del found[key]
-    return _collected(model, data, found)
+    return _merge_contacts(model, data, found)
 
 
 def with_distant_contacts(
@@ -189,23 +189,32 @@ def is_near_surface(data: mujoco.MjData, contact: ContactGeoms, reach: float) ->
 def is_far_from_surfaces(
     model: mujoco.MjModel, joint_ids: Ids, contact: ContactGeoms, poses: FloatArray
 ) -> NDArray[np.bool_]:
-    """(n,) whether the robot is farther than :data:`NEAR` from all surfaces, for (n, joints)."""
-    robot, _ = _sides(model, joint_ids)
-    stands = np.isin(np.arange(model.ngeom), contact.world)
-    seen = _near_at(model, joint_ids, robot, stands, poses)
-    return np.array([not is_near_surface(data, contact, NEAR) for data in seen], dtype=bool)
+    """(n,) whether the robot is farther than :data:`CONTACT_DISTANCE` from all surfaces.
+
+    Args:
+        model: the nominal model.
+        joint_ids: (joints,) of the columns of ``poses``.
+        contact: the surfaces, and the geoms of the robot that may touch them.
+        poses: (n, joints) rad or m.
+    """
+    robot, _ = _robot_and_world(model, joint_ids)
+    is_surface = np.isin(np.arange(model.ngeom), contact.world)
+    seen = _collisions_at(model, joint_ids, robot, is_surface, poses)
+    return np.array(
+        [not is_near_surface(data, contact, CONTACT_DISTANCE) for data in seen], dtype=bool
+    )
 
 
-def _near_at(
+def _collisions_at(
     model: mujoco.MjModel,
     joint_ids: Ids,
     robot: NDArray[np.bool_],
     world: NDArray[np.bool_],
     poses: FloatArray,
 ) -> Iterator[mujoco.MjData]:
-    """Collision data of each of (n, joints) poses, with contacts within :data:`NEAR`."""
-    near = with_distant_contacts(model, world, NEAR)
-    _only_between(near, robot, world)
+    """Collision data of (n, joints) poses, with contacts within :data:`CONTACT_DISTANCE`."""
+    near = with_distant_contacts(model, world, CONTACT_DISTANCE)
+    _disable_other_pairs(near, robot, world)
     data = mujoco.MjData(near)
     index = model.jnt_qposadr[joint_ids]
     for pose in poses:
@@ -215,7 +224,9 @@ def _near_at(
         yield data
 
 
-def _sides(model: mujoco.MjModel, joint_ids: Ids) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _robot_and_world(
+    model: mujoco.MjModel, joint_ids: Ids
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """(geoms,) masks of geoms that move with the joints, and of fixed geoms of the surroundings."""
     moves = np.zeros(model.nbody, dtype=bool)
     moves[model.jnt_bodyid[joint_ids]] = True
@@ -231,15 +242,18 @@ def _sides(model: mujoco.MjModel, joint_ids: Ids) -> tuple[NDArray[np.bool_], ND
     return moves[owner], still[owner]
 
 
-def _only_between(
+def _disable_other_pairs(
     model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[np.bool_]
 ) -> None:
     """Disable other geom pairs in ``model``: meshes of neighbouring links are expensive."""
     types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
-    if max(types.max(), affinities.max()) >= 1 << _HALF or min(types.min(), affinities.min()) < 0:
+    if (
+        max(types.max(), affinities.max()) >= 1 << _MASK_BITS
+        or min(types.min(), affinities.min()) < 0
+    ):
         return
-    model.geom_contype[:] = np.where(world, types | affinities << _HALF, 0)
-    model.geom_conaffinity[:] = np.where(robot, affinities | types << _HALF, 0)
+    model.geom_contype[:] = np.where(world, types | affinities << _MASK_BITS, 0)
+    model.geom_conaffinity[:] = np.where(robot, affinities | types << _MASK_BITS, 0)
 
 
 def _may_touch(model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[np.bool_]) -> bool:
@@ -252,10 +266,10 @@ def _may_touch(model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[n
         return False
     masks = bits("geom_contype", robot) & bits("geom_conaffinity", world)
     masks |= bits("geom_contype", world) & bits("geom_conaffinity", robot)
-    return bool(masks) or bool(_between(model, robot, world).any())
+    return bool(masks) or bool(_pairs_between(model, robot, world).any())
 
 
-def _between(
+def _pairs_between(
     model: mujoco.MjModel, robot: NDArray[np.bool_], world: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """(pairs,) mask of explicit pairs between robot and world."""
@@ -273,7 +287,7 @@ def _is_own_base(model: mujoco.MjModel, world: int, robot: int) -> bool:
     return bool(first) and int(model.geom_type[world]) not in _FLAT
 
 
-def _collected(
+def _merge_contacts(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     found: dict[tuple[int, int], tuple[int, FloatArray, int]],
@@ -299,6 +313,6 @@ def _collected(
         world=world,
         normal=normal,
         robot=robot,
-        pairs=np.flatnonzero(_between(model, *sides)).astype(np.int64),
+        pairs=np.flatnonzero(_pairs_between(model, *sides)).astype(np.int64),
         has_friction=any(dim > 1 for _, _, dim in found.values()),
     )

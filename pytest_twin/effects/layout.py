@@ -12,12 +12,12 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization.inputs import command_input
 
-_ON_AXIS = 1e-4
+_MIN_AXIS_DISTANCE = 1e-4
 """Distance of a centre of mass from the joint's axis below which it counts as on the axis, m."""
-_FLANGE = 0.03
+_FLANGE_SHARE = 0.03
 """A last link whose centre of mass is closer to its joint than this share of the arm's length is a
 flange: its size says nothing about its payload."""
-_TOOL, _LEAST_TOOL, _TOOL_MASS = 0.15, 0.05, 0.02
+_FLANGE_TOOL_LENGTH, _MIN_TOOL_LENGTH, _MIN_FLANGE_LOAD = 0.15, 0.05, 0.02
 """Reference length of a payload on a flange and on any last link, as shares of the arm's length;
 smallest reference mass on a flange, as a share of the arm's mass."""
 
@@ -37,7 +37,7 @@ class Layout:
         scale: (joints,) ratio of control to command.
         gear: (joints,) ratio of the effort at the joint to the force of the actuator.
         driven: (driven,) indices of the joints with an actuator.
-        bare: (joints,) whether effort is commanded and the joint has no actuator.
+        is_unactuated: (joints,) whether effort is commanded and the joint has no actuator.
         directions: (joints, 3) unit vectors from the joint to its link's centre of mass, in the
             frame of the link.
         link_length: (joints,) distance from the joint to its link's centre of mass, m.
@@ -60,9 +60,9 @@ class Layout:
         self.slides = model.jnt_type[self.joint_ids] == int(mujoco.mjtJoint.mjJNT_SLIDE)
         self._find_drives(model, segments)
         self.driven = np.flatnonzero(self.actuator >= 0)
-        self.bare = (self.servo == "effort") & (self.actuator < 0)
+        self.is_unactuated = (self.servo == "effort") & (self.actuator < 0)
         self.directions = self._link_directions(model)
-        self.radial, self.tangential = self._around_axes(model)
+        self.radial, self.tangential = self._radial_directions(model)
         mass = np.maximum(model.body_mass[self.body_index], 1e-6)
         own = model.body_inertia[self.body_index].mean(axis=1) / mass
         self._find_tool(model)
@@ -73,14 +73,14 @@ class Layout:
         body = self.body_index[-1]
         ways = np.linalg.norm(model.body_pos[self.body_index[1:]], axis=1)
         arm, own = float(ways.sum()), float(self.link_length[-1])
-        self.tool_length = max(own, _LEAST_TOOL * arm)
+        self.tool_length = max(own, _MIN_TOOL_LENGTH * arm)
         self.tool_mass = float(model.body_mass[body])
         self._load_directions = self.directions.copy()
-        if own >= _FLANGE * arm:
+        if own >= _FLANGE_SHARE * arm:
             return
         moved = float(model.body_mass[self.body_index].sum())
-        self.tool_length = _TOOL * arm
-        self.tool_mass = max(self.tool_mass, _TOOL_MASS * moved)
+        self.tool_length = _FLANGE_TOOL_LENGTH * arm
+        self.tool_mass = max(self.tool_mass, _MIN_FLANGE_LOAD * moved)
         axis = model.jnt_axis[self.joint_ids[-1]]
         center = model.body_ipos[body] - model.jnt_pos[self.joint_ids[-1]]
         height = float(axis @ center)
@@ -118,28 +118,28 @@ class Layout:
         self.link_length = np.maximum(length[:, 0], 1e-3)
         return np.where(length > 1e-6, offset / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
 
-    def in_link(self, place: FloatArray, joint: NDArray[np.int64]) -> FloatArray:
+    def to_link_frame(self, place: FloatArray, joint: NDArray[np.int64]) -> FloatArray:
         """Positions (n, 3) in link frames from positions in own axes, both in m.
 
         The own axes point along the link (for a flange: along the joint's axis), in the joint's
         direction of motion, and perpendicular to both.
         """
-        found: FloatArray = np.einsum("nk,nki->ni", place, self.own_axes(joint))
+        found: FloatArray = np.einsum("nk,nki->ni", place, self.payload_axes(joint))
         return found
 
-    def own_axes(self, joint: NDArray[np.int64]) -> FloatArray:
-        """(n, 3, 3) own axes of :meth:`in_link` as rows, in the frames of the links."""
+    def payload_axes(self, joint: NDArray[np.int64]) -> FloatArray:
+        """(n, 3, 3) own axes of :meth:`to_link_frame` as rows, in the frames of the links."""
         axis_of_load, turning = self._load_directions[joint], self.tangential[joint]
         return np.stack([axis_of_load, turning, np.cross(axis_of_load, turning)], axis=1)
 
-    def shift(
+    def center_shift(
         self, radial: FloatArray, tangential: FloatArray, joint: NDArray[np.int64]
     ) -> FloatArray:
         """(..., 3) shift in link frames from (...,) radial and tangential shifts, all in m."""
         moved: FloatArray = radial[..., None] * self.radial[joint]
         return moved + tangential[..., None] * self.tangential[joint]
 
-    def _around_axes(self, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
+    def _radial_directions(self, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
         """Radial and tangential unit vectors, (joints, 3) each, in the frames of the links.
 
         If the centre of mass is on the joint's axis, the radial vector is the frame axis with the
@@ -150,7 +150,7 @@ class Layout:
         offset = self.link_length[:, None] * self.directions
         for way in (offset, aside):
             way -= np.einsum("ji,ji->j", way, axis)[:, None] * axis
-        on_axis = np.linalg.norm(offset, axis=1, keepdims=True) < _ON_AXIS
+        on_axis = np.linalg.norm(offset, axis=1, keepdims=True) < _MIN_AXIS_DISTANCE
         radial = np.where(on_axis, aside, offset)
         radial /= np.linalg.norm(radial, axis=1, keepdims=True)
         return radial, np.cross(axis, radial)

@@ -13,7 +13,7 @@ from pytest_twin.effects.base import Effect, Parameter, Values, World
 # Setpoints that differ by less are equal: 1/2000 of an encoder count (12 bits per turn), in rad.
 _SAME_COMMAND = 1e-6
 # Part of ``delivered`` that cancels back-EMF, which the model holds as passive damping.
-_TAKEN = "back_emf"
+_BACK_EMF_EFFORT = "back_emf"
 
 
 class TorqueRolloff(Effect):
@@ -55,11 +55,13 @@ class TorqueRolloff(Effect):
     }
 
     def drive(self, world: World, values: Values) -> None:
-        bent = values["inverse_knee"]
-        taken = np.where(bent > 0.0, values["back_emf"] * world.motor_velocity, 0.0)
-        ideal = world.delivered - taken
-        world.delivered = ideal / (1.0 + np.abs(ideal) * bent) + taken
-        world.state[_TAKEN] = taken
+        inverse_knee = values["inverse_knee"]
+        back_emf_effort = np.where(
+            inverse_knee > 0.0, values["back_emf"] * world.motor_velocity, 0.0
+        )
+        ideal = world.delivered - back_emf_effort
+        world.delivered = ideal / (1.0 + np.abs(ideal) * inverse_knee) + back_emf_effort
+        world.state[_BACK_EMF_EFFORT] = back_emf_effort
 
 
 class WatchdogTimeout(Effect):
@@ -99,29 +101,31 @@ class WatchdogTimeout(Effect):
     def command(self, world: World, values: Values) -> None:
         held = world.state.get(self.id)
         if held is None:
-            last, still = world.setpoint.copy(), np.zeros_like(world.setpoint)
+            last, constant_time = world.setpoint.copy(), np.zeros_like(world.setpoint)
         else:
-            last, still = held
+            last, constant_time = held
             changed = np.abs(world.setpoint - last) > _SAME_COMMAND
-            still = np.where(changed, 0.0, still + world.timestep)
+            constant_time = np.where(changed, 0.0, constant_time + world.timestep)
             last = np.where(changed, world.setpoint, last)
-        world.state[self.id] = (last, still)
+        world.state[self.id] = (last, constant_time)
 
     def follow_commands(
         self, world: World, values: Values, commands: Iterable[tuple[FloatArray, FloatArray]]
     ) -> None:
         for command, seconds in commands:
-            last, still = world.state.get(self.id, (command, np.zeros_like(command)))
+            last, constant_time = world.state.get(self.id, (command, np.zeros_like(command)))
             changed = (seconds > 0.0) & (np.abs(command - last) > _SAME_COMMAND)
             last = np.where(changed, command, last)
-            world.state[self.id] = (last, np.where(changed, 0.0, still) + seconds)
+            world.state[self.id] = (last, np.where(changed, 0.0, constant_time) + seconds)
 
     def drive(self, world: World, values: Values) -> None:
-        _, still = world.state[self.id]
-        is_off = still * values["inverse_timeout"] > 1.0
+        _, constant_time = world.state[self.id]
+        is_off = constant_time * values["inverse_timeout"] > 1.0
         undamped = values["back_emf"] * world.motor_velocity
         world.delivered = np.where(is_off, undamped, world.delivered)
-        world.state[_TAKEN] = np.where(is_off, undamped, world.state.get(_TAKEN, 0.0))
+        world.state[_BACK_EMF_EFFORT] = np.where(
+            is_off, undamped, world.state.get(_BACK_EMF_EFFORT, 0.0)
+        )
 
 
 class MotorLoadFriction(Effect):
@@ -166,8 +170,8 @@ class MotorLoadFriction(Effect):
     reads_delivered_effort = True
 
     def friction(self, world: World, values: Values) -> None:
-        reach = np.maximum(values["stribeck_velocity"], 1e-9)
-        fall = np.exp(-np.abs(world.motor_velocity) / reach)
+        stribeck_velocity = np.maximum(values["stribeck_velocity"], 1e-9)
+        fall = np.exp(-np.abs(world.motor_velocity) / stribeck_velocity)
         share = values["coefficient"] + values["stiction_excess"] * fall
         world.friction_level = world.friction_level + share * np.abs(motor_effort(world))
 
@@ -178,5 +182,5 @@ class MotorLoadFriction(Effect):
 
 def motor_effort(world: World) -> FloatArray:
     """(rows, joints) part of the delivered effort that the motor produces, N*m or N."""
-    effort: FloatArray = world.delivered - world.state.get(_TAKEN, 0.0)
+    effort: FloatArray = world.delivered - world.state.get(_BACK_EMF_EFFORT, 0.0)
     return effort

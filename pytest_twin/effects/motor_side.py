@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.fast_clip import fast_clip
+from pytest_twin.old_names import old_name
 
-_RING = 0.6
+_TOOTH_DAMPING = 0.6
 """Damping of the teeth divided by the square root of stiffness times inertia; little ringing."""
-_KEPT = 0.5
+_MAX_SPEED_LOSS = 0.5
 """Largest share of its speed against the motor that a link may lose in a step, for stability."""
-_STIFFEST = 0.5
+_MAX_STIFFNESS = 0.5
 """Largest stiffness that a step resolves, in units of inertia divided by the step squared."""
 
 
@@ -27,12 +28,12 @@ class Gear:
     """The transmission between motor and link.
 
     Attributes:
-        apart: where the transmission is not rigid.
+        is_elastic: where the transmission is not rigid.
         stiffness, damping: of the teeth.
         gap: backlash.
     """
 
-    apart: NDArray[np.bool_]
+    is_elastic: NDArray[np.bool_]
     stiffness: FloatArray
     damping: FloatArray
     gap: FloatArray
@@ -43,11 +44,11 @@ class Gear:
         none = np.zeros(like.shape)
         return cls(none != 0.0, none.copy(), none.copy(), none.copy())
 
-    def stretch(self, load: FloatArray) -> FloatArray:
+    def deflection(self, load: FloatArray) -> FloatArray:
         """Deflection between motor and link under a (rows, joints) load."""
         return load / np.maximum(self.stiffness, 1e-9) + np.sign(load) * self.gap / 2.0
 
-    def give(
+    def add_compliance(
         self, acts: NDArray[np.bool_], compliance: FloatArray, damping_time: FloatArray | None,
         armature: FloatArray, link_inertia: FloatArray, timestep: float,
     ) -> None:  # fmt: skip
@@ -63,35 +64,48 @@ class Gear:
             timestep: s.
         """
         inertia = np.maximum(armature, 1e-9)
-        before = np.where(self.stiffness > 0.0, 1.0 / np.maximum(self.stiffness, 1e-12), 0.0)
+        series_compliance = np.where(
+            self.stiffness > 0.0, 1.0 / np.maximum(self.stiffness, 1e-12), 0.0
+        )
         stiffness = np.minimum(
-            1.0 / np.maximum(compliance + before, 1e-12), _STIFFEST * inertia / timestep**2
+            1.0 / np.maximum(compliance + series_compliance, 1e-12),
+            _MAX_STIFFNESS * inertia / timestep**2,
         )
         if damping_time is None:
             damping = np.where(
-                self.damping > 0.0, self.damping, _RING * np.sqrt(stiffness * inertia)
+                self.damping > 0.0, self.damping, _TOOTH_DAMPING * np.sqrt(stiffness * inertia)
             )
         else:
             damping = damping_time * stiffness
-        share = _resolved(stiffness * timestep + damping, inertia, link_inertia, timestep)
-        stiffness, damping = share * stiffness, share * damping
-        self.apart = self.apart | acts
+        stability = _stability_factor(
+            stiffness * timestep + damping, inertia, link_inertia, timestep
+        )
+        stiffness, damping = stability * stiffness, stability * damping
+        self.is_elastic = self.is_elastic | acts
         self.stiffness = np.where(acts, stiffness, self.stiffness)
         self.damping = np.where(acts, damping, self.damping)
 
+    apart = old_name("apart", "is_elastic")
+    give = old_name("give", "add_compliance")
+    stretch = old_name("stretch", "deflection")
 
-def _resolved(
-    teeth: FloatArray, motor: FloatArray, link: FloatArray, timestep: float
+
+def _stability_factor(
+    tooth_impedance: FloatArray,
+    motor_inertia: FloatArray,
+    link_inertia: FloatArray,
+    timestep: float,
 ) -> FloatArray:
-    """Factor on stiffness and damping at which a link loses at most :data:`_KEPT` of its speed
-    against the motor in a step.
+    """Factor on stiffness and damping at which a link loses at most :data:`_MAX_SPEED_LOSS` of its
+    speed against the motor in a step.
     """
     # Teeth in series with the motor's momentum over a step, limited by the link's momentum.
-    most = _KEPT * link / timestep
-    momentum = motor / timestep
-    bound = most < momentum
-    least = np.where(bound, momentum - most, 1.0)
-    return np.where(bound, np.minimum(1.0, most * momentum / least / teeth), 1.0)
+    largest = _MAX_SPEED_LOSS * link_inertia / timestep
+    motor_impedance = motor_inertia / timestep
+    is_bounded = largest < motor_impedance
+    margin = np.where(is_bounded, motor_impedance - largest, 1.0)
+    factor = np.minimum(1.0, largest * motor_impedance / margin / tooth_impedance)
+    return np.where(is_bounded, factor, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +115,15 @@ class Motor:
     Attributes:
         armature: motor inertia, kg*m^2 or kg.
         damping: viscous coefficient, N*m*s/rad or N*s/m.
-        constant: constant effort, N*m or N.
-        servo: reduction of the drive's effort per unit of motor speed over a step.
+        constant_effort: constant effort, N*m or N.
+        effective_servo_damping: reduction of the drive's effort per unit of motor velocity over a
+            step.
     """
 
     armature: FloatArray
     damping: FloatArray
-    constant: FloatArray
-    servo: FloatArray
+    constant_effort: FloatArray
+    effective_servo_damping: FloatArray
 
 
 @dataclass(slots=True)
@@ -116,32 +131,33 @@ class MotorSide:
     """State and coefficients of the motor sides.
 
     Attributes:
-        apart: where the transmission is not rigid; elsewhere the motor is part of the link.
-        all_apart: whether it is rigid nowhere.
-        angle, speed: motor state, converted to the joint side.
-        constant: constant effort on the motor.
+        is_elastic: where the transmission is not rigid; elsewhere the motor is part of the link.
+        all_elastic: whether it is rigid nowhere.
+        position, velocity: motor state, converted to the joint side.
+        constant_effort: constant effort on the motor.
         applied: effort on the motor in this step, without the drive's.
-        drag: viscous coefficient on the motor in this step.
+        damping: viscous coefficient on the motor in this step.
         stiffness: of the teeth.
-        gear: effort of the teeth per unit of relative speed over a step.
+        tooth_impedance: effort of the teeth per unit of relative speed over a step.
         half_gap: half of the backlash, None without any.
-        momentum: inertia divided by the step; ``inert`` adds the constant damping.
-        servo: reduction of the drive's effort per unit of motor speed over a step.
+        inertia_per_step: inertia divided by the step; ``impedance`` adds the constant damping.
+        effective_servo_damping: reduction of the drive's effort per unit of motor velocity over a
+            step.
     """
 
-    apart: NDArray[np.bool_]
-    all_apart: bool
-    angle: FloatArray
-    speed: FloatArray
-    constant: FloatArray
+    is_elastic: NDArray[np.bool_]
+    all_elastic: bool
+    position: FloatArray
+    velocity: FloatArray
+    constant_effort: FloatArray
     applied: FloatArray
-    drag: FloatArray
+    damping: FloatArray
     stiffness: FloatArray
-    gear: FloatArray
+    tooth_impedance: FloatArray
     half_gap: FloatArray | None
-    momentum: FloatArray
-    inert: FloatArray
-    servo: FloatArray
+    inertia_per_step: FloatArray
+    impedance: FloatArray
+    effective_servo_damping: FloatArray
 
     @classmethod
     def at_rest(
@@ -159,29 +175,41 @@ class MotorSide:
             gear: the transmission.
             position, velocity: of the link.
             load: effort on the link.
-            motor: what turns on the motor's side.
+            motor: properties of the motor side.
             timestep: s.
         """
-        stretch, constant = gear.stretch(load), motor.constant
+        deflection, constant_effort = gear.deflection(load), motor.constant_effort
         # A rigid transmission transmits nothing here.
-        stiffness = np.where(gear.apart, gear.stiffness, 0.0)
-        pull = stiffness * timestep + np.where(gear.apart, gear.damping, 0.0)
-        momentum = np.maximum(motor.armature, 1e-9) / timestep
-        play = bool(gear.gap.any())
-        inert = momentum + motor.damping
+        stiffness = np.where(gear.is_elastic, gear.stiffness, 0.0)
+        tooth_impedance = stiffness * timestep + np.where(gear.is_elastic, gear.damping, 0.0)
+        inertia_per_step = np.maximum(motor.armature, 1e-9) / timestep
+        has_gap = bool(gear.gap.any())
+        impedance = inertia_per_step + motor.damping
         return cls(
-            gear.apart, bool(gear.apart.all()), position + np.where(gear.apart, stretch, 0.0),
-            velocity.copy(), constant, constant, np.zeros_like(constant), stiffness, pull,
-            gear.gap / 2.0 if play else None, momentum, inert if play else inert + pull,
-            motor.servo,
-        )  # fmt: skip
+            is_elastic=gear.is_elastic,
+            all_elastic=bool(gear.is_elastic.all()),
+            position=position + np.where(gear.is_elastic, deflection, 0.0),
+            velocity=velocity.copy(),
+            constant_effort=constant_effort,
+            applied=constant_effort,
+            damping=np.zeros_like(constant_effort),
+            stiffness=stiffness,
+            tooth_impedance=tooth_impedance,
+            half_gap=gear.gap / 2.0 if has_gap else None,
+            inertia_per_step=inertia_per_step,
+            impedance=impedance if has_gap else impedance + tooth_impedance,
+            effective_servo_damping=motor.effective_servo_damping,
+        )
 
-    def meet(self, position: FloatArray, velocity: FloatArray) -> None:
+    def begin_step(self, position: FloatArray, velocity: FloatArray) -> None:
         """Begin a step: with a rigid transmission the motor has the link's state."""
-        if not self.all_apart:
-            self.angle = np.where(self.apart, self.angle, position)
-            self.speed = np.where(self.apart, self.speed, velocity)
-        self.applied, self.drag = self.constant.copy(), np.zeros(self.constant.shape)
+        if not self.all_elastic:
+            self.position = np.where(self.is_elastic, self.position, position)
+            self.velocity = np.where(self.is_elastic, self.velocity, velocity)
+        self.applied, self.damping = (
+            self.constant_effort.copy(),
+            np.zeros(self.constant_effort.shape),
+        )
 
     def step(
         self,
@@ -189,7 +217,7 @@ class MotorSide:
         velocity: FloatArray,
         drive: FloatArray,
         *,
-        free: NDArray[np.bool_],
+        is_free: NDArray[np.bool_],
         servo_damping: FloatArray,
         friction_level: FloatArray,
         timestep: float,
@@ -199,7 +227,7 @@ class MotorSide:
         Args:
             position, velocity: of the link.
             drive: effort of the drive.
-            free: where the drive is within its limits.
+            is_free: where the drive is within its limits.
             servo_damping: damping gain of the drive.
             friction_level: largest dry friction on the motor.
             timestep: s.
@@ -208,27 +236,32 @@ class MotorSide:
             Effort on the link: transmitted, or with a rigid transmission all effort on the motor
             except the drive's.
         """
-        deflection = self.angle - position
-        inert, gear = self.inert + self.servo * free + self.drag, self.gear
+        deflection = self.position - position
+        impedance = self.impedance + self.effective_servo_damping * is_free + self.damping
+        tooth_impedance = self.tooth_impedance
         half = self.half_gap
         if half is not None:
             deflection = deflection - fast_clip(deflection, -half, half)
             # Without backlash the teeth are always in contact, even at zero deflection.
-            gear = gear * ((deflection != 0.0) | (half == 0.0))
-            inert = inert + gear
-        pull = self.stiffness * deflection
-        push = (self.momentum + servo_damping * free) * self.speed + drive + self.applied
-        moving = (push - pull + gear * velocity) / inert
+            tooth_impedance = tooth_impedance * ((deflection != 0.0) | (half == 0.0))
+            impedance = impedance + tooth_impedance
+        spring_effort = self.stiffness * deflection
+        push = (
+            (self.inertia_per_step + servo_damping * is_free) * self.velocity + drive + self.applied
+        )
+        next_velocity = (push - spring_effort + tooth_impedance * velocity) / impedance
         # Dry friction as the impulse that stops the motor, at most its level (Moreau 1988).
-        most = friction_level / inert
-        moving = moving - fast_clip(moving, -most, most)
-        transmitted = pull + gear * (moving - velocity)
+        max_change = friction_level / impedance
+        next_velocity = next_velocity - fast_clip(next_velocity, -max_change, max_change)
+        transmitted = spring_effort + tooth_impedance * (next_velocity - velocity)
         if half is not None:
             # A tooth flank can only push.
             flank = np.sign(deflection)
-            flat = half == 0.0
-            transmitted = np.where(flat, transmitted, flank * np.maximum(flank * transmitted, 0.0))
-        self.angle, self.speed = self.angle + timestep * moving, moving
-        if self.all_apart:
+            no_gap = half == 0.0
+            transmitted = np.where(
+                no_gap, transmitted, flank * np.maximum(flank * transmitted, 0.0)
+            )
+        self.position, self.velocity = self.position + timestep * next_velocity, next_velocity
+        if self.all_elastic:
             return transmitted
-        return np.where(self.apart, transmitted, self.applied - self.drag * velocity)
+        return np.where(self.is_elastic, transmitted, self.applied - self.damping * velocity)

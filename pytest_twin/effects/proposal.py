@@ -49,13 +49,17 @@ class Start:
     others: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
-def switches(effect: Effect, parameters: FloatArray) -> tuple[int, ...]:
-    """Indices of parameters that switch an effect on, in the form that ``parameters`` select."""
+def amplitude_indices(effect: Effect, parameters: FloatArray) -> tuple[int, ...]:
+    """Indices of the amplitudes of an effect, in the form that ``parameters`` select.
+
+    An amplitude is a parameter with a neutral value; the effect is absent where all amplitudes are
+    neutral. The other parameters give the effect its shape.
+    """
     has = effect.has(parameters)
     return tuple(i for i, p in enumerate(effect.parameters) if p.neutral is not None and has[i])
 
 
-def movable(effect: Effect, parameters: FloatArray) -> NDArray[np.bool_]:
+def is_estimated(effect: Effect, parameters: FloatArray) -> NDArray[np.bool_]:
     """(parameters,) whether a fit estimates each of them.
 
     Discrete choices are not estimated, nor parameters that the chosen form lacks.
@@ -67,7 +71,7 @@ def movable(effect: Effect, parameters: FloatArray) -> NDArray[np.bool_]:
 def starting_sizes(effect: Effect) -> list[FloatArray]:
     """All combinations of the starts of an effect's parameters, those of its first form first.
 
-    If several parameters switch the effect on, each of these has its first start only.
+    If the effect has several amplitudes, each of these has its first start only.
     """
     if not effect.has_forms:
         return _combinations(effect, [p.starts for p in effect.parameters])
@@ -93,7 +97,7 @@ def starting_sizes(effect: Effect) -> list[FloatArray]:
 
 
 def _combinations(effect: Effect, starts: Sequence[tuple[float, ...]]) -> list[FloatArray]:
-    on = switches(effect, np.array([s[0] for s in starts]))
+    on = amplitude_indices(effect, np.array([s[0] for s in starts]))
     each = [s[:1] if len(on) > 1 and k in on else s for k, s in enumerate(starts)]
     return [np.array(size) for size in itertools.product(*each)]
 
@@ -105,7 +109,7 @@ def sizes_up_to_bound(effect: Effect) -> list[FloatArray]:
     """
     out = []
     for start in starting_sizes(effect) if effect.is_limit else ():
-        (own,) = np.nonzero(movable(effect, start))
+        (own,) = np.nonzero(is_estimated(effect, start))
         if len(own) != 1:
             continue
         p = effect.parameters[own[0]]

@@ -156,7 +156,7 @@ class InertialParameters(Effect):
             return {}
         last = np.array([len(layout.joints) - 1])
         radial, tangential = np.array([values["radial"]]), np.array([values["tangential"]])
-        (moved,), (axes,) = layout.shift(radial, tangential, last), layout.own_axes(last)
+        (moved,), (axes,) = layout.center_shift(radial, tangential, last), layout.payload_axes(last)
         center = layout.link_length[-1] * layout.directions[-1]
         at = axes @ (center + (mass + added) / added * moved)
         return {"mass": added, **dict(zip(("distance", "sideways", "across"), at, strict=True))}

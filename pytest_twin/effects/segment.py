@@ -16,7 +16,7 @@ from pytest_twin.trial.setpoint import Setpoint
 
 
 @dataclass(frozen=True, slots=True)
-class Unrecorded:
+class UnrecordedState:
     """Initial state of the parts of a model that are not recorded.
 
     Attributes:
@@ -83,7 +83,7 @@ class Segment:
     motor_shift: FloatArray | None = None
     cold_fraction: float = 1.0
     has_friction_creep: bool = False
-    unrecorded: Unrecorded | None = None
+    unrecorded: UnrecordedState | None = None
     modes: tuple[CommandMode, ...] = ()
     is_interpolated: bool = False
     added_force: tuple[FloatArray, FloatArray] | None = None
@@ -113,7 +113,7 @@ class Segment:
             **changes,
         )
 
-    def before(self, time: FloatArray) -> FloatArray:
+    def state_before(self, time: FloatArray) -> FloatArray:
         """(2, n, joints) smoothed positions and velocities at (n,) times, s.
 
         Only for a segment that :attr:`starts_in_motion`.

@@ -20,7 +20,7 @@ from pytest_twin.effects.fast_clip import fast_clip
 _SERVOS = ("position", "velocity")
 
 
-def _per_gain(effort: FloatArray, world: World) -> FloatArray:
+def _setpoint_shift(effort: FloatArray, world: World) -> FloatArray:
     """Shift of the setpoint that adds an effort to the control law; 0 without a drive."""
     driven = world.gain != 0.0
     shift: FloatArray = np.where(driven, effort / np.where(driven, world.gain, 1.0), 0.0)
@@ -69,7 +69,7 @@ class VelocityFilter(Effect):
             filtered = now - behind + (filtered - before + behind) * keep
         world.state[self.id] = (now.copy(), filtered)
         missing = np.where(lag > 0.0, world.damping * (now - filtered), 0.0)
-        world.setpoint = world.setpoint + _per_gain(missing, world)
+        world.setpoint = world.setpoint + _setpoint_shift(missing, world)
 
 
 class VelocityFeedforward(Effect):
@@ -106,7 +106,7 @@ class VelocityFeedforward(Effect):
 
     def servo(self, world: World, values: Values) -> None:
         rate = world.state[self.id][1]
-        world.setpoint = world.setpoint + _per_gain(values["feedforward"] * rate, world)
+        world.setpoint = world.setpoint + _setpoint_shift(values["feedforward"] * rate, world)
 
 
 class IntegralGain(Effect):
@@ -150,7 +150,7 @@ class IntegralGain(Effect):
             at_rest = world.control_effort(
                 world.motor_position, np.zeros_like(world.motor_velocity)
             )
-            settled = _per_gain(world.load - at_rest, world)
+            settled = _setpoint_shift(world.load - at_rest, world)
             # Later in a recording the joint moves: its effort does not show the term.
             begins = world.time[:, None] <= world.timestep
             integral = np.where(begins & (rate > 0.0), settled, 0.0)
@@ -208,7 +208,7 @@ class ControlPeriod(Effect):
             acts = (values["period"] > 0.0) & (world.gain != 0.0)
             period = np.where(acts, values["period"], 1.0)
             delay = values["computing_delay"] * period
-            past = world.state[self.id] = _SignalIntegrals.at(world, acts, period, delay)
+            past = world.state[self.id] = _SignalIntegrals.initial(world, acts, period, delay)
         past.add(world)
         period = past.period
         now, one, two = past.position()
@@ -227,7 +227,7 @@ class ControlPeriod(Effect):
         # The control law at the present state asks for the effort that is held.
         more = effort - world.control_effort(world.motor_position, world.motor_velocity)
         world.setpoint = np.where(
-            past.acts, world.setpoint + _per_gain(more, world), world.setpoint
+            past.acts, world.setpoint + _setpoint_shift(more, world), world.setpoint
         )
 
 
@@ -241,8 +241,8 @@ class _SignalIntegrals:
         timestep: time step, s.
         count: number of steps so far.
         positions, setpoints: (steps, rows * joints) ring buffers; step ``k`` is at ``k % steps``.
-        areas, sums: integrals of positions and setpoints up to the start of each step.
-        of_position, of_setpoint: times of the last three and the last two samples, latest first.
+        position_integrals, setpoint_integrals: integrals up to the start of each step.
+        position_ages, setpoint_ages: ages of the last three and the last two samples, latest first.
     """
 
     acts: NDArray[np.bool_]
@@ -251,13 +251,13 @@ class _SignalIntegrals:
     count: int
     positions: FloatArray
     setpoints: FloatArray
-    areas: FloatArray
-    sums: FloatArray
-    of_position: _SampleAge
-    of_setpoint: _SampleAge
+    position_integrals: FloatArray
+    setpoint_integrals: FloatArray
+    position_ages: _SampleAge
+    setpoint_ages: _SampleAge
 
     @classmethod
-    def at(
+    def initial(
         cls, world: World, acts: NDArray[np.bool_], period: FloatArray, delay: FloatArray
     ) -> _SignalIntegrals:
         """The past before a simulation: constant velocity and constant setpoint."""
@@ -283,27 +283,31 @@ class _SignalIntegrals:
         steps, step = len(self.positions), self.timestep
         at, last = self.count % steps, (self.count - 1) % steps
         position = world.motor_position.ravel()
-        self.areas[at] = self.areas[last] + 0.5 * step * (self.positions[last] + position)
-        self.sums[at] = self.sums[last] + step * self.setpoints[last]
+        self.position_integrals[at] = self.position_integrals[last] + 0.5 * step * (
+            self.positions[last] + position
+        )
+        self.setpoint_integrals[at] = self.setpoint_integrals[last] + step * self.setpoints[last]
         self.positions[at], self.setpoints[at] = position, world.setpoint.ravel()
         self.count += 1
 
     def position(self) -> FloatArray:
         """(3, rows, joints) integral of the position until each sample."""
-        back = self.of_position
-        at = back.at(self.count, len(self.positions))
+        back = self.position_ages
+        at = back.index_before(self.count, len(self.positions))
         before = self.positions.take(at)
-        later = back.later(self.count, len(self.positions))
-        rise = self.positions.take(later) - before
+        after = back.index_after(self.count, len(self.positions))
+        rise = self.positions.take(after) - before
         inside = before + rise * back.half_share
-        found: FloatArray = (self.areas.take(at) + inside * back.since).reshape(back.shape)
+        found: FloatArray = (self.position_integrals.take(at) + inside * back.since).reshape(
+            back.shape
+        )
         return found
 
     def setpoint(self) -> FloatArray:
         """(2, rows, joints) integral of the setpoint until each of the two latest samples."""
-        back = self.of_setpoint
-        at = back.at(self.count, len(self.setpoints))
-        found: FloatArray = self.sums.take(at) + self.setpoints.take(at) * back.since
+        back = self.setpoint_ages
+        at = back.index_before(self.count, len(self.setpoints))
+        found: FloatArray = self.setpoint_integrals.take(at) + self.setpoints.take(at) * back.since
         return found.reshape(back.shape)
 
 
@@ -336,7 +340,7 @@ class _SampleAge:
         before, after = (column - back * len(column) for back in (whole, np.maximum(whole - 1, 0)))
         return cls(ago.shape, before, after, since, 0.5 * since / step)
 
-    def at(self, count: int, steps: int) -> NDArray[np.int64]:
+    def index_before(self, count: int, steps: int) -> NDArray[np.int64]:
         """Indices, into (steps, columns), of the step before each sample.
 
         Negative ones count from the end, as in a ring.
@@ -344,7 +348,7 @@ class _SampleAge:
         found: NDArray[np.int64] = self.before + (count - 1) % steps * self.before.shape[1]
         return found
 
-    def later(self, count: int, steps: int) -> NDArray[np.int64]:
-        """Of the step after each."""
+    def index_after(self, count: int, steps: int) -> NDArray[np.int64]:
+        """Indices of the step after each sample."""
         found: NDArray[np.int64] = self.after + (count - 1) % steps * self.after.shape[1]
         return found

@@ -16,7 +16,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.active_effects import EffectValues, acts_at
 from pytest_twin.effects.segment import Predicted, Segment
 
-_MOST_BYTES = 256_000_000
+_MAX_BYTES = 256_000_000
 """Memory limit of the cache."""
 
 RowKey = tuple[int, bytes]
@@ -41,26 +41,26 @@ def row_keys(segments: Sequence[Segment], values: EffectValues) -> list[RowKey]:
 class SimulationCache:
     """A least-recently-used cache of predictions."""
 
-    def __init__(self, most_bytes: int = _MOST_BYTES) -> None:
+    def __init__(self, most_bytes: int = _MAX_BYTES) -> None:
         self._most_bytes, self._bytes = most_bytes, 0
         # Keep the segment alive: its identity is part of the key.
-        self._known: OrderedDict[RowKey, tuple[Segment, Predicted]] = OrderedDict()
+        self._entries: OrderedDict[RowKey, tuple[Segment, Predicted]] = OrderedDict()
 
     def get(self, key: RowKey) -> Predicted | None:
         """Return the prediction of a row, or None if it is not in the cache."""
-        found = self._known.get(key)
+        found = self._entries.get(key)
         if found is None:
             return None
-        self._known.move_to_end(key)
+        self._entries.move_to_end(key)
         return found[1]
 
-    def keep(self, key: RowKey, segment: Segment, predicted: Predicted) -> Predicted:
+    def store(self, key: RowKey, segment: Segment, predicted: Predicted) -> Predicted:
         """Store a read-only copy of a prediction and return it."""
-        kept = Predicted(*map(_on_its_own, _arrays(predicted)))
-        self._known[key] = segment, kept
+        kept = Predicted(*map(_read_only_copy, _arrays(predicted)))
+        self._entries[key] = segment, kept
         self._bytes += _size(kept)
-        while self._bytes > self._most_bytes and len(self._known) > 1:
-            _, (_, oldest) = self._known.popitem(last=False)
+        while self._bytes > self._most_bytes and len(self._entries) > 1:
+            _, (_, oldest) = self._entries.popitem(last=False)
             self._bytes -= _size(oldest)
         return kept
 
@@ -69,7 +69,7 @@ def _arrays(predicted: Predicted) -> tuple[FloatArray, FloatArray, FloatArray]:
     return predicted.position, predicted.velocity, predicted.effort
 
 
-def _on_its_own(array: FloatArray) -> FloatArray:
+def _read_only_copy(array: FloatArray) -> FloatArray:
     """Return a read-only copy, which does not keep a whole batch in memory."""
     own = array.copy()
     own.flags.writeable = False

@@ -45,10 +45,10 @@ class JointSpring(Effect):
         fields.constant_force += values["preload"]
 
 
-def _of_neighbour(x: FloatArray, way: int) -> FloatArray:
+def _neighbour_values(x: FloatArray, side: int) -> FloatArray:
     """(..., joints) values of the previous (-1) or next (1) joint; zero where there is none."""
     out = np.zeros_like(x)
-    if way < 0:
+    if side < 0:
         out[..., 1:] = x[..., :-1]
     else:
         out[..., :-1] = x[..., 1:]
@@ -94,57 +94,58 @@ class JointCoupling(Effect):
         # Parameters are constant over a simulation: the forms are looked up once.
         ratios = world.state.get(self.id)
         if ratios is None:
-            ratios = world.state[self.id] = self._ratios(values)
+            ratios = world.state[self.id] = self._drive_ratios(values)
         drive = world.delivered
-        for way, turns_motor, ratio in ratios:
+        for side, turns_motor, ratio in ratios:
             if not turns_motor:
-                world.delivered = world.delivered + ratio * _of_neighbour(drive, way)
+                world.delivered = world.delivered + ratio * _neighbour_values(drive, side)
                 continue
             # The servo controls its motor, whose angle differs by the neighbour's share.
-            pull = world.stiffness * _of_neighbour(world.position, way)
-            pull = pull + world.damping * _of_neighbour(world.velocity, way)
+            pull = world.stiffness * _neighbour_values(world.position, side)
+            pull = pull + world.damping * _neighbour_values(world.velocity, side)
             held = fast_clip(world.delivered + ratio * pull, world.lower, world.upper)
             turned = np.where(ratio != 0.0, held, world.delivered)
-            world.delivered = turned - _of_neighbour(ratio * turned, -way)
+            world.delivered = turned - _neighbour_values(ratio * turned, -side)
 
     def sense(
         self, time: FloatArray, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
-        read = [(way, ratio[:, None]) for way, ratio in self._of_encoders(values)]
+        read = [(side, ratio[:, None]) for side, ratio in self._encoder_ratios(values)]
         more = [
-            sum(ratio * _of_neighbour(x, way) for way, ratio in read) for x in (position, velocity)
+            sum(ratio * _neighbour_values(x, side) for side, ratio in read)
+            for x in (position, velocity)
         ]
         return position + more[0], velocity + more[1]
 
     def unsense(
         self, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
-        read = self._of_encoders(values)
-        return self._behind(position, read), self._behind(velocity, read)
+        read = self._encoder_ratios(values)
+        return self._decouple(position, read), self._decouple(velocity, read)
 
     @staticmethod
-    def _behind(measured: FloatArray, read: Sequence[tuple[int, FloatArray]]) -> FloatArray:
+    def _decouple(measured: FloatArray, read: Sequence[tuple[int, FloatArray]]) -> FloatArray:
         """True (rows, joints) values behind ``measured``, solved along the chain."""
         true = measured
         for _ in range(measured.shape[1] - 1 if read else 0):
-            true = measured - sum(ratio * _of_neighbour(true, way) for way, ratio in read)
+            true = measured - sum(ratio * _neighbour_values(true, side) for side, ratio in read)
         return true
 
     @staticmethod
-    def _of_encoders(values: Values) -> list[tuple[int, FloatArray]]:
+    def _encoder_ratios(values: Values) -> list[tuple[int, FloatArray]]:
         """(-1 or 1 for the neighbour that turns the encoder, (rows, joints) ratios)."""
         found = [
-            (way, values["ratio"] * (values["form"] == form)) for way, form in ((-1, 4), (1, 5))
+            (side, values["ratio"] * (values["form"] == form)) for side, form in ((-1, 4), (1, 5))
         ]
         return [each for each in found if each[1].any()]
 
     @staticmethod
-    def _ratios(values: Values) -> list[tuple[int, bool, FloatArray]]:
+    def _drive_ratios(values: Values) -> list[tuple[int, bool, FloatArray]]:
         """(-1 or 1 for the neighbour, whether it turns the motor, (rows, joints) ratios)."""
         forms = ((-1, False), (1, False), (-1, True), (1, True))
         found = [
-            (way, turns, values["ratio"] * (values["form"] == form))
-            for form, (way, turns) in enumerate(forms)
+            (side, turns, values["ratio"] * (values["form"] == form))
+            for form, (side, turns) in enumerate(forms)
         ]
         return [each for each in found if each[2].any()]
 
@@ -183,7 +184,7 @@ class Backlash(Effect):
 
     def gear(self, gear: Gear, world: World, values: Values) -> None:
         gear.gap = gear.gap + values["gap"]
-        gear.give(
+        gear.add_compliance(
             self.separates(values), values["tooth_compliance"], None,
             world.motor_armature, world.link_inertia, world.timestep,
         )  # fmt: skip
@@ -246,7 +247,7 @@ class JointElasticity(Effect):
         return values["compliance"] > 0.0
 
     def gear(self, gear: Gear, world: World, values: Values) -> None:
-        gear.give(
+        gear.add_compliance(
             self.separates(values), values["compliance"], values["damping_time"],
             world.motor_armature, world.link_inertia, world.timestep,
         )  # fmt: skip

@@ -20,7 +20,7 @@ KNOTS = 64
 _RANGES = ("low", "high", "valid_low", "valid_high")
 _VALUES = tuple(f"value_{k:02d}" for k in range(KNOTS))
 # Bounds of knots in SI units, and of values in multiples of the drive's RMS effort.
-_FAR, _MOST = 1e6, 1e3
+_MAX_KNOT, _MAX_VALUE = 1e6, 1e3
 _SOURCE = "linear interpolation; de Boor, A Practical Guide to Splines (1978), ch. III"
 
 
@@ -50,15 +50,19 @@ SINCE_REVERSAL = Variable("time since reversal", ("s", "s"))
 COLD_FRACTION = Variable("coldness", ("1", "1"))
 
 
-def since_reversal(
-    since: FloatArray, direction: FloatArray, velocity: FloatArray, still: FloatArray, step: float
+def update_reversal_time(
+    since: FloatArray,
+    direction: FloatArray,
+    velocity: FloatArray,
+    still: FloatArray,
+    timestep: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Time since the last change of direction, and the direction, one step of ``step`` s later.
+    """Time since the last change of direction, and the direction, one step of ``timestep`` s later.
 
     Below the speed ``still`` a joint keeps its direction.
     """
     now = np.where(np.abs(velocity) > still, np.sign(velocity), direction)
-    return np.where(now * direction < 0.0, 0.0, since + step), now
+    return np.where(now * direction < 0.0, 0.0, since + timestep), now
 
 
 class _Table(Effect):
@@ -136,7 +140,7 @@ class _Table(Effect):
             variable, (knots[0], knots[-1]), (valid[0], valid[1]), values, **still
         )
 
-    def _of(self, at: FloatArray, world: World, values: Values) -> FloatArray:
+    def _interpolate(self, at: FloatArray, world: World, values: Values) -> FloatArray:
         """(rows, joints) values of the table in N*m or N, for values ``at`` of its variable."""
         memory = world.state.setdefault(self.id, {})
         if "table" not in memory:
@@ -180,9 +184,12 @@ def _parameters(variables: Sequence[Variable], meaning: str) -> tuple[Parameter,
             tuple(map(float, range(len(variables)))), choice=True, meaning="variable",
             choices=choices,
         ),
-        *(Parameter(n, "one", None, -_FAR, _FAR, (0.0,), meaning=m) for n, m in _MEANINGS.items()),
         *(
-            Parameter(n, "effort", 0.0, -_MOST, _MOST, (0.1,), "effort", meaning=meaning)
+            Parameter(name, "one", None, -_MAX_KNOT, _MAX_KNOT, (0.0,), meaning=words)
+            for name, words in _MEANINGS.items()
+        ),
+        *(
+            Parameter(n, "effort", 0.0, -_MAX_VALUE, _MAX_VALUE, (0.1,), "effort", meaning=meaning)
             for n in _VALUES
         ),
     )  # fmt: skip
@@ -208,7 +215,7 @@ class UnnamedLaw(_Table):
         which = values["variable"]
         at = np.where(which == 1.0, world.velocity, world.position)
         at = np.where(which == 2.0, world.setpoint, at)
-        world.applied = world.applied + self._of(at, world, values)
+        world.applied = world.applied + self._interpolate(at, world, values)
 
 
 class UnnamedFriction(_Table):
@@ -247,14 +254,14 @@ class UnnamedFriction(_Table):
         if (which == 2.0).any():
             at = np.where(which == 2.0, np.abs(world.load), at)
         if (which == 3.0).any():
-            at = np.where(which == 3.0, self._since(world, values["still"]), at)
-        world.friction_level = world.friction_level + self._of(at, world, values)
+            at = np.where(which == 3.0, self._time_since_reversal(world, values["still"]), at)
+        world.friction_level = world.friction_level + self._interpolate(at, world, values)
 
-    def _since(self, world: World, still: FloatArray) -> FloatArray:
+    def _time_since_reversal(self, world: World, still: FloatArray) -> FloatArray:
         memory = world.state.setdefault(self.id, {})
         if "since" not in memory:
             memory["since"], memory["direction"] = np.zeros((2, *world.velocity.shape))
-        memory["since"], memory["direction"] = since_reversal(
+        memory["since"], memory["direction"] = update_reversal_time(
             memory["since"], memory["direction"], world.velocity, still, world.timestep
         )
         since: FloatArray = memory["since"]
@@ -279,7 +286,7 @@ class UnnamedThermalFriction(_Table):
 
     def friction(self, world: World, values: Values) -> None:
         at = np.broadcast_to(world.cold_fraction[:, None], world.position.shape)
-        world.friction_level = world.friction_level + self._of(at, world, values)
+        world.friction_level = world.friction_level + self._interpolate(at, world, values)
 
 
 TABLES: Mapping[str, UnnamedLaw | UnnamedFriction | UnnamedThermalFriction] = {

@@ -263,11 +263,11 @@ def _widened_by_friction(found: SimulationResult, recordings: DriveRecordings) -
     }
     if not free:
         return spread
-    neutral = {term: np.array([p.absent for p in term.parameters]) for term in free}
+    neutral = {term: np.array([p.absent_value for p in term.parameters]) for term in free}
     whole = with_derivatives(problem, found.hypothesis.with_terms(neutral))
     weight = 1.0 / np.maximum(np.mean(whole.residual**2, axis=0), problem.signal_floor**2)
     own = whole.hypothesis.parameters_without(*free)
-    own &= whole.hypothesis.movable
+    own &= whole.hypothesis.is_estimated
     others = ~whole.hypothesis.parameters_without(*free)
     slopes, pulls = whole.jacobian[..., own], whole.jacobian[..., others]
     curvature = np.einsum("tsp,s,tsq->pq", slopes, weight, slopes)
@@ -278,7 +278,7 @@ def _widened_by_friction(found: SimulationResult, recordings: DriveRecordings) -
     given = recordings.covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
     change = np.linalg.pinv(curvature) @ across
     added = np.zeros_like(spread.joint)
-    which = np.flatnonzero(found.hypothesis.movable)
+    which = np.flatnonzero(found.hypothesis.is_estimated)
     added[np.ix_(which, which)] = change @ given @ change.T
     return replace(
         spread,

@@ -234,7 +234,7 @@ def _world(
         load=load,
         motor_armature=zero,
         motor_damping=zero,
-        motor_constant=zero,
+        motor_constant_effort=zero,
         link_inertia=zero,
         cold_fraction=np.full(len(time), cold),
     )

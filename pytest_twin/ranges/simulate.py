@@ -283,7 +283,9 @@ class VariedRobots:
         law = catalogue()[one.effect]
         rows = len(drawn)
         if one.effect not in values:
-            values[one.effect] = {p.name: np.full((rows, joints), p.absent) for p in law.parameters}
+            values[one.effect] = {
+                p.name: np.full((rows, joints), p.absent_value) for p in law.parameters
+            }
             if one.effect == EncoderBias.id:
                 # The servo controls the encoder reading.
                 values[one.effect]["in_loop"][:] = 1.0

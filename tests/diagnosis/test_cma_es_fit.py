@@ -41,7 +41,7 @@ def with_lag(seconds: float, problem: Problem) -> Hypothesis:
 
 def wide_steps(start: Hypothesis) -> np.ndarray:
     """Initial steps without information from windows."""
-    return np.diag(0.3 * start.sizes[start.movable])
+    return np.diag(0.3 * start.sizes[start.is_estimated])
 
 
 def test_the_evolution_strategy_leaves_a_local_minimum_that_stops_a_gradient_fit(

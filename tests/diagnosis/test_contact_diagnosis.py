@@ -26,7 +26,7 @@ from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search_recordings import add_contact_effects_again
 from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.effects.contact_geoms import NEAR, contact_geoms
+from pytest_twin.effects.contact_geoms import CONTACT_DISTANCE, find_contact_geoms
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
@@ -124,7 +124,7 @@ def test_windows_without_contact_are_away_from_the_table(tmp_path: Path) -> None
     air = prepare(realization, trials, [], window=0.2, contact=contact)
     segments = air.problem.simulator.segments
     assert all(s.starts_in_motion for s in segments)
-    far = [0.2 - 0.02 - 0.3 * np.sin(t.position[:, 0]) > NEAR for t in trials]
+    far = [0.2 - 0.02 - 0.3 * np.sin(t.position[:, 0]) > CONTACT_DISTANCE for t in trials]
     for trial, clear in zip(trials, far, strict=True):
         mine = [s for s in segments if trials[s.trial] is trial]
         kept = {float(t) for s in mine for t in s.time}
@@ -266,7 +266,7 @@ def test_a_contact_offset_is_written_for_geoms_in_frames_or_with_end_points(geom
     spec = mujoco.MjSpec.from_string(FRAMED.format(geom, ""))
     before = spec.compile()
     poses = np.linspace(-1.5, 1.5, 200)[:, None]
-    contact = contact_geoms(before, np.array([before.joint("j").id]), [poses])
+    contact = find_contact_geoms(before, np.array([before.joint("j").id]), [poses])
     assert len(contact.world) == 1
     name = "'bar'" if "name" in geom else "number 0"
     assert write_contact(spec, contact, "contact_offset", {"offset": 0.03}) == f"geom {name} pos"
@@ -284,7 +284,7 @@ def test_contact_parameters_are_written_for_pairs_and_their_geoms() -> None:
     pair = '<contact><pair geom1="floor" geom2="tip" solref=".03 1" friction=".5"/></contact>'
     spec = mujoco.MjSpec.from_string(FRAMED.format('name="floor" type="plane" size="1 1 .1"', pair))
     model = spec.compile()
-    contact = contact_geoms(model, np.array([0]), [np.linspace(-1.5, 1.5, 100)[:, None]])
+    contact = find_contact_geoms(model, np.array([0]), [np.linspace(-1.5, 1.5, 100)[:, None]])
     written = write_contact(spec, contact, "contact_stiffness", {"relative_error": 3.0})
     assert written == "geoms 'floor', 'tip' solref and pair number 0 solref"
     write_contact(spec, contact, "contact_friction", {"coefficient": -0.2})

@@ -63,7 +63,7 @@ def test_a_parameter_that_the_fit_holds_fixed_is_not_reported_as_correlated() ->
     hypothesis = Hypothesis((WAVY,), np.array([0.6, 0.4, -0.2, 1.0]))
     names = [p.name for p in WAVY.parameters]
     fixed = names.index("harmonic")
-    assert not hypothesis.movable[fixed]
+    assert not hypothesis.is_estimated[fixed]
     correlation = np.full((4, 4), 0.98) + 0.02 * np.eye(4)
     lines = trade_offs(PROBLEM, hypothesis, WAVY, spread_of(correlation, np.full(4, 0.1)))
     assert len(lines) == 3

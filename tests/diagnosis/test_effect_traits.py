@@ -112,8 +112,8 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
 
 
 def first_sensitivity(term: Term) -> Sensitivity:
-    start, switches = grid(term)[0]
-    return Sensitivity(term, start, switches, np.zeros((1, 1, 1)))
+    start, amplitude_indices = grid(term)[0]
+    return Sensitivity(term, start, amplitude_indices, np.zeros((1, 1, 1)))
 
 
 @pytest.mark.usefixtures("installed")

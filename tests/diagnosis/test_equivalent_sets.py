@@ -82,7 +82,7 @@ def with_values(problem: Problem, hidden: dict[Term, dict[str, float]]) -> Hypot
         h = h.with_term(
             term,
             np.array([
-                values.get(p.name, p.absent * problem.scales.value(p, term.joint))
+                values.get(p.name, p.absent_value * problem.scales.value(p, term.joint))
                 / problem.scales.value(p, term.joint)
                 for p in term.parameters
             ]),

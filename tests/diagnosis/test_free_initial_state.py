@@ -144,7 +144,7 @@ def test_the_initial_shift_of_a_motor_is_at_most_three_deflections_of_its_transm
 def test_backlash_deflects_by_half_its_gap_and_position_servos_have_no_free_motor() -> None:
     segment = segment_from_rest(0.5)
     simulator = BatchSimulator([segment], JOINTS, threads=1)
-    stretch = simulator.gear_stretch(
+    stretch = simulator.transmission_deflection(
         np.array([0]), effect_values([BACKLASH], 1, SCALES), np.full(1, EFFORT)
     )
     assert stretch[0, 0] == pytest.approx(0.5 * GAP + 0.01 * EFFORT)

@@ -19,7 +19,7 @@ from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
-from pytest_twin.effects.constraint import hold, stiff
+from pytest_twin.effects.constraint import stiff_friction, stiffen_friction
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.realization import Realization
@@ -46,7 +46,7 @@ def recorded(folder: Path, seed: int, role: str, *, delay: float, holds: bool) -
     model = mujoco.MjModel.from_xml_string(ARM)
     model.opt.timestep = STEP
     if holds:
-        model.dof_solref[:], model.dof_solimp[:] = stiff(STEP)
+        model.dof_solref[:], model.dof_solimp[:] = stiff_friction(STEP)
     data = mujoco.MjData(model)
     random = np.random.default_rng(seed)
     time = np.arange(round(SECONDS / STEP)) * STEP
@@ -159,10 +159,10 @@ def test_a_friction_constraint_that_the_model_sets_is_kept() -> None:
     level = 'frictionloss="1.2"'
     own = ARM.replace(level, f'{level} solreffriction="0.01 0.8"')
     model = mujoco.MjModel.from_xml_string(own)
-    hold(model, [0, 1], 0.002)
+    stiffen_friction(model, [0, 1], 0.002)
     np.testing.assert_allclose(model.dof_solref[0], [0.01, 0.8])
     np.testing.assert_allclose(model.dof_solref[1], [0.004, 1.0])
     # The stiffest constraint that a time step allows is stiffer with a shorter time step.
     model.opt.timestep = 0.0005
-    hold(model, [0, 1], 0.002)
+    stiffen_friction(model, [0, 1], 0.002)
     np.testing.assert_allclose(model.dof_solref, [[0.01, 0.8], [0.001, 1.0]])

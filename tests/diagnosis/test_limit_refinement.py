@@ -89,7 +89,7 @@ def test_a_torque_speed_limit_without_slope_is_simplified_to_a_saturation() -> N
 
 def test_a_fit_does_not_change_a_categorical_parameter() -> None:
     term = Term("encoder_bias", SHOULDER)
-    assert term.movable(np.array([0.01, 1.0])).tolist() == [True, False]
+    assert term.is_estimated(np.array([0.01, 1.0])).tolist() == [True, False]
     problem = problem_of("position", {term: {"bias": 0.05, "in_loop": 1.0}})
     start = EMPTY.with_term(term, np.array([0.01, 1.0]))
     fitted = fit(problem, [start], 1.0 / problem.floor, problem.fit, iterations=6)[0]

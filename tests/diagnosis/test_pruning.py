@@ -238,7 +238,7 @@ def test_an_elastic_transmission_whose_interval_includes_a_rigid_one_must_remove
     prepared, _ = prepared_case(tmp_path, viscous=0.6)
     problem, term = prepared.problem, Term("joint_elasticity", 0)
     theta = [p.starts[0] if p.neutral is None else p.neutral for p in term.parameters]
-    theta[term.switches(np.array(theta))[0]] = 0.01
+    theta[term.amplitude_indices(np.array(theta))[0]] = 0.01
     weights = 1.0 / problem.signal_floor
     start = EMPTY.with_term(term, np.array(theta, dtype=float))
     (fitted,) = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)

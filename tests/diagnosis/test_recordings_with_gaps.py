@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.locate import motions
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.windows import Cutting, segments_of
-from pytest_twin.effects.memory_warmup import LEAD
+from pytest_twin.effects.memory_warmup import WARM_UP_TIME
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.realization import Realization, load
@@ -118,7 +118,7 @@ def test_a_part_after_a_gap_begins_in_motion_when_lost_commands_have_no_influenc
     (later,) = segments_of(bench.realization, second, 1, ("j1",), Cutting(commanded=True))
     assert not from_rest.starts_in_motion
     assert later.starts_in_motion
-    assert later.start == pytest.approx(LEAD, abs=0.1)
+    assert later.start == pytest.approx(WARM_UP_TIME, abs=0.1)
     assert later.time[-1] == pytest.approx(second.duration)
 
 

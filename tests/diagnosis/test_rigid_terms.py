@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.batch_models import BatchModels, Rows
+from pytest_twin.effects.batch_models import BatchModels, PreparedBatch
 
 UPPER_ARM = 0.3
 """Distance from the shoulder to the elbow, m."""
@@ -80,13 +80,13 @@ def test_each_payload_is_written_into_a_model_once_for_all_samples(
     values = effect_values(payloads, len(problem.joints), problem.scales)
     effects = [(catalogue()[e], v) for e, v in values.items()]
     written: list[int] = []
-    write = BatchModels.written
+    write = BatchModels.prepare
 
-    def counted(self: BatchModels, rows: Any, *args: Any, **named: Any) -> Rows:
+    def counted(self: BatchModels, rows: Any, *args: Any, **named: Any) -> PreparedBatch:
         written.append(len(rows))
         return write(self, rows, *args, **named)
 
-    monkeypatch.setattr(BatchModels, "written", counted)
+    monkeypatch.setattr(BatchModels, "prepare", counted)
     found = rigid_terms(problem.simulator, motion, effects, len(payloads))
     assert len(found[0].at) > 100
     assert written == [len(payloads)]

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis.extra import numpy as arrays
 
-from pytest_twin.effects.batch_division import divide_rows, worth_forks
+from pytest_twin.effects.batch_division import divide_rows, is_worth_forking
 
 _counts = st.integers(1, 60)
 
@@ -32,7 +32,7 @@ def test_rows_with_the_same_effects_go_to_the_same_core() -> None:
     acts[::2, 0] = acts[1::2, 1] = True
     one, other = divide_rows(steps, acts, 6, 2)
     assert {len(set((rows % 2).tolist())) for rows in (one.rows, other.rows)} == {1}
-    assert worth_forks([one, other])
+    assert is_worth_forking([one, other])
 
 
 def test_a_few_rows_with_effects_are_not_divided_among_cores() -> None:

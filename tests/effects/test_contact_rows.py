@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pytest_twin.effects.batch_simulator import BatchSimulator
-from pytest_twin.effects.contact_geoms import contact_geoms, scaled_solref
+from pytest_twin.effects.contact_geoms import find_contact_geoms, scaled_solref
 from pytest_twin.effects.segment import Segment
 
 ARM = """\
@@ -207,7 +207,7 @@ def test_damping_limited_by_mujoco_leaves_the_contact_stiffness_unchanged() -> N
 
 def contact_geom_names(model: mujoco.MjModel, poses: np.ndarray) -> list[str]:
     ids = np.array([model.joint(j).id for j in JOINTS])
-    found = contact_geoms(model, ids, [poses])
+    found = find_contact_geoms(model, ids, [poses])
     return [model.geom(g).name for g in (*found.world, *found.robot)]
 
 

@@ -99,7 +99,7 @@ def test_tooth_stiffness_is_reduced_only_for_light_links() -> None:
     def gear_with_teeth(link: float) -> Gear:
         gear = Gear.rigid(np.zeros((1, 1)))
         one = np.ones((1, 1))
-        gear.give(one > 0.0, 1e-4 * one, None, 0.3 * one, link * one, 0.002)
+        gear.add_compliance(one > 0.0, 1e-4 * one, None, 0.3 * one, link * one, 0.002)
         return gear
 
     light, heavy, free = gear_with_teeth(0.03), gear_with_teeth(0.31), gear_with_teeth(np.inf)

@@ -36,7 +36,7 @@ def world(timestep: float) -> World:
         time=np.zeros(1), timestep=timestep, position=one, velocity=one, setpoint=one, gain=one,
         stiffness=one, damping=one, offset=one, lower=one - np.inf, upper=one + np.inf,
         servo=np.array(["position"]), delivered=one, friction_level=one, applied=one, load=one,
-        motor_armature=one, motor_damping=one, motor_constant=one,
+        motor_armature=one, motor_damping=one, motor_constant_effort=one,
         link_inertia=one + np.inf,
     )  # fmt: skip
 

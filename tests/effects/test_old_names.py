@@ -7,6 +7,7 @@ import pytest
 
 from pytest_twin.audit.asset import Joint, Mimic
 from pytest_twin.effects import ModelFields, World
+from pytest_twin.effects.motor_side import Gear
 from pytest_twin.properties import Property
 
 
@@ -18,7 +19,7 @@ def world() -> World:
             "position": 0.1, "velocity": 0.2, "setpoint": 0.5, "gain": 6.0, "stiffness": 6.0,
             "damping": 0.3, "offset": 1.0, "lower": -5.0, "upper": 5.0, "delivered": 0.0,
             "friction_level": 0.0, "applied": 0.0, "load": 0.0, "motor_armature": 0.0,
-            "motor_damping": 0.0, "motor_constant": 0.0, "link_inertia": 1.0,
+            "motor_damping": 0.0, "motor_constant_effort": 0.0, "link_inertia": 1.0,
         }.items()
     }  # fmt: skip
     return World(
@@ -50,6 +51,10 @@ def test_the_old_name_of_the_cold_fraction_warns_and_returns_the_same() -> None:
         (Joint, "soft_stated", "has_stated_soft_limit"),
         (Mimic, "active", "is_active"),
         (ModelFields, "changes_links", "has_changed_links"),
+        (World, "motor_constant", "motor_constant_effort"),
+        (Gear, "apart", "is_elastic"),
+        (Gear, "give", "add_compliance"),
+        (Gear, "stretch", "deflection"),
         (Property, "posed", "needs_poses"),
     ],
 )

@@ -43,11 +43,11 @@ SCALE = {"position": 0.4, "velocity": 0.8, "effort": 2.0}
 
 def dry_friction_as_rows(model: mujoco.MjModel, joints: tuple[str, ...]) -> mujoco.MjModel:
     """A copy with the stiff dry friction of the batch rows; MuJoCo's default creeps under load."""
-    stiff = copy.copy(model)
+    stiff_friction = copy.copy(model)
     dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
-    stiff.dof_solref[dofs] = (2.0 * model.opt.timestep, 1.0)
-    stiff.dof_solimp[dofs, :3] = (0.999, 0.9999, 0.001)
-    return stiff
+    stiff_friction.dof_solref[dofs] = (2.0 * model.opt.timestep, 1.0)
+    stiff_friction.dof_solimp[dofs, :3] = (0.999, 0.9999, 0.001)
+    return stiff_friction
 
 
 def compare_rows_with_replay(model: mujoco.MjModel, trial: Trial) -> tuple[float, float, float]:

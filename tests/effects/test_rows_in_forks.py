@@ -23,7 +23,7 @@ def test_rows_with_different_effects_do_not_depend_on_the_number_of_cores(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Up to the tolerance of the contact solver: effects of other rows add zeros to a row."""
-    monkeypatch.setattr(batch_division, "_FORK", 0.0)
+    monkeypatch.setattr(batch_division, "_FORK_SECONDS", 0.0)
     segments = [segment(build())] * 3
     count = 3 * (len(LAWS) + 1)
     values = {}

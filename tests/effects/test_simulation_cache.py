@@ -83,9 +83,9 @@ def test_the_cache_drops_the_least_recently_used_row() -> None:
     size = 100
     known = SimulationCache(most_bytes=2 * 3 * 8 * size)
     for name in (b"a", b"b"):
-        known.keep((id(one), name), one, Predicted(*np.ones((3, size, 1))))
+        known.store((id(one), name), one, Predicted(*np.ones((3, size, 1))))
     assert known.get((id(one), b"a")) is not None
-    known.keep((id(one), b"c"), one, Predicted(*np.ones((3, size, 1))))
+    known.store((id(one), b"c"), one, Predicted(*np.ones((3, size, 1))))
     assert known.get((id(one), b"b")) is None
     assert known.get((id(one), b"a")) is not None
 

@@ -116,7 +116,7 @@ class Structure:
     @property
     def parameters(self) -> int:
         """Number of parameters that a fit estimates."""
-        return sum(int(t.movable(start).sum()) for t, start in self.starts.items())
+        return sum(int(t.is_estimated(start).sum()) for t, start in self.starts.items())
 
 
 def parameter_penalty(effective: FloatArray) -> float:
@@ -138,12 +138,12 @@ def effect_penalty(candidates: int) -> float:
 
 @dataclass(slots=True)
 class _Group:
-    """Sensitivities with the same number of switches, for batched algebra.
+    """Sensitivities with the same number of amplitudes, for batched algebra.
 
     Attributes:
         which: indices of the sensitivities.
-        columns: (sensitivities, switches) indices of their columns.
-        own: (signals, sensitivities, switches, switches) inner products among their columns.
+        columns: (sensitivities, amplitudes) indices of their columns.
+        own: (signals, sensitivities, amplitudes, amplitudes) inner products among their columns.
     """
 
     which: list[int]
@@ -163,13 +163,13 @@ class CandidateSensitivities:
     def __init__(self, responses: Sequence[Sensitivity]) -> None:
         self.responses = list(responses)
         self.at: list[slice] = []
-        self.free = [int(r.term.movable(r.start).sum()) for r in self.responses]
+        self.free = [int(r.term.is_estimated(r.start).sum()) for r in self.responses]
         parts, ends, count = [], [], 0
         for r in self.responses:
-            self.at.append(slice(count, count + len(r.switches)))
-            count += len(r.switches)
-            parts.append(np.moveaxis(r.change, 0, -1))  # (signals, switches, bins)
-            for s in r.switches:
+            self.at.append(slice(count, count + len(r.amplitude_indices)))
+            count += len(r.amplitude_indices)
+            parts.append(np.moveaxis(r.change, 0, -1))  # (signals, amplitudes, bins)
+            for s in r.amplitude_indices:
                 parameter = r.term.parameters[s]
                 ends.append(sorted([parameter.lower / r.start[s], parameter.upper / r.start[s]]))
         self.lower, self.upper = np.reshape(ends, (-1, 2)).T
@@ -177,7 +177,9 @@ class CandidateSensitivities:
         self.columns = np.ascontiguousarray(joined, dtype=np.float32)
         self._products: dict[int, FloatArray] = {}
         self.penalty_per_effect = effect_penalty(len({r.term for r in self.responses}))
-        self.groups = [self._group(m) for m in sorted({len(r.switches) for r in self.responses})]
+        self.groups = [
+            self._group(m) for m in sorted({len(r.amplitude_indices) for r in self.responses})
+        ]
 
     @property
     def elastic_transmissions(self) -> frozenset[Term]:
@@ -188,8 +190,8 @@ class CandidateSensitivities:
         """
         return frozenset(r.term for r in self.responses if r.term.law.is_elastic_transmission)
 
-    def _group(self, switches: int) -> _Group:
-        which = [i for i, r in enumerate(self.responses) if len(r.switches) == switches]
+    def _group(self, count: int) -> _Group:
+        which = [i for i, r in enumerate(self.responses) if len(r.amplitude_indices) == count]
         columns = np.array([np.arange(self.at[i].start, self.at[i].stop) for i in which])
         block = self.columns[:, columns].astype(np.float64)
         return _Group(which, columns, np.matmul(block, block.swapaxes(-1, -2)))
@@ -206,7 +208,7 @@ class CandidateSensitivities:
         return np.asarray(np.matmul(self.columns, moved), dtype=np.float64)
 
     def products(self, response: int) -> FloatArray:
-        """(signals, columns, switches) inner products of all columns with those of one response."""
+        """(signals, columns, amplitudes) inner products of all columns with those of a response."""
         self.take_products([response])
         return self._products[response]
 
@@ -222,7 +224,7 @@ class CandidateSensitivities:
         found = np.matmul(self.columns, of_new).astype(np.float64)
         at = 0
         for i in new:
-            count = len(self.responses[i].switches)
+            count = len(self.responses[i].amplitude_indices)
             self._products[i] = found[:, :, at : at + count]
             at += count
 
@@ -289,11 +291,11 @@ class NormalEquations:
         at = p
         for i in chosen:
             r = candidate_sensitivities.responses[i]
-            amplitude = x[at : at + len(r.switches)]
-            at += len(r.switches)
+            amplitude = x[at : at + len(r.amplitude_indices)]
+            at += len(r.amplitude_indices)
             residual = residual - r.change @ amplitude
             start = r.start.copy()
-            start[list(r.switches)] *= amplitude
+            start[list(r.amplitude_indices)] *= amplitude
             starts[r.term] = start
         return Structure(starts, residual, 0.0, chosen)
 

@@ -99,7 +99,7 @@ def _best_of(
     for k in wavenumbers:
         size = size.copy()
         size[wave] = k
-        sizes.append((size, term.switches(size)))
+        sizes.append((size, term.amplitude_indices(size)))
     best: list[Sensitivity] = []
     for first in range(0, len(sizes), _AT_ONCE):
         found = [*best, *linear.at_sizes([term], sizes[first : first + _AT_ONCE])]

@@ -19,8 +19,8 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
 from pytest_twin.diagnosis.first_order.rigid_terms import Rigid, upsampled
 from pytest_twin.effects.active_effects import ActiveEffects, acts_at, hooks_between_steps
-from pytest_twin.effects.base import ModelFields, World, moving_apart
-from pytest_twin.effects.batch_models import OF_ROWS
+from pytest_twin.effects.base import ModelFields, World, find_elastic_joints
+from pytest_twin.effects.batch_models import ROW_ATTRIBUTES
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.memory_warmup import run_hooks
 
@@ -245,7 +245,7 @@ class LawForces:
 
     def _world(self, lanes: _Lanes) -> World:
         world = replace(self._at_start, servo=self._at_start.servo[lanes.joint], state={})
-        for name in OF_ROWS:
+        for name in ROW_ATTRIBUTES:
             value = getattr(world, name)
             value = value[lanes.segment] if value.ndim == 1 else lanes.of_segment(value)
             setattr(world, name, value)
@@ -266,7 +266,7 @@ class LawForces:
         for effect, v in effects:
             if effect.family != "contact":
                 effect.fields(changed, v)
-        soft = moving_apart(effects, lanes.joint.shape)
+        soft = find_elastic_joints(effects, lanes.joint.shape)
         if soft.any():
             known = simulator.models.link_inertia(np.asarray(self.trajectory.segments))
             world.link_inertia = lanes.of_segment(known)
@@ -274,7 +274,7 @@ class LawForces:
         own = of([m.dof_armature[dof] for m in models])
         world.motor_armature = own + changed.armature
         world.motor_damping = changed.damping
-        constant, world.motor_constant = changed.split_force(soft)
+        constant, world.motor_constant_effort = changed.split_force(soft)
         rest = of([m.qpos_spring[simulator.layout.qpos_index] for m in models])
         springs = of([m.jnt_stiffness[simulator.layout.joint_ids] for m in models])
         return _Joint(

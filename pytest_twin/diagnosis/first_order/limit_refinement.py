@@ -58,7 +58,7 @@ def refine_limits(
 
 def is_lone_limit(response: Sensitivity) -> bool:
     """Whether the law is a limit that one parameter switches on."""
-    return response.term.law.is_limit and len(response.switches) == 1
+    return response.term.law.is_limit and len(response.amplitude_indices) == 1
 
 
 def _responses(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Sensitivity]:
@@ -67,7 +67,7 @@ def _responses(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Sensiti
                          strict=True):  # fmt: skip
         term = h.terms[-1]
         start = h.theta[h.slice_of(term)].copy()
-        switch = term.switches(start)[0]
-        if start[switch] and np.isfinite(change).all() and change.any():
-            out.append(Sensitivity(term, start, (switch,), change[..., None].astype(np.float32)))
+        amplitude = term.amplitude_indices(start)[0]
+        if start[amplitude] and np.isfinite(change).all() and change.any():
+            out.append(Sensitivity(term, start, (amplitude,), change[..., None].astype(np.float32)))
     return out

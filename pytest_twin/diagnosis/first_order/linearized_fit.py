@@ -83,7 +83,7 @@ def fit_linearized(
             weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
             here = target[id(f)] - f.residual
             slope = np.zeros((*here.shape, f.hypothesis.theta.size))
-            for column, s in zip(np.flatnonzero(f.hypothesis.movable), steps, strict=True):
+            for column, s in zip(np.flatnonzero(f.hypothesis.is_estimated), steps, strict=True):
                 slope[..., column] = (next(moved) - here) / s
             slope = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
             weights.append(weight)
@@ -121,7 +121,7 @@ def linearized_slopes(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[
     out = []
     for h, base, (_, steps) in zip(hypotheses, here, nudges, strict=True):
         slope = np.zeros((*base.shape, h.theta.size))
-        for column, step in zip(np.flatnonzero(h.movable), steps, strict=True):
+        for column, step in zip(np.flatnonzero(h.is_estimated), steps, strict=True):
             slope[..., column] = (next(moved) - base) / step
         out.append(np.nan_to_num(slope, posinf=0.0, neginf=0.0))
     return out

@@ -101,7 +101,7 @@ def rigid_terms(
         shape = (len(part), segments, at_once)
         with quiet():
             of_part = np.tile(np.repeat(rows, at_once), len(part))
-            batch = simulator.models.written(of_part, values, threads=1).batch
+            batch = simulator.models.prepare(of_part, values, threads=1).batch
             qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
             mass_out, bias_out = batch.bind("M"), batch.bind("qfrc_bias")
             packed = np.empty((len(part), segments, points, mass_out.shape[1]))

@@ -43,17 +43,17 @@ from pytest_twin.diagnosis.free_initial_state import (
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, absent_values, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.active_effects import (
-    BETWEEN_STEPS,
+    STEP_HOOKS,
     ActiveEffects,
-    in_reading_order,
-    with_fixed,
+    add_fixed_effects,
+    sort_by_hook_order,
 )
 from pytest_twin.effects.base import Effect, Values
 from pytest_twin.effects.proposal import starting_sizes
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
-_IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *BETWEEN_STEPS)
+_IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *STEP_HOOKS)
 _OfEffect = tuple[Term, ...]
 """Candidates of one effect at several joints."""
 CLOSEST = 16
@@ -66,15 +66,15 @@ class Sensitivity:
 
     Attributes:
         term: the candidate.
-        start: parameters at which the change was computed, with every switch on.
-        switches: indices of the parameters that switch the effect on.
-        change: (bins, signals, switches) prediction with one switch on, minus the prediction
+        start: parameters at which the change was computed, with every amplitude on.
+        amplitude_indices: indices of the parameters that switch the effect on.
+        change: (bins, signals, amplitudes) prediction with one amplitude on, minus the prediction
             without the effect.
     """
 
     term: Term
     start: FloatArray
-    switches: tuple[int, ...]
+    amplitude_indices: tuple[int, ...]
     change: FloatArray
 
 
@@ -89,7 +89,7 @@ def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
         Pairs of parameters, in multiples of their references, and the indices of the parameters
         that switch the effect on.
     """
-    return [(size, term.switches(size)) for size in starting_sizes(term.law)]
+    return [(size, term.amplitude_indices(size)) for size in starting_sizes(term.law)]
 
 
 def starts_in_first_form(term: Term) -> list[FloatArray]:
@@ -131,7 +131,7 @@ def _explained(change: FloatArray, residual: FloatArray, weight: FloatArray) -> 
     """Reduction of the weighted squared residual by a least-squares fit of the changes.
 
     Args:
-        change: (bins, signals, switches).
+        change: (bins, signals, amplitudes).
         residual: (bins, signals).
         weight: (signals,) reciprocal variances.
     """
@@ -152,25 +152,27 @@ def _simulated(
         return []
     rows: list[Hypothesis] = [hypothesis]
     plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
-    for term, (full, switches) in sizes:
-        plan.append((term, full, switches))
-        for s in switches:
-            rows.append(hypothesis.with_term(term, _alone(full, switches, s)))
+    for term, (full, amplitude_indices) in sizes:
+        plan.append((term, full, amplitude_indices))
+        for s in amplitude_indices:
+            rows.append(hypothesis.with_term(term, _alone(full, amplitude_indices, s)))
     binned = bins(problem, segments)
     found = [binned.mean(r) for r in problem.residuals(rows, segments)]
     at, out = 1, []
-    for term, start, switches in plan:
-        change = np.stack([found[0] - found[at + k] for k in range(len(switches))], axis=-1)
-        at += len(switches)
+    for term, start, amplitude_indices in plan:
+        change = np.stack(
+            [found[0] - found[at + k] for k in range(len(amplitude_indices))], axis=-1
+        )
+        at += len(amplitude_indices)
         if np.isfinite(change).all():
-            out.append(Sensitivity(term, start, switches, change.astype(np.float32)))
+            out.append(Sensitivity(term, start, amplitude_indices, change.astype(np.float32)))
     return out
 
 
-def _alone(full: FloatArray, switches: tuple[int, ...], switch: int) -> FloatArray:
-    """Parameters with only one of the switches on."""
+def _alone(full: FloatArray, amplitude_indices: tuple[int, ...], amplitude: int) -> FloatArray:
+    """Parameters with only one amplitude, the others zero."""
     alone = full.copy()
-    alone[[k for k in switches if k != switch]] = 0.0
+    alone[[k for k in amplitude_indices if k != amplitude]] = 0.0
     return alone
 
 
@@ -250,11 +252,11 @@ class Linear:
         self.simulator = problem.simulator
         self.segments = segments
         joints = len(problem.joints)
-        self.own = with_fixed(
+        self.own = add_fixed_effects(
             effect_values([hypothesis], joints, problem.scales), self.simulator.fixed, 1
         )
         self.trajectory: MeasuredTrajectory = measured_trajectory(problem, hypothesis, segments)
-        active = in_reading_order(self.own)
+        active = sort_by_hook_order(self.own)
         self.rigid: Rigid = rigid_terms(self.simulator, self.trajectory, active)[0]
         self.efforts = Efforts(self.simulator, self.trajectory)
         (self.own_effort,) = self.efforts.of(active, 1)
@@ -339,7 +341,7 @@ class Linear:
 
     def _batches(self, groups: Sequence[_OfEffect], cores: int) -> list[list[_OfEffect]]:
         """Candidates of each effect, in batches that are computed together, slow ones first."""
-        remembers = any(e.remembers for e, _ in in_reading_order(self.own))
+        remembers = any(e.remembers for e, _ in sort_by_hook_order(self.own))
         stepwise = [g for g in groups if remembers or g[0].law.remembers]
         stepwise.sort(key=lambda g: g[0].law.overrides("gear"), reverse=True)
         together = [stepwise[i::cores] for i in range(min(cores, len(stepwise)))]
@@ -363,7 +365,11 @@ class Linear:
         values, parts, count = dict[int, dict[str, FloatArray]](), dict[int, slice](), 0
         for k, (terms, sizes) in enumerate(plans):
             if terms[0].law.overrides(*_IN_FORCES):
-                rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
+                rows = [
+                    _alone(full, amplitude_indices, s)
+                    for full, amplitude_indices in sizes
+                    for s in amplitude_indices
+                ]
                 values[k] = self._values(terms[0].law, rows, terms)
                 parts[k] = slice(count, count + len(rows))
                 count += len(rows)
@@ -379,7 +385,7 @@ class Linear:
             for name, x in values[k].items():
                 own[name][part] = x
         total, drive = self.laws.changes(
-            in_reading_order(every), count, in_reading_order(self.own), self.base
+            sort_by_hook_order(every), count, sort_by_hook_order(self.own), self.base
         )
         return [
             (total[parts[k]], drive[parts[k]]) if k in parts else None for k in range(len(plans))
@@ -399,19 +405,19 @@ class Linear:
         out: list[Sensitivity] = []
         plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
         columns: list[Column] = []
-        for term, start, switches, found in self._columns(terms, sizes, added):
-            plan.append((term, start, switches))
+        for term, start, amplitude_indices, found in self._columns(terms, sizes, added):
+            plan.append((term, start, amplitude_indices))
             columns += found
         changes = self.readings.of(columns)
         at, seen = 0, set[tuple[Term, bytes]]()
-        for term, start, switches in plan:
-            change = np.stack(changes[at : at + len(switches)], axis=-1)
-            at += len(switches)
+        for term, start, amplitude_indices in plan:
+            change = np.stack(changes[at : at + len(amplitude_indices)], axis=-1)
+            at += len(amplitude_indices)
             # Forces that act longer than the recordings have the same response.
             same = term, sha256(change.tobytes()).digest()
             if np.isfinite(change).all() and change.any() and same not in seen:
                 seen.add(same)
-                out.append(Sensitivity(term, start, switches, change))
+                out.append(Sensitivity(term, start, amplitude_indices, change))
         return out
 
     def _columns(
@@ -422,7 +428,11 @@ class Linear:
     ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[Column]]]:
         """Columns of one effect at several joints; all joints are computed at once."""
         effect = terms[0].law
-        rows = [_alone(full, switches, s) for full, switches in sizes for s in switches]
+        rows = [
+            _alone(full, amplitude_indices, s)
+            for full, amplitude_indices in sizes
+            for s in amplitude_indices
+        ]
         values = self._values(effect, rows, terms)
         joints = len(self.problem.joints)
         heavy = changes_bodies(effect, values, joints)
@@ -433,9 +443,9 @@ class Linear:
         for term in terms:
             j = term.joint
             row = 0
-            for full, switches in sizes:
+            for full, amplitude_indices in sizes:
                 columns = []
-                for _ in switches:
+                for _ in amplitude_indices:
                     column = self._sensed(effect, values, row, j)
                     if added is not None:
                         column.joint = None if j < 0 else j
@@ -448,7 +458,7 @@ class Linear:
                         column.force = extra if column.force is None else column.force + extra
                     columns.append(column)
                     row += 1
-                out.append((term, full, switches, columns))
+                out.append((term, full, amplitude_indices, columns))
         return out
 
     def _values(
@@ -484,7 +494,7 @@ class Linear:
         each = [self._values(effect, rows, [term]) for term in terms]
         values = {n: np.concatenate([e[n] for e in each]) for n in each[0]}
         copies = len(rows) * len(terms)
-        active = in_reading_order({**self._wide(copies), effect.id: values})
+        active = sort_by_hook_order({**self._wide(copies), effect.id: values})
         efforts = self.efforts.of(active, copies)
         forces = [-upsampled(e - self.own_effort, self.rigid.at, samples) for e in efforts]
         return {
@@ -546,7 +556,7 @@ class Linear:
         effort, stamps = self.trajectory.effort[i], self.simulator.segments[self.segments[i]].time
         own = np.repeat(stamps[None, :, None], effort.shape[1], axis=2)
         own = self.simulator.true_reading_times(
-            self.segments[i : i + 1], own, _sensing(in_reading_order(self.own))
+            self.segments[i : i + 1], own, _sensing(sort_by_hook_order(self.own))
         )[0]
         return np.stack(
             [np.interp(taken[:, j], own[:, j], effort[:, j]) for j in range(effort.shape[1])],
@@ -561,7 +571,7 @@ class Linear:
         values = effect_values(hypotheses, joints, self.problem.scales)
         self.efforts.know(
             [
-                (e, v) for e, v in in_reading_order(values)
+                (e, v) for e, v in sort_by_hook_order(values)
                 if changes_bodies(e, v, joints) and not changes_gravity(e, v, joints)
             ],
             len(hypotheses),
@@ -574,13 +584,13 @@ class Linear:
         are linearized.
         """
         joints, copies = len(self.problem.joints), len(hypotheses)
-        values = with_fixed(
+        values = add_fixed_effects(
             effect_values(hypotheses, joints, self.problem.scales), self.simulator.fixed, copies
         )
-        active = in_reading_order(values)
-        total, drive = self.laws.changes(active, copies, in_reading_order(self.own), self.base)
+        active = sort_by_hook_order(values)
+        total, drive = self.laws.changes(active, copies, sort_by_hook_order(self.own), self.base)
         columns = [Column(total[k], drive[k]) for k in range(copies)]
-        if any(changes_bodies(e, v, joints) for e, v in (*active, *in_reading_order(self.own))):
+        if any(changes_bodies(e, v, joints) for e, v in (*active, *sort_by_hook_order(self.own))):
             samples = self.trajectory.position.shape[1]
             efforts = self.efforts.of(active, copies)
             for column, effort in zip(columns, efforts, strict=True):
@@ -588,7 +598,7 @@ class Linear:
                 column.force = column.force - upsampled(
                     effort - self.own_effort, self.rigid.at, samples
                 )
-        base_reading, base_start = self._read_off(_sensing(in_reading_order(self.own)), 0)
+        base_reading, base_start = self._read_off(_sensing(sort_by_hook_order(self.own)), 0)
         sensing, known = _sensing(active), dict[bytes, tuple[FloatArray, FloatArray]]()
         for k, column in enumerate(columns):
             # Few hypotheses differ in their sensor effects.

@@ -26,7 +26,7 @@ _AT_ONCE = 32
 
 @dataclass(slots=True)
 class Column:
-    """Changes by one switch of one candidate, or by one whole hypothesis.
+    """Changes by one amplitude of one candidate, or by one whole hypothesis.
 
     Attributes:
         force, drive: change of the generalized force and of the drive's effort, (segments, samples,

@@ -77,7 +77,7 @@ class NativeWriter:
     def settle(self) -> None:
         """Write the friction constraint with which the findings were simulated."""
         by_name = {j.name: j for j in self.spec.joints}
-        stepped = self.simulator.models.bounded(0)
+        stepped = self.simulator.models.bounded_model(0)
         dofs = self.simulator.layout.dof_index
         for name, dof in zip(self.problem.joints, dofs, strict=True):
             joint = by_name[name]
@@ -276,7 +276,7 @@ def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     }
     if fields.center_moves.any():
         by = fields.center_radial[0], fields.center_tangential[0]
-        (moved,) = layout.shift(*by, np.array([joint]))
+        (moved,) = layout.center_shift(*by, np.array([joint]))
         changed["com"] = (w.model.body_ipos[index] + moved).tolist()
     w.fit("body", body, changed)
     return f"body '{body}' mass, inertia and centre", {}
@@ -288,7 +288,7 @@ def _payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     body = w.body_name(last)
     model, at = w.model, int(w.simulator.layout.joint_ids[last])
     place = np.array([[values.get(k, 0.0) for k in ("distance", "sideways", "across")]])
-    center = model.jnt_pos[at] + w.simulator.layout.in_link(place, np.array([last]))[0]
+    center = model.jnt_pos[at] + w.simulator.layout.to_link_frame(place, np.array([last]))[0]
     index = int(w.simulator.layout.body_index[last])
     if not w.fixed_masses or float(model.body_mass[index]) + values["mass"] <= 1e-6:
         return None

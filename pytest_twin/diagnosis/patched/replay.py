@@ -42,7 +42,9 @@ def fixed_values(
             continue
         law = catalogue()[e.effect]
         if e.effect not in out:
-            out[e.effect] = {p.name: np.full((rows, len(joints)), p.absent) for p in law.parameters}
+            out[e.effect] = {
+                p.name: np.full((rows, len(joints)), p.absent_value) for p in law.parameters
+            }
         column: slice | int = slice(None) if e.joint is None else list(joints).index(e.joint)
         for p in law.parameters:
             value = e.values.get(p.name)

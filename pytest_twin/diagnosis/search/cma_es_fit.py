@@ -39,7 +39,7 @@ def initial_covariance_root(fitted: Fitted, floor: FloatArray) -> FloatArray:
         fitted: a fit to windows, with its Jacobian.
         floor: (signals,) noise floors in the windows.
     """
-    free = fitted.hypothesis.movable
+    free = fitted.hypothesis.is_estimated
     slopes = (fitted.jacobian[:, :, free] / floor[:, None]).reshape(-1, int(free.sum()))
     # A simulation that diverges next to the fit says nothing about the length of a step.
     slopes = np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0)
@@ -126,7 +126,7 @@ class _Search:
     def _at(self, point: FloatArray) -> Hypothesis:
         """The start plus (parameters,) multiples of the first steps, within the bounds."""
         theta = self._start.theta.copy()
-        theta[self._start.movable] += self._steps @ point
+        theta[self._start.is_estimated] += self._steps @ point
         return self._start.with_theta(np.clip(theta, *self._start.bounds))
 
 

@@ -151,4 +151,4 @@ def _has_same_form(term: Term, own: Hypothesis, other: Hypothesis) -> bool:
     if term not in other.terms:
         return False
     here, there = own.theta[own.slice_of(term)], other.theta[other.slice_of(term)]
-    return bool(np.array_equal(term.movable(here), term.movable(there)))
+    return bool(np.array_equal(term.is_estimated(here), term.is_estimated(there)))

@@ -35,7 +35,7 @@ def with_all_drive_terms(problem: Problem, known: Hypothesis, joint: int) -> Hyp
     more = known
     for term in candidates(problem):
         if term.law.common_to_geared_motors and term.joint == joint and term not in known.terms:
-            more = more.with_term(term, np.array([p.absent for p in term.parameters]))
+            more = more.with_term(term, np.array([p.absent_value for p in term.parameters]))
     return more
 
 
@@ -57,7 +57,7 @@ def weigh_by_removal(
     Args:
         comparison: the comparison in which it was fitted.
         best: the fit.
-        absent: term -> evidence of the fit without it, relative to ``best``.
+        absent_value: term -> evidence of the fit without it, relative to ``best``.
     """
     selected = SelectedModel(best, comparison.nominal, tried=comparison.tried)
     selected.weigh({((t,), None): evidence for t, evidence in absent.items()})

@@ -323,13 +323,13 @@ def may_be_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1.0
         within: factor on the width of the region.
     """
     place = fitted.hypothesis.slice_of(term)
-    own = term.switches(fitted.hypothesis.theta[place])
-    switches = [place.start + k for k in own]
-    if not np.any(fitted.jacobian[:, :, switches] != 0.0, axis=(0, 1)).all():
+    own = term.amplitude_indices(fitted.hypothesis.theta[place])
+    amplitude_indices = [place.start + k for k in own]
+    if not np.any(fitted.jacobian[:, :, amplitude_indices] != 0.0, axis=(0, 1)).all():
         return False
     neutral = [term.parameters[k].neutral for k in own]
-    offset = np.array(neutral, dtype=float) - fitted.hypothesis.theta[switches]
-    return known.apart(np.array(switches), offset) <= within
+    offset = np.array(neutral, dtype=float) - fitted.hypothesis.theta[amplitude_indices]
+    return known.apart(np.array(amplitude_indices), offset) <= within
 
 
 def share_too_large(

@@ -138,7 +138,7 @@ def equal_sized_forms(hypothesis: Hypothesis) -> list[Hypothesis]:
 def _forms_with_fewer(hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
     """The hypothesis with a term in each form that has fewer parameters."""
     own = hypothesis.theta[hypothesis.slice_of(term)]
-    return _forms(hypothesis, term, int(term.movable(own).sum()) - 1)
+    return _forms(hypothesis, term, int(term.is_estimated(own).sum()) - 1)
 
 
 def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
@@ -148,12 +148,12 @@ def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
     """
     place = hypothesis.slice_of(term)
     own = hypothesis.theta[place]
-    movable, found = term.movable(own), dict[bytes, Hypothesis]()
+    is_estimated, found = term.is_estimated(own), dict[bytes, Hypothesis]()
     for start, _ in grid(term):
-        other = term.movable(start)
+        other = term.is_estimated(start)
         if other.sum() <= most:
             theta = hypothesis.theta.copy()
-            theta[place] = np.where(movable & other, own, start)
+            theta[place] = np.where(is_estimated & other, own, start)
             found[theta.tobytes()] = hypothesis.with_theta(theta)
     found.pop(hypothesis.theta.tobytes(), None)
     return list(found.values())

@@ -153,7 +153,7 @@ class Parameters:
         effects = list(dict.fromkeys(effect for effect, _ in PRIORS))
         self.terms = tuple(Term(e, j) for e in effects for j in range(joints))
         self.rest = np.concatenate([
-            [p.absent if p.neutral is None else p.neutral for p in t.parameters]
+            [p.absent_value if p.neutral is None else p.neutral for p in t.parameters]
             for t in self.terms
         ])  # fmt: skip
         self.shape = (len(PRIORS), joints)

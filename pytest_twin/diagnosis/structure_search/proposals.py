@@ -77,8 +77,11 @@ def proposals(
         _rewritten(scorer, own),
         effort_sensor_terms(linearized.around),
     ):
-        form = np.array([m for t in sorted(hypothesis.terms)
-                         for m in t.movable(hypothesis.theta[hypothesis.slice_of(t)])])  # fmt: skip
+        theta = hypothesis.theta
+        form = np.array([
+            estimated for t in sorted(hypothesis.terms)
+            for estimated in t.is_estimated(theta[hypothesis.slice_of(t)])
+        ])  # fmt: skip
         pool.setdefault((frozenset(hypothesis.terms), form.tobytes()), hypothesis)
     starts = list(pool.values())
     linear = linearized.linear

@@ -25,7 +25,7 @@ from pytest_twin.effects.unnamed_law import (
     UnnamedLaw,
     UnnamedThermalFriction,
     Variable,
-    since_reversal,
+    update_reversal_time,
 )
 
 
@@ -138,6 +138,8 @@ def _since(velocity: FloatArray, still: float, interval: float) -> FloatArray:
     since, direction = np.zeros((2, len(velocity)))
     out = np.empty_like(velocity)
     for k, v in enumerate(velocity.T):
-        since, direction = since_reversal(since, direction, v, np.full(len(v), still), interval)
+        since, direction = update_reversal_time(
+            since, direction, v, np.full(len(v), still), interval
+        )
         out[:, k] = since
     return out

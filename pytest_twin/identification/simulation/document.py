@@ -82,10 +82,10 @@ def parameters_with_covariance(result: SimulationResult) -> tuple[dict[str, Any]
     parameters: dict[str, Any] = {}
     at = 0
     for term in hypothesis.terms:
-        movable = term.movable(hypothesis.theta[hypothesis.slice_of(term)])
-        several = int(movable.sum()) > 1
+        is_estimated = term.is_estimated(hypothesis.theta[hypothesis.slice_of(term)])
+        several = int(is_estimated.sum()) > 1
         for k, p in enumerate(term.parameters):
-            if movable[k]:
+            if is_estimated[k]:
                 unit = problem.scales.value(p, term.joint)
                 # The name says that a reciprocal was estimated: inverse_limit in 1/(N*m).
                 is_named = several or p.reciprocal_of is not None

@@ -202,7 +202,7 @@ def _try_one_step(
     residual = problem.residuals(every, problem.fit)
     moved, steps, places, slopes = [], [], [], []
     for row, (h, left) in enumerate(zip(every, residual, strict=True)):
-        (which,) = np.nonzero(h.movable)
+        (which,) = np.nonzero(h.is_estimated)
         shared = [t for t in base.terms if t in h.terms] if _has_values_of(h, base) else []
         kept = sum(len(t.parameters) for t in shared)
         for k, nearby, step in zip(which.tolist(), *finite_differences(h), strict=True):

@@ -38,7 +38,7 @@ def undetermined_terms(
     }
     if not absent:
         return {}
-    neutral = {t: np.array([p.absent for p in t.parameters]) for t in absent}
+    neutral = {t: np.array([p.absent_value for p in t.parameters]) for t in absent}
     whole = with_derivatives(problem, found.with_terms(neutral))
     undetermined: dict[Term, StageName] = {}
     for stage in dict.fromkeys(absent.values()):
@@ -49,7 +49,7 @@ def undetermined_terms(
         half = parameter_spread(problem.at(part.hypothesis), part, in_parts=False).half_width
         for term in (t for t in absent if absent[t] == stage):
             own = kept.slice_of(term)
-            switches = list(term.switches(kept.theta[own]))
+            switches = list(term.amplitude_indices(kept.theta[own]))
             if np.any(half[own][switches] > kept.sizes[own][switches]):
                 undetermined[term] = stage
     return undetermined
