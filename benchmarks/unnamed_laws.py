@@ -27,7 +27,7 @@ from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.diagnosis.unnamed_law.fit import free_laws
+from pytest_twin.diagnosis.unnamed_law.fit import fit_free_laws
 from pytest_twin.realization import load
 
 TOPICS = {"state": "/joint_states", "command": "/joint_commands"}
@@ -41,7 +41,7 @@ def removed(folder: Path, joint: str) -> tuple[float, str]:
     given = ModelSetup.of(realization, None)
     with np.errstate(over="ignore", invalid="ignore"):
         near, _ = build_problem(given, trials, [], window=0.5)
-        laws = free_laws(near, EMPTY, {joint: TimeAndRegime("", {})}, near.problem.fit)
+        laws = fit_free_laws(near, EMPTY, {joint: TimeAndRegime("", {})}, near.problem.fit)
         if not laws.laws:
             return 0.0, "; ".join(laws.notes)
         problem = build_problem(given, trials, [])[0].problem

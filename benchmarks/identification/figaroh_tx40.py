@@ -112,11 +112,13 @@ def main() -> None:
         file = next(iter(twin.realizations.values())).file
         model = load(file, twin=twin, shapes=False, accept_invalid_inertia=True)
         read = [
-            read_measured(paths[name], model, twin.topics, twin.recordings, twin.signals)
+            read_measured(paths[name], model, twin.topics, twin.recordings, twin.recordings.signals)
             for name in ("fit", "held_out")
         ]
         since = time.perf_counter()
-        ours = identify_effort(model, MeasuredSet(tuple(read[0]), tuple(read[1])), twin.signals)
+        ours = identify_effort(
+            model, MeasuredSet(tuple(read[0]), tuple(read[1])), twin.recordings.signals
+        )
         spent = time.perf_counter() - since
         # The model is loaded without meshes, which are not part of the recordings.
         robot = RobotWrapper(pinocchio.buildModelFromUrdf(str(Path(scratch) / "tx40.urdf")))

@@ -123,7 +123,9 @@ def compare_errors(document: dict, known: list[tuple[str, float, float]], paths:
         twin=twin, shapes=False, accept_invalid_inertia=True,
     )  # fmt: skip
     read = {
-        name: read_measured(paths[name], robot, twin.topics, twin.recordings, twin.signals)
+        name: read_measured(
+            paths[name], robot, twin.topics, twin.recordings, twin.recordings.signals
+        )
         for name in ("fit", "held_out", "whole")
     }
     regressor = Regressor(robot, tx40_files.JOINTS, [SharedMotor("joint_6", "joint_5")])
@@ -138,7 +140,7 @@ def compare_errors(document: dict, known: list[tuple[str, float, float]], paths:
     for one in document["base_parameters"]:
         ours[at[one["expression"]]] = one["value"]
     whole = identify_effort(
-        robot, MeasuredSet(tuple(read["whole"]), ()), twin.signals
+        robot, MeasuredSet(tuple(read["whole"]), ()), twin.recordings.signals
     ).fitted.values
     print("held-out effort error in percent (last fifth of the run; same motion, same filter)")
     print(f"{'parameters':34} " + " ".join(f"{joint:>8}" for joint in tx40_files.JOINTS))

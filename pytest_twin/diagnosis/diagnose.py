@@ -50,8 +50,8 @@ from pytest_twin.diagnosis.unexplained import UnexplainedResidual, unexplained
 from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.diagnosis.unnamed_law.confirmation import (
     ConfirmedLaws,
-    confirmed_on_test,
-    laws_of_residual,
+    confirm_on_test,
+    fit_laws_to_residual,
 )
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
 from pytest_twin.diagnosis.verdict import JointError, Verdict
@@ -147,7 +147,7 @@ class Diagnosis:
 
     def _modelled(self, joint: str) -> dict[str, float]:
         """Share of the unexplained error of a joint that laws without a name remove."""
-        removed = self.free.removed_share(joint)
+        removed = self.free.removed_share_at(joint)
         return {} if removed is None else {"unnamed_law_removes": round(removed, 5)}
 
     def _trials(self) -> dict[str, list[str]]:
@@ -216,13 +216,13 @@ def diagnose(
             trials, open_ = signals.applied(as_read), None
             roles = roles_of(trials)
         progress(0.85)
-        laws = _laws_of_residual(structure, run)
+        laws = _fit_laws_to_residual(structure, run)
         progress(0.88)
         assessed = assess(structure, trials, roles.test)
         tested, left = assessed.tested, dict[str, UnexplainedResidual]()
         if tested.verdict in ("improved", "unexplained"):
             left = unexplained(tested, *assessed.near)
-        free = confirmed_on_test(
+        free = confirm_on_test(
             laws, structure.found.prepared.problem, tested, searched_all=not run.untried
         )
         progress(0.9)
@@ -242,11 +242,11 @@ def diagnose(
     )  # fmt: skip
 
 
-def _laws_of_residual(structure: ChosenModel, run: Run) -> FreeLaws:
+def _fit_laws_to_residual(structure: ChosenModel, run: Run) -> FreeLaws:
     """Laws without a name for the residual, if time remains."""
     try:
         with run.budget.fitting():
-            return laws_of_residual(structure.given, structure.found, structure.near)
+            return fit_laws_to_residual(structure.given, structure.found, structure.near)
     except OutOfTime:
         run.skip("a law without a name for the unexplained residual")
         return FreeLaws((), structure.found.explained.hypothesis, ())

@@ -30,12 +30,12 @@ from pytest_twin.diagnosis.first_order.beam_search import (
     Structure,
 )
 from pytest_twin.diagnosis.first_order.linearized_fit import (
-    NEARBY,
+    NEAR_ITERATIONS,
     LinearizedFit,
     fit_linearized,
     linearized_slopes,
 )
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.fit import Fitted, propose, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.patched.native import mjcf_expresses
@@ -201,7 +201,7 @@ def subsets(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
 def _near(
     comparison: ModelComparison,
     best: ScoredModel,
-    linear: Linear,
+    linear: Linearization,
     view: ResidualView,
     candidate_sensitivities: CandidateSensitivities,
     allowed: Allowed,
@@ -222,11 +222,11 @@ def _near(
         # An elastic transmission is only replaced by another one. The search has decided by
         # simulation whether there is one.
         exchanged = any(t.law.is_elastic_transmission for t in removed)
-        barred = own.terms if exchanged else (*own.terms, *elastic)
-        lens = NormalEquations(
+        excluded = own.terms if exchanged else (*own.terms, *elastic)
+        equations = NormalEquations(
             ResidualView(left, slope, view.floor, view.lengths), candidate_sensitivities
         )
-        sets = _beam(lens, barred, EQUIVALENT.largest if len(removed) == 1 else len(removed))
+        sets = _beam(equations, excluded, EQUIVALENT.largest if len(removed) == 1 else len(removed))
         fits = [LinearizedFit(rest.with_terms(s.starts), s.residual) for s in sets]
         evidence = _linearized_evidence(comparison, view, own, fits)
         for i in _chosen(removed, sets, evidence, [allowed(f.hypothesis) for f in fits]):
@@ -240,16 +240,16 @@ def _near(
         similar += [
             (similarity - h.free, h)
             for similarity, chosen in _most_similar(
-                NormalEquations(change, candidate_sensitivities), barred
+                NormalEquations(change, candidate_sensitivities), excluded
             )
             if similarity > EQUIVALENT.similar
-            and allowed(h := rest.with_terms(lens.structure(chosen).starts))
+            and allowed(h := rest.with_terms(equations.structure(chosen).starts))
         ]
     # Of sets that predict most of the change, those with the fewest parameters come first.
     closest = _few_of_each(similar, 1)[: EQUIVALENT.closest]
     more = without_additions(found, own.terms, EQUIVALENT.starts)
     starts = [*closest, *more[: EQUIVALENT.fitted_along_motion - len(closest)]]
-    fitted = fit_linearized(linear, view, starts, NEARBY)
+    fitted = fit_linearized(linear, view, starts, NEAR_ITERATIONS)
     values = _linearized_evidence(comparison, view, own, fitted).tolist()
     ranked = [
         (e, f.hypothesis) for e, f in zip(values, fitted, strict=True) if allowed(f.hypothesis)
@@ -269,27 +269,27 @@ def _near(
     return list({(h.terms, h.theta.tobytes()): h for h in out}.values())[: EQUIVALENT.simulated]
 
 
-def _beam(lens: NormalEquations, barred: Sequence[Term], largest: int) -> list[Structure]:
+def _beam(equations: NormalEquations, excluded: Sequence[Term], largest: int) -> list[Structure]:
     """The best sets of up to ``largest`` candidates in place of the removed terms."""
-    level, out = [lens.bare], list[Structure]()
+    level, out = [equations.base], list[Structure]()
     for _ in range(largest):
         chosen = {
             frozenset(c): c
             for s in level
-            for c in lens.children(
-                s, EQUIVALENT.children if s.chosen else EQUIVALENT.single, [*barred, *s.starts]
+            for c in equations.children(
+                s, EQUIVALENT.children if s.chosen else EQUIVALENT.single, [*excluded, *s.starts]
             )
         }
         if not chosen:
             break
-        ranked = lens.compared(level[0], [lens.structure(c) for c in chosen.values()])
+        ranked = equations.rank(level[0], [equations.structure(c) for c in chosen.values()])
         out += ranked
         level = ranked[: EQUIVALENT.grown]
     return out
 
 
 def _most_similar(
-    equations: NormalEquations, barred: Sequence[Term]
+    equations: NormalEquations, excluded: Sequence[Term]
 ) -> list[tuple[float, tuple[int, ...]]]:
     """Single effects that predict most of a change, with the share of its square, 0 to 1.
 
@@ -298,12 +298,12 @@ def _most_similar(
 
     Args:
         equations: with the change as residual.
-        barred: effects that are left out.
+        excluded: effects that are left out.
     """
     floor = equations.view.floor
     whole = float((equations.view.mean_square / floor**2).sum())
     out = list[tuple[float, tuple[int, ...]]]()
-    for chosen in equations.children(equations.bare, EQUIVALENT.single, barred):
+    for chosen in equations.children(equations.base, EQUIVALENT.single, excluded):
         left = np.mean(equations.structure(chosen).residual ** 2, axis=0)
         out.append((1.0 - float((left / floor**2).sum()) / max(whole, 1e-30), chosen))
     return out
@@ -442,7 +442,7 @@ def _linearized_evidence(
 def _simulated(
     comparison: ModelComparison,
     best: ScoredModel,
-    linear: Linear,
+    linear: Linearization,
     near: Sequence[Hypothesis],
     count: _Count,
 ) -> tuple[list[ScoredModel], bool]:
@@ -519,7 +519,7 @@ def _compared(
     comparison: ModelComparison,
     best: ScoredModel,
     rivals: Sequence[ScoredModel],
-    linear: Linear,
+    linear: Linearization,
     count: _Count,
     possible: bool,
 ) -> ComparedSets:
@@ -549,7 +549,7 @@ def _compared_in_part(
     comparison: ModelComparison,
     best: ScoredModel,
     rivals: Sequence[ScoredModel],
-    linear: Linear,
+    linear: Linearization,
     count: _Count,
 ) -> ComparedSets:
     """The final set, and the evidence of the others as far as they were fitted.
@@ -567,7 +567,7 @@ def _compared_in_part(
 
 
 def _relative_evidence(
-    comparison: ModelComparison, everyone: Sequence[ScoredModel], linear: Linear
+    comparison: ModelComparison, everyone: Sequence[ScoredModel], linear: Linearization
 ) -> tuple[FloatArray, float]:
     """Evidence of sets relative to the first one, and the tempering for model error."""
     idle = idle_parameters(comparison.problem, linear, [r.hypothesis for r in everyone])

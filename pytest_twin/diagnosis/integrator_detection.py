@@ -16,7 +16,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.coarse_step import integration_errors
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.bins import bins
-from pytest_twin.diagnosis.first_order.sensitivities import grid, linearize
+from pytest_twin.diagnosis.first_order.sensitivities import linearize, starting_grid
 from pytest_twin.diagnosis.friction_constraint import has_dry_friction, with_other_constraint
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
@@ -233,7 +233,7 @@ class _Span:
                 if term.law.nearly_linear and term not in best.hypothesis.terms:
                     by_effect.setdefault(term.effect, []).append(term)
             for terms in by_effect.values():
-                found = linear.at_sizes(terms, grid(terms[0])[:1])
+                found = linear.at_sizes(terms, starting_grid(terms[0])[:1])
                 columns += [response.change for response in found]
         signals = (len(self.bins.counts), len(problem.signal_floor), 0)
         self.columns = np.concatenate([np.zeros(signals), *columns], axis=2)

@@ -379,8 +379,8 @@ def _candidates(
     view = ResidualView(
         left, np.empty((*left.shape, 0)), problem.signal_floor[signals], binned.lengths
     )
-    lens = NormalEquations(view, CandidateSensitivities(seen))
-    chosen = list(lens.children(lens.bare, QUICK.candidates))
+    equations = NormalEquations(view, CandidateSensitivities(seen))
+    chosen = list(equations.children(equations.base, QUICK.candidates))
     if not chosen:
         return []
     first = seen[chosen[0][0]].term
@@ -392,7 +392,7 @@ def _candidates(
             if response.term.joint >= 0 and _are_confused(robot, response.term):
                 alike.setdefault(response.term.effect, []).append(at)
         chosen += [tuple(joints) for joints in alike.values() if len(joints) > 1]
-    return [lens.structure(c).starts for c in dict.fromkeys(chosen)]
+    return [equations.structure(c).starts for c in dict.fromkeys(chosen)]
 
 
 def _are_confused(one: Term, other: Term) -> bool:

@@ -33,5 +33,5 @@ def allowed_without(
         rejected: effects that pruning rejected as only the closest known ones.
         recorded: ranges of the recordings.
     """
-    barred = frozenset(rejected)
-    return lambda other: barred.isdisjoint(other.terms) and not refused(problem, other, recorded)
+    excluded = frozenset(rejected)
+    return lambda other: excluded.isdisjoint(other.terms) and not refused(problem, other, recorded)

@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.evidence import (
 from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.first_order.beam_search import parameter_penalty
 from pytest_twin.diagnosis.first_order.linearized_fit import linearized_slopes
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
@@ -61,7 +61,9 @@ def set_price(
     )
 
 
-def idle_parameters(problem: Problem, linear: Linear, sets: Sequence[Hypothesis]) -> list[int]:
+def idle_parameters(
+    problem: Problem, linear: Linearization, sets: Sequence[Hypothesis]
+) -> list[int]:
     """Number of amplitudes of each set that change the prediction by less than the noise.
 
     They are not penalized. Each effect keeps at least one penalized amplitude.

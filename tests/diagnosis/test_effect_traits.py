@@ -16,8 +16,8 @@ from two_pendulums import case
 import pytest_twin.diagnosis
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.first_order.limit_refinement import is_lone_limit
-from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity, grid
+from pytest_twin.diagnosis.first_order.limit_refinement import is_single_amplitude_limit
+from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity, starting_grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.search.proposed_starts import starts_at
@@ -112,7 +112,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
 
 
 def first_sensitivity(term: Term) -> Sensitivity:
-    start, amplitude_indices = grid(term)[0]
+    start, amplitude_indices = starting_grid(term)[0]
     return Sensitivity(term, start, amplitude_indices, np.zeros((1, 1, 1)))
 
 
@@ -121,7 +121,7 @@ def test_six_starting_sizes_do_not_make_an_effect_a_limit() -> None:
     term = Term("effort_cogging", 0)
     assert len(term.parameters[0].starts) == 6
     assert sizes_up_to_bound(term.law) == []
-    assert not is_lone_limit(first_sensitivity(term))
+    assert not is_single_amplitude_limit(first_sensitivity(term))
     assert term.dry_level is None
     assert not term.law.nearly_linear
 
@@ -129,7 +129,7 @@ def test_six_starting_sizes_do_not_make_an_effect_a_limit() -> None:
 @pytest.mark.usefixtures("installed")
 def test_a_declared_limit_needs_only_two_starting_sizes() -> None:
     term = Term("ceiling", 0)
-    assert is_lone_limit(first_sensitivity(term))
+    assert is_single_amplitude_limit(first_sensitivity(term))
     sizes = [float(s[0]) for s in sizes_up_to_bound(term.law)]
     assert sizes == pytest.approx([0.2 * 2.0**k for k in range(1, 9)])
     assert max(sizes) <= 99.0

@@ -20,7 +20,7 @@ from pytest_twin.diagnosis.equivalent_sets import (
 )
 from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
 from pytest_twin.diagnosis.evidence import tempered_samples
-from pytest_twin.diagnosis.first_order.sensitivities import grid
+from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
 from pytest_twin.diagnosis.replacement import replace_closest_known
@@ -273,7 +273,7 @@ def test_the_model_error_of_a_position_applies_to_the_effort_of_its_joint() -> N
 def test_the_confidence_of_an_effect_follows_from_the_odds_of_the_sets_without_it() -> None:
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
-    h = EMPTY.with_term(COMMAND_DELAY, grid(COMMAND_DELAY)[0][0])
+    h = EMPTY.with_term(COMMAND_DELAY, starting_grid(COMMAND_DELAY)[0][0])
     (best,) = comparison.rivals([h], comparison.nominal, 0)
     no_alternatives = ComparedSets(best, (), 1.0, 0.0)
     known = SelectedModel(
@@ -290,7 +290,7 @@ def test_an_unlikely_alternative_keeps_its_tempered_evidence() -> None:
     """5,000 nats tempered by 0.002 are 10 nats, although exp(-5000) is zero in floating point."""
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
-    h = EMPTY.with_term(COMMAND_DELAY, grid(COMMAND_DELAY)[0][0])
+    h = EMPTY.with_term(COMMAND_DELAY, starting_grid(COMMAND_DELAY)[0][0])
     (best,) = comparison.rivals([h], comparison.nominal, 0)
     selected = SelectedModel(best, comparison.nominal)
     removed = (COMMAND_DELAY,)
@@ -303,7 +303,7 @@ def test_an_unlikely_alternative_keeps_its_tempered_evidence() -> None:
 def test_evidence_of_the_linearized_motion_alone_does_not_lower_a_confidence() -> None:
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
-    h = EMPTY.with_term(COMMAND_DELAY, grid(COMMAND_DELAY)[0][0])
+    h = EMPTY.with_term(COMMAND_DELAY, starting_grid(COMMAND_DELAY)[0][0])
     (best,) = comparison.rivals([h], comparison.nominal, 0)
     known = SelectedModel(
         best, comparison.nominal, {COMMAND_DELAY: 0.2}, {COMMAND_DELAY: [(DRAG, 0.8)]},

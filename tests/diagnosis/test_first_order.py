@@ -25,21 +25,21 @@ from pytest_twin.diagnosis.first_order.beam_search import (
     candidates,
 )
 from pytest_twin.diagnosis.first_order.bins import bins
-from pytest_twin.diagnosis.first_order.law_forces import LawForces, force_slopes
+from pytest_twin.diagnosis.first_order.law_forces import LawForces, state_force_derivatives
 from pytest_twin.diagnosis.first_order.linearized_dynamics import (
     LinearizedDynamics,
-    linearized_dynamics,
+    linearize_dynamics,
 )
 from pytest_twin.diagnosis.first_order.measured_trajectory import (
     MeasuredTrajectory,
     measured_trajectory,
 )
-from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms, upsampled
+from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms, upsample
 from pytest_twin.diagnosis.first_order.sensitivities import (
-    Linear,
-    grid,
+    Linearization,
     linearize,
     sensitivities,
+    starting_grid,
 )
 from pytest_twin.diagnosis.free_initial_state import free_initial_states
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
@@ -269,14 +269,14 @@ def test_external_forces_that_last_beyond_the_recording_have_one_sensitivity() -
 def test_effects_that_are_evaluated_together_have_the_sensitivities_of_each_alone() -> None:
     problem = problem_of("position", {})
     lag = Term("actuator_lag", ELBOW)
-    linear = Linear(problem, EMPTY.with_term(lag, grid(lag)[0][0]), problem.fit)
+    linear = Linearization(problem, EMPTY.with_term(lag, starting_grid(lag)[0][0]), problem.fit)
     names = ("viscous_friction", "coulomb_friction", "backlash", "rate_limit", "controller_gain")
     groups = [[Term(n, SHOULDER), Term(n, ELBOW)] for n in (*names, "encoder_bias")]
     together = {
         (r.term, r.start.tobytes()): r.change
         for r in linear.sensitivities([t for group in groups for t in group])
     }
-    alone = [r for group in groups for r in linear.at_sizes(group, grid(group[0]))]
+    alone = [r for group in groups for r in linear.at_sizes(group, starting_grid(group[0]))]
     assert len(alone) == len(together) > 40
     for r in alone:
         found = together[r.term, r.start.tobytes()]
@@ -310,9 +310,9 @@ def test_the_hidden_effect_ranks_first_and_starts_near_its_true_value(
     equations = normal_equations(problem)
     level = np.sqrt(np.mean(equations.view.residual**2, axis=0)) / equations.view.floor
     assert level.max() > 10.0, "the effect must be far above the noise floor"
-    children = [equations.structure(chosen) for chosen in equations.children(equations.bare, 12)]
+    children = [equations.structure(chosen) for chosen in equations.children(equations.base, 12)]
     ahead: list[Term] = []
-    for structure in equations.compared(equations.bare, children):
+    for structure in equations.rank(equations.base, children):
         ((found, start),) = structure.starts.items()
         if found == term:
             assert_near(problem, term, start, hidden)
@@ -334,7 +334,7 @@ def test_an_external_force_starts_at_the_closest_times_of_the_grid() -> None:
     mode, _, values = next(a for a in ALONE if a[1] == term)
     problem = problem_of(mode, {term: values})
     equations = normal_equations(problem)
-    first = equations.structure(equations.children(equations.bare, 1)[0])
+    first = equations.structure(equations.children(equations.base, 1)[0])
     for p, found in zip(term.parameters, first.starts[term], strict=True):
         if p.neutral is None:
             truth = values[p.name] / problem.scales.value(p, term.joint)
@@ -347,8 +347,8 @@ def test_position_dependent_friction_is_found_with_its_wavenumber(harmonic: floa
     term = Term("position_dependent_friction", SHOULDER)
     hidden = {term: {"mean": 0.5, "sine": 0.2, "cosine": 0.3, "harmonic": harmonic}}
     equations = normal_equations(problem_of("position", hidden))
-    children = [equations.structure(chosen) for chosen in equations.children(equations.bare, 12)]
-    ((first, start),) = equations.compared(equations.bare, children)[0].starts.items()
+    children = [equations.structure(chosen) for chosen in equations.children(equations.base, 12)]
+    ((first, start),) = equations.rank(equations.base, children)[0].starts.items()
     assert first == term
     assert start[3] == harmonic
 
@@ -376,19 +376,19 @@ def test_two_effects_are_found_together(mode: str, hidden: dict[Term, dict[str, 
     problem = problem_of(mode, hidden)
     equations = normal_equations(problem)
 
-    def worth(before: FloatArray, after: FloatArray) -> bool:
+    def is_accepted(before: FloatArray, after: FloatArray) -> bool:
         return bool((after < 0.9 * before).any())
 
-    levels = BeamSearch(width=6, most=2, earns=5.0, worth=worth).levels(equations)
+    levels = BeamSearch(width=6, most=2, earns=5.0, is_accepted=is_accepted).levels(equations)
     pairs = [s for level in levels for s in level if len(s.starts) == 2]
     at = next(i for i, s in enumerate(pairs) if set(s.starts) == set(hidden))
     allowed = {*hidden, *(held for t in hidden for held in generalizations_of(problem, t))}
     assert all(set(s.starts) <= allowed for s in pairs[:at])
     for term, start in pairs[at].starts.items():
         assert_near(problem, term, start, hidden)
-    ones: list[Structure] = [equations.structure(c) for c in equations.children(equations.bare, 6)]
-    best = equations.compared(equations.bare, ones)[0]
-    assert equations.compared(best, [pairs[at]])[0].evidence > 20.0
+    ones: list[Structure] = [equations.structure(c) for c in equations.children(equations.base, 6)]
+    best = equations.rank(equations.base, ones)[0]
+    assert equations.rank(best, [pairs[at]])[0].evidence > 20.0
 
 
 # -- linearized equation of motion
@@ -423,8 +423,8 @@ def slide(limit: float, push: float) -> tuple[MeasuredTrajectory, LinearizedDyna
     rigid = rigid_terms(simulator, motion)[0]
     measured = LawForces(simulator, motion, rigid).forces([], 1)
     predicted = LawForces(simulator, motion.predicted, rigid).forces([], 1)
-    slopes = force_slopes(simulator, motion, rigid, [])
-    return motion, linearized_dynamics(simulator, motion, [], measured, predicted, slopes)
+    slopes = state_force_derivatives(simulator, motion, rigid, [])
+    return motion, linearize_dynamics(simulator, motion, [], measured, predicted, slopes)
 
 
 def closed_form(time: FloatArray, force: float) -> tuple[FloatArray, FloatArray]:
@@ -500,7 +500,7 @@ def test_slopes_of_forces_equal_their_derivatives() -> None:
     effects = [
         (t.law, {n: np.full((1, 1), v) for n, v in values.items()}) for t, values in shape.items()
     ]
-    stiffness, damping = force_slopes(problem.simulator, motion, rigid, effects)
+    stiffness, damping = state_force_derivatives(problem.simulator, motion, rigid, effects)
     position, velocity = motion.midway
     wave = 5.0 * (0.2 * np.cos(5.0 * position) - 0.1 * np.sin(5.0 * position))
     # At rest, dry friction compensates for changes of the force.
@@ -519,7 +519,7 @@ def test_upsampled_values_are_linear_between_their_points(at: list[int], seed: i
     points = np.array([0, *sorted(at)])
     values = np.random.default_rng(seed).standard_normal((2, len(points), 3, 2))
     samples = int(points[-1]) + 1
-    found = upsampled(values, points, samples)
+    found = upsample(values, points, samples)
     assert found.shape == (2, samples, 3, 2)
     for s, j, k in np.ndindex(2, 3, 2):
         expected = np.interp(np.arange(samples), points, values[s, :, j, k])

@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.first_order.harmonic_search import (
     search_harmonics,
     wavenumbers_to_search,
 )
-from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity, linearize
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization, Sensitivity, linearize
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 
 COGGING = Term("cogging", ELBOW)
@@ -87,6 +87,6 @@ def test_waves_that_do_not_change_the_prediction_are_no_candidates(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As at a joint that hardly moves: no wave over its position changes the prediction."""
-    monkeypatch.setattr(Linear, "at_sizes", lambda self, terms, sizes: [])
+    monkeypatch.setattr(Linearization, "at_sizes", lambda self, terms, sizes: [])
     found, _ = _searched({COGGING: {"sine": 0.3, "cosine": 0.1, "harmonic": 33.0}})
     assert not found

@@ -13,7 +13,7 @@ import pytest
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.effect_selection import EffectSelection
-from pytest_twin.diagnosis.first_order.sensitivities import grid
+from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.integrator_detection import as_simulated_before, detect_integrator
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -183,12 +183,12 @@ def test_a_simulation_is_not_searched_for_if_the_findings_contain_an_elastic_tra
     prepared, trials = build_problem(given, trials, [])
     selection = EffectSelection(prepared.problem)
     comparison = selection.comparison
-    damped = comparison.score_without_fit(EMPTY.with_term(DAMPING, grid(DAMPING)[0][0]))
+    damped = comparison.score_without_fit(EMPTY.with_term(DAMPING, starting_grid(DAMPING)[0][0]))
     selected = SelectedModel(comparison.fit_to_convergence(damped), comparison.nominal)
     found = conclude(prepared, trials, selection.diagnosis_run, selected)
     assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
     assert detect_integrator(found, given) == replace(given, substeps=1)
     best = found.selected.best
-    geared = best.hypothesis.with_term(BACKLASH, grid(BACKLASH)[0][0])
+    geared = best.hypothesis.with_term(BACKLASH, starting_grid(BACKLASH)[0][0])
     found.selected.best = replace(best, fitted=replace(best.fitted, hypothesis=geared))
     assert detect_integrator(found, given) is None

@@ -11,7 +11,7 @@ from test_first_order import ELBOW, problem_of
 
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.law_forces import LawForces
-from pytest_twin.diagnosis.first_order.sensitivities import Linear, linearize
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization, linearize
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 
@@ -28,7 +28,7 @@ def found(problem: Problem) -> Hypothesis:
     return single_effect(problem, DRAG, {"coefficient": 0.2})
 
 
-def linearized(problem: Problem, hypothesis: Hypothesis) -> Linear:
+def linearized(problem: Problem, hypothesis: Hypothesis) -> Linearization:
     linear = linearize(problem, problem.fit, hypothesis)
     assert linear is not None
     return linear

@@ -12,8 +12,8 @@ from test_first_order import ELBOW, ROBOT, SHOULDER, FloatArray, problem_of
 from pytest_twin.diagnosis.first_order import rigid_terms as rigid_terms_module
 from pytest_twin.diagnosis.first_order.law_forces import ActiveEffects, LawForces
 from pytest_twin.diagnosis.first_order.measured_trajectory import measured_trajectory
-from pytest_twin.diagnosis.first_order.rigid_terms import Efforts, Rigid, rigid_terms
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.rigid_terms import InverseDynamics, RigidTerms, rigid_terms
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
@@ -122,10 +122,10 @@ def test_efforts_of_changed_bodies_equal_the_sum_of_precomputed_parts(
     ]  # fmt: skip
     motion, simulator = measured_trajectory(problem, EMPTY, problem.fit), problem.simulator
     whole = [rigid_terms(simulator, motion, values(problem, [v]))[0].effort for v in variants]
-    efforts = Efforts(simulator, motion)
+    efforts = InverseDynamics(simulator, motion)
     computed: list[int] = []
 
-    def counted(*args: Any) -> list[Rigid]:
+    def counted(*args: Any) -> list[RigidTerms]:
         computed.append(args[3])
         return rigid_terms(*args)
 
@@ -152,7 +152,7 @@ def test_efforts_of_changed_bodies_equal_the_sum_of_precomputed_parts(
 def test_motor_effects_are_counted_once_in_combination_with_a_payload(
     problem: Problem, other: Variant
 ) -> None:
-    linear = Linear(problem, EMPTY, problem.fit)
+    linear = Linearization(problem, EMPTY, problem.fit)
 
     def read(variant: Variant) -> FloatArray:
         h = EMPTY

@@ -39,10 +39,10 @@ def test_a_limit_between_two_starting_sizes_is_refined_to_its_own_size() -> None
     (mine,) = [r for r in refined if r.term == Term("rate_limit", ELBOW)]
     scale = problem.scales.value(mine.term.parameters[0], ELBOW)
     assert mine.start[0] * scale == pytest.approx(hidden, rel=0.02)
-    grid = CandidateSensitivities([r for r in found if r.term == mine.term])
+    starting_grid = CandidateSensitivities([r for r in found if r.term == mine.term])
     best = min(
-        float(np.mean(NormalEquations(view, grid).structure((i,)).residual[:, ELBOW] ** 2))
-        for i in range(len(grid.responses))
+        float(np.mean(NormalEquations(view, starting_grid).structure((i,)).residual[:, ELBOW] ** 2))
+        for i in range(len(starting_grid.responses))
     )
     own = float(np.mean((left - mine.change[..., 0])[:, ELBOW] ** 2))
     assert own < 0.2 * best

@@ -48,7 +48,9 @@ def test_a_force_at_one_joint_equals_a_force_vector_that_is_zero_at_the_other_jo
     everywhere[:, :, joint, range(COLUMNS)] = force
     initial = RNG.standard_normal((SEGMENTS, 2 * JOINTS, COLUMNS))
     dynamics = LinearizedDynamics(step, push, none, none)
-    single = np.concatenate(list(dynamics.of_joints(force, joint, initial))).swapaxes(0, 1)
+    single = np.concatenate(list(dynamics.propagate_joint_forces(force, joint, initial))).swapaxes(
+        0, 1
+    )
     full = dynamics.trajectory(everywhere, initial)
     assert single.shape[1] == SAMPLES
     assert single == pytest.approx(full, rel=1e-12)

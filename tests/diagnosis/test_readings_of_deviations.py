@@ -10,12 +10,12 @@ import pytest
 from test_first_order import problem_of
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
-from pytest_twin.diagnosis.first_order.sensor_readings import Column
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
+from pytest_twin.diagnosis.first_order.sensor_readings import ReadingChange
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.problem import Problem
 
-Makes = Sequence[Callable[[Linear, int], list[Column]]]
+Makes = Sequence[Callable[[Linearization, int], list[ReadingChange]]]
 RNG = np.random.default_rng(3)
 
 
@@ -28,7 +28,7 @@ def with_efforts(problem: Problem) -> Problem:
     return replace(problem, effort_floor=np.full(joints, 0.01), effort_weights=weights)
 
 
-def random_columns(linear: Linear, signals: int) -> list[Column]:
+def random_columns(linear: Linearization, signals: int) -> list[ReadingChange]:
     """Columns of every kind; two of them share their direct readings."""
     segments, samples, joints = linear.trajectory.position.shape
     stamps = int(linear.bins.counts.sum())
@@ -36,16 +36,16 @@ def random_columns(linear: Linear, signals: int) -> list[Column]:
     start = RNG.standard_normal((segments, 2 * joints))
     direct = RNG.standard_normal((stamps, signals))
     return [
-        Column(force=moving[0], drive=moving[1]),
-        Column(direct=direct),
-        Column(force=moving[2], initial=start, direct=direct),
-        Column(drive=moving[3]),
-        Column(initial=start),
-        Column(),
+        ReadingChange(force=moving[0], drive=moving[1]),
+        ReadingChange(direct=direct),
+        ReadingChange(force=moving[2], initial=start, direct=direct),
+        ReadingChange(drive=moving[3]),
+        ReadingChange(initial=start),
+        ReadingChange(),
     ]
 
 
-def random_columns_of_one_joint(linear: Linear, signals: int) -> list[Column]:
+def random_columns_of_one_joint(linear: Linearization, signals: int) -> list[ReadingChange]:
     """The same columns with forces at one joint each."""
     out = []
     for k, column in enumerate(random_columns(linear, signals)):
@@ -58,9 +58,9 @@ def random_columns_of_one_joint(linear: Linear, signals: int) -> list[Column]:
     return out
 
 
-def readings_at_each_stamp(linear: Linear, column: Column) -> FloatArray:
+def readings_at_each_stamp(linear: Linearization, column: ReadingChange) -> FloatArray:
     """(bins, signals) readings, from the deviations interpolated at each stamp."""
-    problem, trajectory, deviation = linear.problem, linear.trajectory, linear.deviation
+    problem, trajectory, deviation = linear.problem, linear.trajectory, linear.dynamics
     segments, samples, joints = trajectory.position.shape
 
     def everywhere(values: FloatArray | None) -> FloatArray:
@@ -107,10 +107,10 @@ def test_sensor_readings_equal_those_of_each_stamp(mode: str, measured: bool, ma
     problem = problem_of(mode, {})
     if measured:
         problem = with_efforts(problem)
-    linear = Linear(problem, EMPTY, problem.fit)
+    linear = Linearization(problem, EMPTY, problem.fit)
     assert bool(linear.starts) is (mode == "effort")
     columns = [c for each in make for c in each(linear, len(problem.signal_floor))]
-    for column, found in zip(columns, linear.readings.of(columns), strict=True):
+    for column, found in zip(columns, linear.readings.bin_means(columns), strict=True):
         expected = readings_at_each_stamp(linear, column)
         assert found.shape == expected.shape
         assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())

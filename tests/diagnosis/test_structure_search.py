@@ -15,7 +15,7 @@ from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.beam_search import CandidateSensitivities
-from pytest_twin.diagnosis.first_order.sensitivities import grid
+from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
@@ -155,7 +155,7 @@ def test_without_time_for_exchanges_elastic_transmissions_are_no_alternatives(
 
     def with_gear(best: ScoredModel, *more: Any) -> list[TermExchange]:
         rigid = find_exchanges(best, *more)
-        (start, _), *_ = grid(gear)
+        (start, _), *_ = starting_grid(gear)
         elastic = EMPTY.with_term(gear, start)
         return [*rigid, TermExchange((friction,), gear, elastic, 500.0, is_doubtful=False)]
 

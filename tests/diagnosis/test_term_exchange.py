@@ -9,7 +9,7 @@ import pytest
 from test_elastic_transmissions import scored_model, single_effect
 from test_first_order import ELBOW, ROBOT, SHOULDER, carried, problem_of
 
-from pytest_twin.diagnosis.first_order.sensitivities import grid
+from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.refusal import refused
@@ -52,7 +52,7 @@ def converged(comparison: ModelComparison, *terms: Term) -> ScoredModel:
     """A model of these terms, fitted from their first starting sizes until convergence."""
     start = EMPTY
     for t in terms:
-        start = start.with_term(t, grid(t)[0][0])
+        start = start.with_term(t, starting_grid(t)[0][0])
     return comparison.fit_to_convergence(comparison.rivals([start], comparison.nominal, FAIR)[0])
 
 
@@ -346,7 +346,7 @@ def test_only_alternatives_that_lose_little_evidence_are_simulated(
 
 
 def at_starts(*terms: Term) -> Hypothesis:
-    return EMPTY.with_terms({t: grid(t)[0][0] for t in terms})
+    return EMPTY.with_terms({t: starting_grid(t)[0][0] for t in terms})
 
 
 def chance_gain_of(

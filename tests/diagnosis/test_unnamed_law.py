@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from one_joint_plant import JOINT, STEP, Hidden, record
 
 from pytest_twin.diagnosis.findings import Explained
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -36,9 +36,9 @@ from pytest_twin.diagnosis.search_result import (
     residuals_everywhere,
 )
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
-from pytest_twin.diagnosis.unnamed_law import simulated
-from pytest_twin.diagnosis.unnamed_law.confirmation import confirmed_on_test, laws_of_residual
-from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, free_laws
+from pytest_twin.diagnosis.unnamed_law import table_fit
+from pytest_twin.diagnosis.unnamed_law.confirmation import confirm_on_test, fit_laws_to_residual
+from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, fit_free_laws
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects.segment import Predicted
 from pytest_twin.effects.unnamed_law import KNOTS, POSITION, UnnamedLaw
@@ -113,7 +113,7 @@ def fitted_laws(folder: Path, hidden: Hidden) -> FreeLaws:
     """Laws fitted to the fit recordings, without a preceding search."""
     near, _ = prepared_case(folder, hidden, 0.5)
     with np.errstate(over="ignore", invalid="ignore"):
-        return free_laws(near, EMPTY, {JOINT: TimeAndRegime("", {})}, near.problem.fit)
+        return fit_free_laws(near, EMPTY, {JOINT: TimeAndRegime("", {})}, near.problem.fit)
 
 
 def removed(folder: Path, hidden: Hidden, laws: FreeLaws) -> float:
@@ -162,13 +162,15 @@ def test_no_law_is_found_if_the_linearized_motion_diverges(
 ) -> None:
     """As in windows under effort commands with finite simulations and infinite gradients."""
 
-    class Diverging(Linear):
+    class Diverging(Linearization):
         def __init__(self, *args: Any) -> None:
             super().__init__(*args)
-            finite = self.readings.of
-            self.readings.of = lambda columns: [np.full_like(x, np.inf) for x in finite(columns)]
+            finite = self.readings.bin_means
+            self.readings.bin_means = lambda columns: [
+                np.full_like(x, np.inf) for x in finite(columns)
+            ]
 
-    monkeypatch.setattr(simulated, "Linear", Diverging)
+    monkeypatch.setattr(table_fit, "Linearization", Diverging)
     assert not fitted_laws(tmp_path, notch).laws
 
 
@@ -211,11 +213,11 @@ def test_a_law_is_tested_on_held_out_recordings_then_written_and_replayed(tmp_pa
     given = ModelSetup.of(realization, None, 1)
     fit_only = replace(trials, held_out=())
     fitted, kept = build_problem(given, fit_only, [], scales=whole.problem.scales)
-    laws = laws_of_residual(given, search_without_findings(fitted, kept), None)
-    tested = confirmed_on_test(laws, fitted.problem, search_without_findings(whole, trials))
+    laws = fit_laws_to_residual(given, search_without_findings(fitted, kept), None)
+    tested = confirm_on_test(laws, fitted.problem, search_without_findings(whole, trials))
     ((law, gain),) = tested.laws
     assert gain > 0.9
-    early = confirmed_on_test(
+    early = confirm_on_test(
         laws, fitted.problem, search_without_findings(whole, trials), searched_all=False
     )
     assert [law.confidence for law, _ in early.laws] == [0.5]

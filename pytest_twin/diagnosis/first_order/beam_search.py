@@ -27,7 +27,7 @@ from pytest_twin.realization.executor import Forks
 _RIDGE = 1e-8
 """Fraction of the normalized diagonal that is added to it, so that dependent effects can be
 solved."""
-_SWAPS = 4
+_MAX_EXCHANGES = 4
 """Largest number of consecutive exchanges of terms."""
 
 
@@ -76,7 +76,7 @@ class ResidualView:
         mean_square: FloatArray = np.mean(self.residual**2, axis=0)
         return mean_square
 
-    def above(self, mean_square: FloatArray, floors: float) -> NDArray[np.bool_]:
+    def is_above(self, mean_square: FloatArray, floors: float) -> NDArray[np.bool_]:
         """(signals,) whether the square root of a mean square exceeds ``floors`` noise floors."""
         return np.asarray(mean_square > (floors * self.floor) ** 2)
 
@@ -89,7 +89,9 @@ class ResidualView:
 
         return effective_samples(np.nan_to_num(min(residuals, key=misfit)), self.lengths)
 
-    def worth(self, residual: FloatArray, effective: FloatArray, parameters: int) -> float:
+    def penalized_likelihood(
+        self, residual: FloatArray, effective: FloatArray, parameters: int
+    ) -> float:
         """Log-likelihood of a (bins, signals) residual minus the penalty of its parameters."""
         return (
             log_likelihood(residual, self.floor, effective)
@@ -200,7 +202,7 @@ class CandidateSensitivities:
         """Indices of the columns of several sensitivities, in their order."""
         return [c for i in chosen for c in range(self.at[i].start, self.at[i].stop)]
 
-    def with_columns(self, other: FloatArray) -> FloatArray:
+    def inner_products(self, other: FloatArray) -> FloatArray:
         """(signals, columns, k) inner products with other columns, (bins, signals, k)."""
         moved = np.ascontiguousarray(np.moveaxis(other, 0, 1), dtype=np.float32)
         if not self.responses:
@@ -209,10 +211,10 @@ class CandidateSensitivities:
 
     def products(self, response: int) -> FloatArray:
         """(signals, columns, amplitudes) inner products of all columns with those of a response."""
-        self.take_products([response])
+        self.compute_products([response])
         return self._products[response]
 
-    def take_products(self, responses: Iterable[int]) -> None:
+    def compute_products(self, responses: Iterable[int]) -> None:
         """Compute and keep inner products with the columns of several responses.
 
         Together they take one fifth of the time that they take one by one.
@@ -245,13 +247,13 @@ class NormalEquations:
         self.own = jacobian.swapaxes(-1, -2) @ jacobian
         self.own_residual = np.einsum("sbp,bs->sp", jacobian, view.residual)
         self.squared = np.einsum("bs,bs->s", view.residual, view.residual)
-        self.with_own = candidate_sensitivities.with_columns(view.jacobian)
-        self.with_residual = candidate_sensitivities.with_columns(view.residual[:, :, None])[
+        self.with_own = candidate_sensitivities.inner_products(view.jacobian)
+        self.with_residual = candidate_sensitivities.inner_products(view.residual[:, :, None])[
             :, :, 0
         ]
 
     @property
-    def bare(self) -> Structure:
+    def base(self) -> Structure:
         """The structure without new terms: only the present parameters are refitted."""
         return self.structure(())
 
@@ -285,7 +287,7 @@ class NormalEquations:
         columns = candidate_sensitivities.columns_of(chosen)
         lower = np.concatenate([np.full(p, -np.inf), candidate_sensitivities.lower[columns]])
         upper = np.concatenate([np.full(p, np.inf), candidate_sensitivities.upper[columns]])
-        x = self._solved(normal[:, None], right[:, None], lower[None], upper[None])[0][0]
+        x = self._solve(normal[:, None], right[:, None], lower[None], upper[None])[0][0]
         residual = self.view.residual - self.view.jacobian @ x[:p]
         starts: dict[Term, FloatArray] = {}
         at = p
@@ -299,7 +301,7 @@ class NormalEquations:
             starts[r.term] = start
         return Structure(starts, residual, 0.0, chosen)
 
-    def _solved(
+    def _solve(
         self, normal: FloatArray, right: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Amplitudes (k, p) and mean squared residuals (k, signals) of k problems.
@@ -339,7 +341,7 @@ class NormalEquations:
         return x, mean_square
 
     def children(
-        self, parent: Structure, count: int, barred: Collection[Term] = ()
+        self, parent: Structure, count: int, excluded: Collection[Term] = ()
     ) -> list[tuple[int, ...]]:
         """The ``count`` best structures with one more term, at most one for each term.
 
@@ -349,7 +351,7 @@ class NormalEquations:
         Args:
             parent: the structure that gets one more term.
             count: largest number of structures.
-            barred: terms that are not added.
+            excluded: terms that are not added.
         """
         candidate_sensitivities, floor = self.candidate_sensitivities, self.view.floor
         base, base_right = self._normal(parent.chosen)
@@ -379,9 +381,9 @@ class NormalEquations:
             upper = np.concatenate(
                 [np.full((k, p), np.inf), candidate_sensitivities.upper[group.columns]], axis=1
             )
-            _, mean_square = self._solved(normal, right, lower, upper)
+            _, mean_square = self._solve(normal, right, lower, upper)
             misfit[group.which] = np.log(np.maximum(mean_square, floor**2))
-        excluded = {*parent.starts, *barred}
+        excluded = {*parent.starts, *excluded}
         new = np.array(
             [r.term not in excluded for r in candidate_sensitivities.responses], dtype=bool
         )
@@ -401,20 +403,20 @@ class NormalEquations:
         ranked = sorted(best.values(), key=lambda x: -x[0])[:count]
         return [(*parent.chosen, i) for _, i in ranked]
 
-    def compared(self, parent: Structure, children: list[Structure]) -> list[Structure]:
+    def rank(self, parent: Structure, children: list[Structure]) -> list[Structure]:
         """Children, the largest evidence over ``parent`` first; sets their ``evidence``.
 
         The evidence uses the effective samples of the best child.
         """
         effective = self.view.effective_of_best([c.residual for c in children])
 
-        def worth(s: Structure) -> float:
+        def penalized(s: Structure) -> float:
             penalty = self.candidate_sensitivities.penalty_per_effect * len(s.starts)
-            return self.view.worth(s.residual, effective, s.parameters) - penalty
+            return self.view.penalized_likelihood(s.residual, effective, s.parameters) - penalty
 
-        base = worth(parent)
+        of_parent = penalized(parent)
         for c in children:
-            c.evidence = worth(c) - base
+            c.evidence = penalized(c) - of_parent
         return sorted(children, key=lambda c: -c.evidence)
 
 
@@ -426,35 +428,36 @@ class BeamSearch:
         width: number of structures that are kept at each size.
         most: largest number of terms.
         earns: evidence that a larger or an exchanged structure must gain.
-        worth: (mean squares before, after), both (signals,) -> whether one more effect is accepted.
+        is_accepted: (mean squares before, after), both (signals,) -> whether one more effect is
+            accepted.
         cores: number of processes.
-        barred: terms that are not added.
+        excluded: terms that are not added.
     """
 
     width: int
     most: int
     earns: float
-    worth: Callable[[FloatArray, FloatArray], bool]
+    is_accepted: Callable[[FloatArray, FloatArray], bool]
     cores: int = 1
-    barred: Collection[Term] = ()
+    excluded: Collection[Term] = ()
     _seen: dict[frozenset[int], Structure] = field(default_factory=dict)
 
     def levels(self, equations: NormalEquations) -> list[list[Structure]]:
         """Structures with one, two, ... terms that explain a residual, the best of a size first."""
-        level = [equations.bare]
+        level = [equations.base]
         found: list[list[Structure]] = []
         for _ in range(self.most):
-            grown = self._grown(equations, level, 2 * self.width)
+            grown = self._grow(equations, level, 2 * self.width)
             if not grown:
                 break
-            children = equations.compared(level[0], grown)
+            children = equations.rank(level[0], grown)
             before = np.mean(level[0].residual ** 2, axis=0)
             # One accepted structure is enough to continue with all: a pair can be accepted although
             # neither of its effects is.
             passing = [
                 c for c in children
                 if c.evidence >= self.earns
-                and self.worth(before, np.mean(c.residual**2, axis=0))
+                and self.is_accepted(before, np.mean(c.residual**2, axis=0))
             ]  # fmt: skip
             if not passing:
                 break
@@ -463,13 +466,13 @@ class BeamSearch:
         if not found:
             return []
         for size in found:
-            self._swap(equations, size[0])
+            self._exchange_terms(equations, size[0])
         sizes: dict[int, list[Structure]] = {}
         for structure in self._seen.values():
             sizes.setdefault(len(structure.chosen), []).append(structure)
-        return [equations.compared(equations.bare, sizes[n])[: self.width] for n in sorted(sizes)]
+        return [equations.rank(equations.base, sizes[n])[: self.width] for n in sorted(sizes)]
 
-    def _grown(
+    def _grow(
         self, equations: NormalEquations, level: Sequence[Structure], count: int
     ) -> list[Structure]:
         """Structures of ``level`` with one more term; ``count`` for each of them.
@@ -479,32 +482,32 @@ class BeamSearch:
         """
         check()
         parents = [s for s in level if len(s.chosen) < self.most]
-        equations.candidate_sensitivities.take_products(i for s in parents for i in s.chosen)
+        equations.candidate_sensitivities.compute_products(i for s in parents for i in s.chosen)
         children = Forks(self.cores).map(
-            partial(equations.children, count=count, barred=self.barred), parents
+            partial(equations.children, count=count, excluded=self.excluded), parents
         )
         wanted = {frozenset(c): c for each in children for c in each}
         new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
-        equations.candidate_sensitivities.take_products(
+        equations.candidate_sensitivities.compute_products(
             i for chosen in new.values() for i in chosen
         )
         self._seen |= {key: equations.structure(chosen) for key, chosen in new.items()}
         return [self._seen[key] for key in wanted]
 
-    def _swap(self, equations: NormalEquations, best: Structure) -> None:
+    def _exchange_terms(self, equations: NormalEquations, best: Structure) -> None:
         """Exchange terms of a structure for one or two others, as long as the evidence improves."""
-        for _ in range(_SWAPS):
+        for _ in range(_MAX_EXCHANGES):
             pool: list[Structure] = []
             for i in best.chosen:
                 without = equations.structure(tuple(c for c in best.chosen if c != i))
-                ones = self._grown(equations, [without], self.width)
+                ones = self._grow(equations, [without], self.width)
                 pool += ones
                 if len(best.chosen) < self.most:
-                    pool += self._grown(equations, ones, 3)
+                    pool += self._grow(equations, ones, 3)
             pool = [s for s in pool if set(s.chosen) != set(best.chosen)]
             if not pool:
                 break
-            top = equations.compared(best, pool)[0]
+            top = equations.rank(best, pool)[0]
             if top.evidence < self.earns:
                 break
             best = top

@@ -20,7 +20,7 @@ from pytest_twin.diagnosis.first_order.beam_search import (
     NormalEquations,
     ResidualView,
 )
-from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization, Sensitivity
 from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.verdict_settings import VERDICT
@@ -31,7 +31,7 @@ _AT_ONCE = 32
 
 
 def search_harmonics(
-    linear: Linear, view: ResidualView, terms: Sequence[Term]
+    linear: Linearization, view: ResidualView, terms: Sequence[Term]
 ) -> list[Sensitivity]:
     """Sensitivities to waves between and beyond those of the grid, the best of each candidate.
 
@@ -53,7 +53,7 @@ def search_harmonics(
             continue
         largest = min(term.parameters[wave].upper, 1.0 / _prediction_error(linear, worst))
         wavenumbers = wavenumbers_to_search(term.parameters[wave], spacing, largest)
-        best = _best_of(linear, view, term, wave, wavenumbers)
+        best = _best_wave(linear, view, term, wave, wavenumbers)
         out += [] if best is None else [best]
     return out
 
@@ -64,13 +64,13 @@ def _wavenumber(term: Term) -> int | None:
     return next(which, None)
 
 
-def _travel(linear: Linear, joint: int) -> float:
+def _travel(linear: Linearization, joint: int) -> float:
     """Range of the positions of a joint, rad or m."""
     q = linear.trajectory.position[..., joint]
     return float(q.max() - q.min())
 
 
-def _prediction_error(linear: Linear, joint: int) -> float:
+def _prediction_error(linear: Linearization, joint: int) -> float:
     """RMS prediction error of a joint, rad or m; at least 1e-9."""
     trajectory = linear.trajectory
     error = trajectory.position[..., joint] - trajectory.predicted_position[..., joint]
@@ -90,8 +90,8 @@ def wavenumbers_to_search(parameter: Parameter, spacing: float, largest: float) 
     return kept
 
 
-def _best_of(
-    linear: Linear, view: ResidualView, term: Term, wave: int, wavenumbers: FloatArray
+def _best_wave(
+    linear: Linearization, view: ResidualView, term: Term, wave: int, wavenumbers: FloatArray
 ) -> Sensitivity | None:
     """The sensitivity of a term at the wavenumber that alone reduces the residual most."""
     size = np.array([p.starts[0] for p in term.parameters])
@@ -106,6 +106,6 @@ def _best_of(
         candidate_sensitivities = CandidateSensitivities(found)
         equations = NormalEquations(view, candidate_sensitivities)
         best = [
-            candidate_sensitivities.responses[i] for (i,) in equations.children(equations.bare, 1)
+            candidate_sensitivities.responses[i] for (i,) in equations.children(equations.base, 1)
         ]
     return best[0] if best else None

@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
-from pytest_twin.diagnosis.first_order.rigid_terms import Rigid, upsampled
+from pytest_twin.diagnosis.first_order.rigid_terms import RigidTerms, upsample
 from pytest_twin.effects.active_effects import ActiveEffects, acts_at, hooks_between_steps
 from pytest_twin.effects.base import ModelFields, World, find_elastic_joints
 from pytest_twin.effects.batch_models import ROW_ATTRIBUTES
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.memory_warmup import run_hooks
 
-_TIP = 1e-4
+_POSITION_STEP = 1e-4
 """Step of position in rad or m for the finite differences of forces."""
 # Largest number of elements of one array. If all samples are evaluated at once, an array must fit
 # into a core's cache. Step by step each call has a fixed cost, so only memory limits it.
-_IN_CACHE, _MOST_NUMBERS = 100_000, 2_000_000
+_IN_CACHE, _MAX_NUMBERS = 100_000, 2_000_000
 _BLOCK = 64
 """Number of steps that are evaluated together, so that they fit into a core's cache."""
 _PER_ROW = (
@@ -106,7 +106,7 @@ class _Lanes:
 
     def parts(self, samples: int, pace: int) -> Iterator[_Lanes]:
         """Lanes divided into the parts that are evaluated together."""
-        most = _IN_CACHE if pace == _AT_ONCE else _MOST_NUMBERS
+        most = _IN_CACHE if pace == _AT_ONCE else _MAX_NUMBERS
         per = max(1, most // (samples * self.joint.shape[1]))
         for first in range(0, len(self.copy), per):
             some = slice(first, first + per)
@@ -114,7 +114,7 @@ class _Lanes:
 
 
 @dataclass(slots=True)
-class _Joint:
+class _PassiveJoint:
     """Passive properties of the joints of lanes, (lanes, columns), SI units."""
 
     damping: FloatArray
@@ -124,7 +124,7 @@ class _Joint:
     spring: FloatArray
     model_spring: FloatArray
     rest: FloatArray
-    soft: NDArray[np.bool_]
+    is_elastic: NDArray[np.bool_]
 
 
 class _Efforts(NamedTuple):
@@ -145,16 +145,16 @@ class LawForces:
     """
 
     def __init__(
-        self, simulator: BatchSimulator, trajectory: MeasuredTrajectory, rigid: Rigid
+        self, simulator: BatchSimulator, trajectory: MeasuredTrajectory, rigid: RigidTerms
     ) -> None:
         self.simulator = simulator
         self.trajectory = trajectory
         samples = trajectory.position.shape[1]
-        self.load = upsampled(rigid.bias, rigid.at, samples)
-        self.required = upsampled(rigid.effort, rigid.at, samples)
-        self._held: dict[int, FloatArray] = {}
+        self.load = upsample(rigid.bias, rigid.at, samples)
+        self.required = upsample(rigid.effort, rigid.at, samples)
+        self._mean_commands: dict[int, FloatArray] = {}
         self._at_start = simulator.models.world(trajectory.segments)
-        self._rest_weight, self._direction = _slipping(
+        self._rest_weight, self._direction = _slip_state(
             trajectory.velocity, trajectory.slip_velocity
         )
 
@@ -168,7 +168,9 @@ class LawForces:
         segments, samples, joints = self.trajectory.position.shape
         out = Forces(*(np.zeros((copies, segments, samples, joints)) for _ in fields(Forces)))
         everything = np.ones((copies, joints), dtype=bool)
-        for lanes, found in self._found(effects, _pace(effects, (copies, joints)), everything):
+        for lanes, found in self._evaluate_groups(
+            effects, _pace(effects, (copies, joints)), everything
+        ):
             at = (lanes.copy[:, None], lanes.segment[:, None], slice(None), lanes.joint)
             for field in fields(Forces):
                 getattr(out, field.name)[at] = np.moveaxis(getattr(found, field.name), 1, 2)
@@ -194,14 +196,14 @@ class LawForces:
         # Base and variant must be sampled in the same way, also if the variant lacks a law with
         # memory.
         pace = np.maximum(_pace(effects, shape), _pace(own, (1, joints)))
-        for lanes, found in self._found(effects, pace, _unlike(effects, own, shape)):
+        for lanes, found in self._evaluate_groups(effects, pace, _differs(effects, own, shape)):
             here = (lanes.segment[:, None], slice(None), lanes.joint)
             at = (lanes.copy[:, None], *here)
             total[at] = np.moveaxis(found.total, 1, 2) - base.total[0][here]
             drive[at] = np.moveaxis(found.drive, 1, 2) - base.drive[0][here]
         return total, drive
 
-    def _found(
+    def _evaluate_groups(
         self, effects: ActiveEffects, pace: NDArray[np.int64], which: NDArray[np.bool_]
     ) -> Iterator[tuple[_Lanes, Forces]]:
         """Forces of the (copies, joints) joints ``which``; joints of one pace share a part."""
@@ -212,38 +214,38 @@ class LawForces:
                 coupled |= acts_at(effect, v).any(axis=1)
         coupled &= which.any(axis=1)
         together = np.where(coupled, pace.max(axis=1), -1)
-        alone = np.where(which & ~coupled[:, None], pace, -1)
+        separate = np.where(which & ~coupled[:, None], pace, -1)
         for p in (_AT_ONCE, _SAMPLES, _STEPS):
             copies = np.flatnonzero(together == p)
             everything = np.tile(np.arange(joints), (len(copies), 1))
-            copy, joint = np.nonzero(alone == p)
+            copy, joint = np.nonzero(separate == p)
             for some, columns in ((copies, everything), (copy, joint[:, None])):
                 if len(some):
                     for lanes in _Lanes.of(some, columns, segments).parts(samples, p):
-                        yield lanes, self._of_lanes(effects, lanes, p)
+                        yield lanes, self._evaluate(effects, lanes, p)
 
-    def _of_lanes(self, effects: ActiveEffects, lanes: _Lanes, pace: int) -> Forces:
+    def _evaluate(self, effects: ActiveEffects, lanes: _Lanes, pace: int) -> Forces:
         trajectory = self.trajectory
         active = [(e, {n: lanes.of_copy(x) for n, x in v.items()}) for e, v in effects]
         each = [(e, v) for e, v in active if acts_at(e, v).any()]
-        world = self._world(lanes)
-        joint = self._joint(each, world, lanes)
+        world = self._world_of_lanes(lanes)
+        joint = self._passive_joint(each, world, lanes)
         for effect, v in each:
             effect.gains(world, v)
         stiffness, damping = world.stiffness, world.damping
         if pace == _AT_ONCE:
-            out = self._at_once(each, world, joint, lanes)
+            out = self._evaluate_at_once(each, world, joint, lanes)
         else:
             # Elastic transmissions are stiff and need the model's step; for other laws with memory
             # one step for each sample is enough.
-            out = self._stepwise(
+            out = self._evaluate_stepwise(
                 each, world, joint, lanes, trajectory.steps if pace == _STEPS else 1
             )
         total, drive, dry, level = out
         constant = (stiffness, damping, joint.spring + joint.model_spring, joint.damping)
         return Forces(total, drive, dry, level, *(x[:, None] for x in constant))
 
-    def _world(self, lanes: _Lanes) -> World:
+    def _world_of_lanes(self, lanes: _Lanes) -> World:
         world = replace(self._at_start, servo=self._at_start.servo[lanes.joint], state={})
         for name in ROW_ATTRIBUTES:
             value = getattr(world, name)
@@ -251,7 +253,7 @@ class LawForces:
             setattr(world, name, value)
         return world
 
-    def _joint(self, effects: ActiveEffects, world: World, lanes: _Lanes) -> _Joint:
+    def _passive_joint(self, effects: ActiveEffects, world: World, lanes: _Lanes) -> _PassiveJoint:
         simulator = self.simulator
         models = [simulator.segments[s].model for s in self.trajectory.segments]
         dof = simulator.layout.dof_index
@@ -266,20 +268,20 @@ class LawForces:
         for effect, v in effects:
             if effect.family != "contact":
                 effect.fields(changed, v)
-        soft = find_elastic_joints(effects, lanes.joint.shape)
-        if soft.any():
+        is_elastic = find_elastic_joints(effects, lanes.joint.shape)
+        if is_elastic.any():
             known = simulator.models.link_inertia(np.asarray(self.trajectory.segments))
             world.link_inertia = lanes.of_segment(known)
         world.friction_level = np.maximum(changed.friction, 0.0)
         own = of([m.dof_armature[dof] for m in models])
         world.motor_armature = own + changed.armature
         world.motor_damping = changed.damping
-        constant, world.motor_constant_effort = changed.split_force(soft)
+        constant, world.motor_constant_effort = changed.split_force(is_elastic)
         rest = of([m.qpos_spring[simulator.layout.qpos_index] for m in models])
         springs = of([m.jnt_stiffness[simulator.layout.joint_ids] for m in models])
-        return _Joint(
+        return _PassiveJoint(
             changed.damping, changed.armature, own, constant, changed.stiffness, springs, rest,
-            soft,
+            is_elastic,
         )  # fmt: skip
 
     def _commands(self, effects: ActiveEffects, lanes: _Lanes, count: int) -> FloatArray:
@@ -293,13 +295,13 @@ class LawForces:
             found = simulator.commands(rows, late, steps, lanes.joint)
             mean: FloatArray = found.reshape(len(rows), count, -1, found.shape[2]).mean(axis=2)
             return mean
-        if count not in self._held:
+        if count not in self._mean_commands:
             found = simulator.commands(trajectory.segments, [], steps)
-            self._held[count] = found.reshape(segments, count, -1, joints).mean(axis=2)
-        return lanes.in_time(self._held[count])
+            self._mean_commands[count] = found.reshape(segments, count, -1, joints).mean(axis=2)
+        return lanes.in_time(self._mean_commands[count])
 
-    def _at_once(
-        self, effects: ActiveEffects, world: World, joint: _Joint, lanes: _Lanes
+    def _evaluate_at_once(
+        self, effects: ActiveEffects, world: World, joint: _PassiveJoint, lanes: _Lanes
     ) -> list[FloatArray]:
         trajectory = self.trajectory
         samples = trajectory.position.shape[1]
@@ -317,7 +319,7 @@ class LawForces:
 
         for name in (*_PER_ROW, "servo"):
             setattr(world, name, spread(getattr(world, name)))
-        wide = _Joint(*(spread(getattr(joint, f.name)) for f in fields(_Joint)))
+        wide = _PassiveJoint(*(spread(getattr(joint, f.name)) for f in fields(_PassiveJoint)))
         world.time = trajectory.time[lanes.segment].ravel()
         world.position, world.velocity = flat(trajectory.position), flat(trajectory.velocity)
         world.load = flat(self.load)
@@ -327,15 +329,15 @@ class LawForces:
             world,
             hooks_between_steps([(e, {n: spread(x) for n, x in v.items()}) for e, v in effects]),
         )
-        out = self._closed(
+        out = self._with_dry_friction(
             wide, world.velocity, flat(trajectory.acceleration), flat(self.required),
             _Efforts(world.delivered, world.applied, world.friction_level),
             (flat(self._rest_weight), flat(self._direction)),
         )  # fmt: skip
         return [x.reshape(count, samples, columns) for x in out]
 
-    def _stepwise(
-        self, effects: ActiveEffects, world: World, joint: _Joint, lanes: _Lanes, parts: int
+    def _evaluate_stepwise(
+        self, effects: ActiveEffects, world: World, joint: _PassiveJoint, lanes: _Lanes, parts: int
     ) -> list[FloatArray]:
         trajectory = self.trajectory
         samples = trajectory.position.shape[1]
@@ -387,10 +389,10 @@ class LawForces:
                 world.lower, world.upper, world.friction_level = bounds
                 run_hooks(world, hooks)
                 drive[i], level[i] = world.delivered, world.friction_level
-            found = self._closed(
+            found = self._with_dry_friction(
                 joint, velocity, acceleration, required,
                 _Efforts(drive[:steps], applied, level[:steps]),
-                _slipping(velocity, slip_velocity),
+                _slip_state(velocity, slip_velocity),
             )  # fmt: skip
             for m, x in zip(mean, found, strict=True):
                 m[first:last] = x.reshape(last - first, parts, count, columns).mean(axis=1)
@@ -402,38 +404,41 @@ class LawForces:
         return list(out)
 
     @staticmethod
-    def _closed(
-        joint: _Joint,
+    def _with_dry_friction(
+        joint: _PassiveJoint,
         velocity: FloatArray,
         acceleration: FloatArray,
         required: FloatArray,
         efforts: _Efforts,
-        slipping: tuple[FloatArray, FloatArray],
+        slip_state: tuple[FloatArray, FloatArray],
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Total, drive, dry friction and its level, (..., lanes, columns) like the arguments."""
         drive, applied, level = efforts
         level = np.maximum(level, 0.0)
         others = drive + applied - joint.damping * velocity - joint.armature * acceleration
-        rest_weight, direction = slipping
+        rest_weight, direction = slip_state
         # At rest dry friction balances the other forces, up to its level.
         holding = np.minimum(np.maximum(required - others, -level), level)
         dry = rest_weight * holding - (1.0 - rest_weight) * level * direction
         total = others + dry
-        if joint.soft.any():
+        if joint.is_elastic.any():
             # With an elastic transmission the armature belongs to the motor; the model's mass
             # matrix contains it, so it is added back.
-            total = np.where(joint.soft, applied + joint.own_armature * acceleration, total)
+            total = np.where(joint.is_elastic, applied + joint.own_armature * acceleration, total)
         return total, drive, dry, level
 
 
-def _slipping(velocity: FloatArray, slip_velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _slip_state(velocity: FloatArray, slip_velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Weight of rest (1 at rest, 0 while slipping), and direction of friction, -1 to 1."""
     slip = velocity / slip_velocity
     return np.exp(-0.25 * slip * slip), np.tanh(slip)
 
 
-def force_slopes(
-    simulator: BatchSimulator, trajectory: MeasuredTrajectory, rigid: Rigid, effects: ActiveEffects
+def state_force_derivatives(
+    simulator: BatchSimulator,
+    trajectory: MeasuredTrajectory,
+    rigid: RigidTerms,
+    effects: ActiveEffects,
 ) -> tuple[FloatArray, FloatArray]:
     """Stiffness and damping of forces that depend only on the state (drag, cogging).
 
@@ -463,9 +468,13 @@ def force_slopes(
         found: FloatArray = laws.changes(of_state, 1, [], laws.forces([], 1))[0][0]
         return found
 
-    tip = trajectory.slip_velocity
-    out[0] = (force(position - _TIP, velocity) - force(position + _TIP, velocity)) / (2 * _TIP)
-    out[1] = (force(position, velocity - tip) - force(position, velocity + tip)) / (2 * tip)
+    velocity_step = trajectory.slip_velocity
+    out[0] = (
+        force(position - _POSITION_STEP, velocity) - force(position + _POSITION_STEP, velocity)
+    ) / (2 * _POSITION_STEP)
+    out[1] = (
+        force(position, velocity - velocity_step) - force(position, velocity + velocity_step)
+    ) / (2 * velocity_step)
     return out[0], out[1]
 
 
@@ -479,7 +488,7 @@ def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
     return out
 
 
-def _unlike(
+def _differs(
     effects: ActiveEffects, own: ActiveEffects, shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
     """(copies, joints) whether the laws of a joint differ from those of the hypothesis."""

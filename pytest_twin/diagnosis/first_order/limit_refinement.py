@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.first_order.beam_search import (
     ResidualView,
 )
 from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
-from pytest_twin.diagnosis.first_order.sensitivities import Linear, Sensitivity
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization, Sensitivity
 from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 
@@ -25,7 +25,7 @@ _ROUNDS = 3
 
 
 def refine_limits(
-    linear: Linear,
+    linear: Linearization,
     view: ResidualView,
     candidate_sensitivities: CandidateSensitivities,
     best: Hypothesis,
@@ -44,9 +44,9 @@ def refine_limits(
         return []
     equations = NormalEquations(view, candidate_sensitivities)
     starts: list[Hypothesis] = []
-    for chosen in equations.children(equations.bare, len(candidate_sensitivities.responses)):
+    for chosen in equations.children(equations.base, len(candidate_sensitivities.responses)):
         response = candidate_sensitivities.responses[chosen[0]]
-        if is_lone_limit(response) and far[max(response.term.joint, 0)]:
+        if is_single_amplitude_limit(response) and far[max(response.term.joint, 0)]:
             ((term, start),) = equations.structure(chosen).starts.items()
             starts.append(best.with_term(term, start))
     alone = [
@@ -56,12 +56,12 @@ def refine_limits(
     return _responses(linear, alone)
 
 
-def is_lone_limit(response: Sensitivity) -> bool:
+def is_single_amplitude_limit(response: Sensitivity) -> bool:
     """Whether the law is a limit that one parameter switches on."""
     return response.term.law.is_limit and len(response.amplitude_indices) == 1
 
 
-def _responses(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Sensitivity]:
+def _responses(linear: Linearization, hypotheses: Sequence[Hypothesis]) -> list[Sensitivity]:
     out = []
     for h, change in zip(hypotheses, linear.differences(hypotheses) if hypotheses else [],
                          strict=True):  # fmt: skip

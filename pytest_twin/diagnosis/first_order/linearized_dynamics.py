@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.law_forces import Forces
 from pytest_twin.diagnosis.first_order.measured_trajectory import MeasuredTrajectory
-from pytest_twin.diagnosis.first_order.rigid_terms import slopes, upsampled
+from pytest_twin.diagnosis.first_order.rigid_terms import rigid_derivatives, upsample
 from pytest_twin.effects.active_effects import ActiveEffects
 from pytest_twin.effects.batch_simulator import BatchSimulator
 
 # Damping of a joint at rest, in multiples of its inertia per interval.
-_HELD = 1e4
+_REST_DAMPING = 1e4
 _IN_CACHE = 50_000
 """Number of elements that are propagated together, so that they fit into a core's cache."""
 
@@ -31,18 +31,18 @@ class LinearizedDynamics:
     """Discrete-time transition of (position, velocity) deviations from sample to sample.
 
     Attributes:
-        step: (samples - 1, segments, 2 joints, 2 joints) state transition matrices.
-        push: (samples - 1, segments, 2 joints, joints) input matrices, for a force that is constant
-            over the interval.
+        transition: (samples - 1, segments, 2 joints, 2 joints) state transition matrices.
+        input_matrix: (samples - 1, segments, 2 joints, joints) input matrices, for a force that is
+            constant over the interval.
         stiffness, damping: (segments, samples, joints) gains of the drive, zero at its limit.
     """
 
-    step: FloatArray
-    push: FloatArray
+    transition: FloatArray
+    input_matrix: FloatArray
     stiffness: FloatArray
     damping: FloatArray
 
-    def of(self, force: FloatArray, initial: FloatArray) -> Iterator[FloatArray]:
+    def propagate(self, force: FloatArray, initial: FloatArray) -> Iterator[FloatArray]:
         """Deviations under forces, in blocks of consecutive samples.
 
         Args:
@@ -52,71 +52,75 @@ class LinearizedDynamics:
         Yields:
             Positions, then velocities, at the next n samples: (n, segments, 2 joints, k).
         """
-        mean = _held(force)
-        return self._propagated(lambda some: self.push[some] @ mean[some], initial)
+        mean = _interval_means(force)
+        return self._propagate(lambda some: self.input_matrix[some] @ mean[some], initial)
 
     def trajectory(self, force: FloatArray, initial: FloatArray) -> FloatArray:
-        """Deviations at all samples, (segments, samples, 2 joints, k); arguments as :meth:`of`."""
-        return np.concatenate(list(self.of(force, initial))).swapaxes(0, 1)
+        """Deviations at all samples, (segments, samples, 2 joints, k).
 
-    def of_joints(
+        Args:
+            force, initial: as for :meth:`propagate`.
+        """
+        return np.concatenate(list(self.propagate(force, initial))).swapaxes(0, 1)
+
+    def propagate_joint_forces(
         self, force: FloatArray, joint: NDArray[np.int64], initial: FloatArray
     ) -> Iterator[FloatArray]:
-        """As :meth:`of`, for forces that act at one joint each.
+        """As :meth:`propagate`, for forces that act at one joint each.
 
         Args:
             force: (segments, samples, k) N*m or N.
             joint: (k,) index of the joint of each force.
             initial: (segments, 2 joints, k) deviation at the first sample.
         """
-        mean = _held(force)
-        joints = self.push.shape[-1]
+        mean = _interval_means(force)
+        joints = self.input_matrix.shape[-1]
         # A product with a selection matrix is faster than indexing.
         chosen = np.eye(joints)[:, joint]
 
-        def pushed(some: slice) -> FloatArray:
-            push = self.push[some]
+        def force_inputs(some: slice) -> FloatArray:
+            push = self.input_matrix[some]
             each: FloatArray = (push.reshape(-1, joints) @ chosen).reshape(*push.shape[:-1], -1)
             each *= mean[some, :, None]
             return each
 
-        return self._propagated(pushed, initial)
+        return self._propagate(force_inputs, initial)
 
-    def _propagated(
-        self, pushed: Callable[[slice], FloatArray], initial: FloatArray
+    def _propagate(
+        self, force_inputs: Callable[[slice], FloatArray], initial: FloatArray
     ) -> Iterator[FloatArray]:
         """Deviations by recursion over the samples, in blocks.
 
         Args:
-            pushed: slice of samples -> contribution of the forces in each interval.
+            force_inputs: slice of samples -> contribution of the forces in each interval.
             initial: (segments, 2 joints, k) deviation at the first sample.
         """
         yield initial[None]
         state = initial
         at_once = max(1, _IN_CACHE // initial.size)
-        for first in range(0, len(self.step), at_once):
+        for first in range(0, len(self.transition), at_once):
             some = slice(first, first + at_once)
-            out = pushed(some)
-            for after, step in zip(out, self.step[some], strict=True):
+            out = force_inputs(some)
+            for after, step in zip(out, self.transition[some], strict=True):
                 after += step @ state
                 state = after
             yield out
 
 
-def _held(force: FloatArray) -> FloatArray:
+def _interval_means(force: FloatArray) -> FloatArray:
     """(samples - 1, segments, ...) mean force over each interval."""
     mean: FloatArray = force[:, 1:] + force[:, :-1]
     mean *= 0.5
     return mean.swapaxes(0, 1)
 
 
-def linearized_dynamics(
+def linearize_dynamics(
     simulator: BatchSimulator,
     trajectory: MeasuredTrajectory,
     effects: ActiveEffects,
     measured: Forces,
     predicted: Forces,
-    slopes_of_forces: tuple[FloatArray, FloatArray],
+    force_derivatives: tuple[FloatArray, FloatArray],
 ) -> LinearizedDynamics:
     """Linearize the dynamics between the predicted and the measured motion.
 
@@ -128,14 +132,14 @@ def linearized_dynamics(
         trajectory: the measured and the predicted motion.
         effects: effects of the hypothesis, values (1, joints).
         measured, predicted: forces of the hypothesis along the measured and the predicted motion.
-        slopes_of_forces: stiffness and damping of the other forces that depend on the state, of
-            :func:`~pytest_twin.diagnosis.first_order.law_forces.force_slopes`.
+        force_derivatives: stiffness and damping of the other forces that depend on the state, of
+            :func:`~pytest_twin.diagnosis.first_order.law_forces.state_force_derivatives`.
     """
     n = trajectory.position.shape[2]
-    middle, slope_q, slope_v = slopes(simulator, trajectory, effects)
+    middle, slope_q, slope_v = rigid_derivatives(simulator, trajectory, effects)
     samples = trajectory.position.shape[1]
     mass, slope_q, slope_v = (
-        upsampled(x, middle.at, samples) for x in (middle.mass, slope_q, slope_v)
+        upsample(x, middle.at, samples) for x in (middle.mass, slope_q, slope_v)
     )
     error_q = trajectory.position - trajectory.predicted_position
     error_v = trajectory.velocity - trajectory.predicted_velocity
@@ -156,12 +160,12 @@ def linearized_dynamics(
     )
     eye = np.eye(n)
     h = trajectory.interval
-    more_stiffness, more_damping = slopes_of_forces
+    more_stiffness, more_damping = force_derivatives
     passive = measured.passive_stiffness[0] + more_stiffness
     k_all = slope_q + eye * (stiffness + passive)[..., None]
     d_joint = np.maximum(friction, 0.0) + damping + measured.passive_damping[0] + more_damping
     diagonal = np.einsum("stjj->stj", mass)
-    d_joint = d_joint + _HELD * trajectory.at_rest * diagonal / h
+    d_joint = d_joint + _REST_DAMPING * trajectory.at_rest * diagonal / h
     d_all = slope_v + eye * d_joint[..., None]
     inverse = np.linalg.inv(mass)
     a = np.zeros((*mass.shape[:2], 2 * n, 2 * n))

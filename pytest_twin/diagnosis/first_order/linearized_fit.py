@@ -1,7 +1,7 @@
 """Fit of all parameters along the measured motion, shape parameters included, without simulation.
 
-It is Levenberg-Marquardt on :meth:`Linear.differences`: the forces of the laws are exact, and the
-resulting deviations are linearized.
+It is Levenberg-Marquardt on :meth:`Linearization.differences`: the forces of the laws are exact,
+and the resulting deviations are linearized.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.first_order.beam_search import ResidualView
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.fit import finite_differences, proposals, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
-NEARBY, FAR_OFF = 3, 8
+NEAR_ITERATIONS, FAR_ITERATIONS = 3, 8
 """Iterations from starts near the optimum, and from equivalents of another effect."""
 # Levenberg-Marquardt damping factors, relative to the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-2, 1.0)
 # A fit stops when a step reduces the cost by less than this share.
 _CONVERGED = 3e-3
-_FEW, _AT_ONCE, _STEPWISE = 4, 48, 384
+_MIN_ROWS, _MAX_ROWS, _MAX_STEPWISE_ROWS = 4, 48, 384
 """Smallest and largest number of rows in a batch, and largest number if the laws are evaluated step
 by step. A process costs more than few rows. More rows need memory, and save time only where each
 step has a fixed cost."""
@@ -46,7 +46,7 @@ class LinearizedFit:
 
 
 def fit_linearized(
-    linear: Linear,
+    linear: Linearization,
     view: ResidualView,
     starts: Sequence[Hypothesis],
     iterations: int,
@@ -74,12 +74,12 @@ def fit_linearized(
     for _ in range(iterations):
         if not active:
             break
-        nudges = [finite_differences(f.hypothesis) for f in active]
-        moved = iter(_differences(linear, [row for rows, _ in nudges for row in rows]))
+        perturbations = [finite_differences(f.hypothesis) for f in active]
+        moved = iter(_differences(linear, [row for rows, _ in perturbations for row in rows]))
         weights: list[FloatArray] = []
         tried: list[Hypothesis] = []
         ends = [0]
-        for f, (_, steps) in zip(active, nudges, strict=True):
+        for f, (_, steps) in zip(active, perturbations, strict=True):
             weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
             here = target[id(f)] - f.residual
             slope = np.zeros((*here.shape, f.hypothesis.theta.size))
@@ -105,7 +105,7 @@ def fit_linearized(
     return fits
 
 
-def linearized_slopes(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+def linearized_slopes(linear: Linearization, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
     """Jacobian of each hypothesis's prediction along the measured motion.
 
     Returns:
@@ -115,11 +115,11 @@ def linearized_slopes(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[
     Raises:
         OutOfTime: the time of the search is over.
     """
-    nudges = [finite_differences(h) for h in hypotheses]
+    perturbations = [finite_differences(h) for h in hypotheses]
     here = _differences(linear, hypotheses)
-    moved = iter(_differences(linear, [row for rows, _ in nudges for row in rows]))
+    moved = iter(_differences(linear, [row for rows, _ in perturbations for row in rows]))
     out = []
-    for h, base, (_, steps) in zip(hypotheses, here, nudges, strict=True):
+    for h, base, (_, steps) in zip(hypotheses, here, perturbations, strict=True):
         slope = np.zeros((*base.shape, h.theta.size))
         for column, step in zip(np.flatnonzero(h.is_estimated), steps, strict=True):
             slope[..., column] = (next(moved) - base) / step
@@ -127,8 +127,8 @@ def linearized_slopes(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[
     return out
 
 
-def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
-    """As :meth:`Linear.differences`, in batches of hypotheses that need the same time step.
+def _differences(linear: Linearization, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
+    """As :meth:`Linearization.differences`, in batches of hypotheses that need the same time step.
 
     Raises:
         OutOfTime: the time of the search is over.
@@ -148,11 +148,11 @@ def _differences(linear: Linear, hypotheses: Sequence[Hypothesis]) -> list[Float
     for key in sorted(groups, key=lambda k: (k[1], k[0]), reverse=True):
         # Every law of a batch is evaluated for all its hypotheses: those with equal laws share one.
         which = sorted(groups[key], key=lambda i: sorted(t.effect for t in hypotheses[i].terms))
-        most = _STEPWISE if key[0] else _AT_ONCE
-        each = min(most, max(-(-len(which) // cores), _FEW))
+        most = _MAX_STEPWISE_ROWS if key[0] else _MAX_ROWS
+        each = min(most, max(-(-len(which) // cores), _MIN_ROWS))
         batches += [which[i : i + each] for i in range(0, len(which), each)]
     if cores > 1:
-        linear.know_bodies(hypotheses)
+        linear.precompute_rigid_efforts(hypotheses)
     differences = Forks(cores).map(
         linear.differences, [[hypotheses[i] for i in some] for some in batches]
     )

@@ -21,24 +21,24 @@ from pytest_twin.realization.forks import free_cores
 from pytest_twin.realization.mujoco_warnings import quiet
 
 # Finite-difference step of positions (rad or m) and velocities (rad/s or m/s).
-_NUDGE = 1e-4
-_PLACES = np.array(
+_STEP = 1e-4
+_PROBE_POSITIONS = np.array(
     [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [1, 1, 0],
      [0, 1, 1], [1, 0, 1]], dtype=float,
 )  # fmt: skip
 """Positions in m of a point mass from which its ten inertial parameters are determined."""
-_MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]], dtype=float)
+_PROBE_SHIFTS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]], dtype=float)
 """Shifts in m of a centre of mass from which the change of its moments is determined."""
 # A batch with fewer models than this evaluates several points at once.
 _FEW_MODELS = 64
 # Largest number of models in a batch.
 _MAX_MODELS = 256
 # Number of terms from which several processes are used.
-_WORTH_FORKS = 2048
+_MIN_TERMS_FOR_FORKS = 2048
 
 
 @dataclass(frozen=True, slots=True)
-class Rigid:
+class RigidTerms:
     """Rigid-body terms on a coarser grid of a motion.
 
     Attributes:
@@ -55,7 +55,7 @@ class Rigid:
     bias: FloatArray
 
 
-def coarse(trajectory: MeasuredTrajectory) -> NDArray[np.int64]:
+def coarse_samples(trajectory: MeasuredTrajectory) -> NDArray[np.int64]:
     """Indices of the samples at which rigid-body terms are evaluated."""
     every = max(1, round(FIRST_ORDER.rigid_interval / trajectory.interval))
     samples = trajectory.position.shape[1]
@@ -67,8 +67,8 @@ def rigid_terms(
     trajectory: MeasuredTrajectory,
     effects: Sequence[tuple[Effect, Values]] = (),
     copies: int = 1,
-    nudges: FloatArray | None = None,
-) -> list[Rigid]:
+    increments: FloatArray | None = None,
+) -> list[RigidTerms]:
     """Rigid-body terms of ``copies`` variants of the model.
 
     Args:
@@ -76,19 +76,19 @@ def rigid_terms(
         trajectory: the motion.
         effects: effects that change the variants, values (copies, joints).
         copies: number of variants.
-        nudges: (copies, 2, joints) increments of positions and velocities. With them, terms are
+        increments: (copies, 2, joints) increments of positions and velocities. With them, terms are
             evaluated midway between the measured and the predicted motion.
     """
-    at = coarse(trajectory)
+    at = coarse_samples(trajectory)
     segments, points = len(trajectory.segments), len(at)
     joints = trajectory.position.shape[2]
-    motion = (trajectory.position, trajectory.velocity) if nudges is None else trajectory.midway
+    motion = (trajectory.position, trajectory.velocity) if increments is None else trajectory.midway
     q, v, a = (x[:, at] for x in (*motion, trajectory.acceleration))
     rows = np.asarray(trajectory.segments)
-    cores = free_cores(simulator.threads) if copies * q[..., 0].size > _WORTH_FORKS else 1
+    cores = free_cores(simulator.threads) if copies * q[..., 0].size > _MIN_TERMS_FOR_FORKS else 1
     per = min(max(1, _MAX_MODELS // segments), -(-copies // cores))
 
-    def terms(first: int) -> list[Rigid]:
+    def terms(first: int) -> list[RigidTerms]:
         part = np.arange(first, min(first + per, copies))
         # Writing a variant's inertias takes longer than evaluating one point, so each variant is
         # written once and evaluated at all points. With few variants several points share a batch.
@@ -97,7 +97,7 @@ def rigid_terms(
         values: list[tuple[Effect, Values]] = [
             (e, {n: x[owner] for n, x in p.items()}) for e, p in effects
         ]
-        nudge = np.zeros((len(part), 2, joints)) if nudges is None else nudges[part]
+        increment = np.zeros((len(part), 2, joints)) if increments is None else increments[part]
         shape = (len(part), segments, at_once)
         with quiet():
             of_part = np.tile(np.repeat(rows, at_once), len(part))
@@ -105,31 +105,31 @@ def rigid_terms(
             qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
             mass_out, bias_out = batch.bind("M"), batch.bind("qfrc_bias")
             packed = np.empty((len(part), segments, points, mass_out.shape[1]))
-            still = np.empty((len(part), segments, points, joints))
+            bias = np.empty((len(part), segments, points, joints))
             for k in range(0, points, at_once):
                 some = np.minimum(np.arange(k, k + at_once), points - 1)
                 many_q, many_v = (
-                    x[:, some] + nudge[:, i, None, None] for i, x in enumerate((q, v))
+                    x[:, some] + increment[:, i, None, None] for i, x in enumerate((q, v))
                 )
                 qpos[:, simulator.layout.qpos_index] = many_q.reshape(-1, joints)
                 qvel[:, simulator.layout.dof_index] = many_v.reshape(-1, joints)
                 batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
                 packed[:, :, some] = mass_out.reshape(*shape, -1)
-                still[:, :, some] = bias_out[:, simulator.layout.dof_index].reshape(*shape, -1)
+                bias[:, :, some] = bias_out[:, simulator.layout.dof_index].reshape(*shape, -1)
         mass = _full_mass(simulator, packed)
-        effort = still + np.einsum("cskij,skj->cski", mass, a)
-        return [Rigid(at, *each) for each in zip(mass, effort, still, strict=True)]
+        effort = bias + np.einsum("cskij,skj->cski", mass, a)
+        return [RigidTerms(at, *each) for each in zip(mass, effort, bias, strict=True)]
 
     if cores > 1:
         simulator.models.precompute(rows, effects)
     return list(chain(*Forks(cores).map(terms, range(0, copies, per))))
 
 
-def slopes(
+def rigid_derivatives(
     simulator: BatchSimulator,
     trajectory: MeasuredTrajectory,
     effects: Sequence[tuple[Effect, Values]],
-) -> tuple[Rigid, FloatArray, FloatArray]:
+) -> tuple[RigidTerms, FloatArray, FloatArray]:
     """Rigid-body terms midway between measured and predicted motion, with derivatives of effort.
 
     Args:
@@ -142,12 +142,12 @@ def slopes(
         velocity, (segments, len(at), joints, joints) each.
     """
     n = trajectory.position.shape[2]
-    nudges = np.zeros((2 * n + 1, 2, n))
-    nudges[1 : n + 1, 0] = nudges[n + 1 :, 1] = _NUDGE * np.eye(n)
+    increments = np.zeros((2 * n + 1, 2, n))
+    increments[1 : n + 1, 0] = increments[n + 1 :, 1] = _STEP * np.eye(n)
     wide = [(e, {k: np.repeat(x, 2 * n + 1, axis=0) for k, x in v.items()}) for e, v in effects]
-    middle, *moved = rigid_terms(simulator, trajectory, wide, 2 * n + 1, nudges)
+    middle, *moved = rigid_terms(simulator, trajectory, wide, 2 * n + 1, increments)
     by_position, by_velocity = (
-        np.stack([(m.effort - middle.effort) / _NUDGE for m in part], axis=-1)
+        np.stack([(m.effort - middle.effort) / _STEP for m in part], axis=-1)
         for part in (moved[:n], moved[n:])
     )
     return middle, by_position, by_velocity
@@ -187,7 +187,7 @@ def _shifts(by: FloatArray) -> list[FloatArray]:
     return [x, y, x * x, y * y, x * y]
 
 
-def _itself(x: FloatArray) -> list[FloatArray]:
+def _only_column(x: FloatArray) -> list[FloatArray]:
     """The only column of (n, 1) values."""
     return [x[:, 0]]
 
@@ -211,14 +211,14 @@ class _Family:
 _ONE = np.ones((1, 1))
 _LINK, _LOAD = InertialParameters(), Payload()
 _FAMILIES = {
-    "mass": _Family(_LINK, ("mass_error",), _ONE, _itself),
-    "inertia": _Family(_LINK, ("inertia_error",), _ONE, _itself),
-    "moved": _Family(_LINK, ("radial", "tangential"), _MOVES, _shifts),
-    "load": _Family(_LOAD, ("distance", "sideways", "across"), _PLACES, _moments),
+    "mass": _Family(_LINK, ("mass_error",), _ONE, _only_column),
+    "inertia": _Family(_LINK, ("inertia_error",), _ONE, _only_column),
+    "moved": _Family(_LINK, ("radial", "tangential"), _PROBE_SHIFTS, _shifts),
+    "load": _Family(_LOAD, ("distance", "sideways", "across"), _PROBE_POSITIONS, _moments),
 }
 
 
-class Efforts:
+class InverseDynamics:
     """Inverse dynamics along a motion for variants of the inertial parameters.
 
     Efforts are linear in masses and in first and second moments (Atkeson, An, Hollerbach, IJRR 5,
@@ -233,7 +233,7 @@ class Efforts:
     def __init__(self, simulator: BatchSimulator, trajectory: MeasuredTrajectory) -> None:
         self._simulator = simulator
         self._at_trajectory = trajectory
-        self._bare = rigid_terms(simulator, trajectory)[0].effort
+        self._nominal = rigid_terms(simulator, trajectory)[0].effort
         self._parts: dict[tuple[str, int, int], FloatArray] = {}
 
     def of(self, effects: Sequence[tuple[Effect, Values]], copies: int) -> list[FloatArray]:
@@ -243,22 +243,22 @@ class Efforts:
             effects: effects that change the variants, values (copies, joints).
             copies: number of variants.
         """
-        sizes = self.know(effects, copies)
+        sizes = self.precompute_parts(effects, copies)
         if sizes is None:
-            joints = self._bare.shape[2]
+            joints = self._nominal.shape[2]
             heavy = [(e, v) for e, v in effects if changes_bodies(e, v, joints)]
             found = rigid_terms(self._simulator, self._at_trajectory, heavy, copies)
             return [f.effort for f in found]
         out = []
         for copy in range(copies):
-            total = self._bare.copy()
+            total = self._nominal.copy()
             for part, x in sizes.items():
                 if x[copy]:
                     total += x[copy] * self._parts[part]
             out.append(total)
         return out
 
-    def know(
+    def precompute_parts(
         self, effects: Sequence[tuple[Effect, Values]], copies: int
     ) -> dict[tuple[str, int, int], FloatArray] | None:
         """Compute and keep the parts of which the efforts of variants are composed.
@@ -270,7 +270,7 @@ class Efforts:
         Returns:
             Part -> (copies,) coefficients; None if the efforts are not a linear combination.
         """
-        joints = self._bare.shape[2]
+        joints = self._nominal.shape[2]
         fields, tilted = _fields(effects, copies, joints)
         # If two joints move the same body, their changes of it would be added twice.
         bodies = self._simulator.layout.body_index
@@ -294,7 +294,7 @@ class Efforts:
         missing = [each for each in needed if (*each, 0) not in self._parts]
         if not missing:
             return
-        joints = self._bare.shape[2]
+        joints = self._nominal.shape[2]
         copies = sum(len(_FAMILIES[name].probes) for name, _ in missing)
         values = {
             effect: {p.name: np.zeros((copies, joints)) for p in effect.parameters}
@@ -311,7 +311,7 @@ class Efforts:
                 values[family.effect]["mass"][here] = 1.0
             first = here.stop
         found = rigid_terms(self._simulator, self._at_trajectory, list(values.items()), copies)
-        more = np.stack([f.effort - self._bare for f in found])
+        more = np.stack([f.effort - self._nominal for f in found])
         for (name, j), here in rows.items():
             family = _FAMILIES[name]
             amounts = np.stack(family.amounts(family.probes), axis=1)
@@ -319,7 +319,7 @@ class Efforts:
             self._parts |= {(name, j, k): part for k, part in enumerate(parts)}
 
 
-def upsampled(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatArray:
+def upsample(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatArray:
     """(segments, len(at), ...) values, interpolated linearly at all ``samples``."""
     if len(at) == 1:
         return np.repeat(values, samples, axis=1)

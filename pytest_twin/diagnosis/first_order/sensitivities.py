@@ -17,24 +17,24 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.deadline import check
 from pytest_twin.diagnosis.first_order.bins import bins
-from pytest_twin.diagnosis.first_order.law_forces import Forces, LawForces, force_slopes
+from pytest_twin.diagnosis.first_order.law_forces import Forces, LawForces, state_force_derivatives
 from pytest_twin.diagnosis.first_order.linearized_dynamics import (
     LinearizedDynamics,
-    linearized_dynamics,
+    linearize_dynamics,
 )
 from pytest_twin.diagnosis.first_order.measured_trajectory import (
     MeasuredTrajectory,
     measured_trajectory,
 )
 from pytest_twin.diagnosis.first_order.rigid_terms import (
-    Efforts,
-    Rigid,
+    InverseDynamics,
+    RigidTerms,
     changes_bodies,
     changes_gravity,
     rigid_terms,
-    upsampled,
+    upsample,
 )
-from pytest_twin.diagnosis.first_order.sensor_readings import Column, SensorReadings
+from pytest_twin.diagnosis.first_order.sensor_readings import ReadingChange, SensorReadings
 from pytest_twin.diagnosis.free_initial_state import (
     FreeInitialState,
     free_initial_state,
@@ -53,10 +53,10 @@ from pytest_twin.effects.proposal import starting_sizes
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
-_IN_FORCES = ("gains", "command_latency", "sample_time", "fields", "separates", *STEP_HOOKS)
-_OfEffect = tuple[Term, ...]
+_FORCE_HOOKS = ("gains", "command_latency", "sample_time", "fields", "separates", *STEP_HOOKS)
+_TermsOfEffect = tuple[Term, ...]
 """Candidates of one effect at several joints."""
-CLOSEST = 16
+SIMULATED_CANDIDATES = 16
 """Number of candidates that are simulated at every starting size, if the robot has contact."""
 
 
@@ -82,7 +82,7 @@ Sizes = Sequence[tuple[FloatArray, tuple[int, ...]]]
 """Parameters of a term, and the indices of those that switch it on."""
 
 
-def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
+def starting_grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
     """Starting sizes of a term, those of its first form first.
 
     Returns:
@@ -94,7 +94,7 @@ def grid(term: Term) -> list[tuple[FloatArray, tuple[int, ...]]]:
 
 def starts_in_first_form(term: Term) -> list[FloatArray]:
     """Starting sizes of a term in its first form; in all forms if they have the same parameters."""
-    sizes = [start for start, _ in grid(term)]
+    sizes = [start for start, _ in starting_grid(term)]
     choices = [k for k, p in enumerate(term.parameters) if p.choice and term.law.has_forms]
     return [s for s in sizes if np.array_equal(s[choices], sizes[0][choices])]
 
@@ -105,7 +105,7 @@ def simulated_sensitivities(
     segments: NDArray[np.int64],
     hypothesis: Hypothesis,
     residual: FloatArray,
-    closest: int = CLOSEST,
+    closest: int = SIMULATED_CANDIDATES,
 ) -> list[Sensitivity]:
     """Sensitivities by simulation: every candidate at one size, the best ones at all sizes.
 
@@ -117,17 +117,19 @@ def simulated_sensitivities(
         residual: (bins, signals) residual of the hypothesis, by which candidates are ranked.
         closest: number of candidates that are simulated at all sizes.
     """
-    sizes = {t: grid(t) for t in terms}
+    sizes = {t: starting_grid(t) for t in terms}
     middle = {t: len(starts_in_first_form(t)) // 2 for t in sizes}
-    found = _simulated(problem, [(t, sizes[t][middle[t]]) for t in terms], segments, hypothesis)
+    found = _simulate_sizes(
+        problem, [(t, sizes[t][middle[t]]) for t in terms], segments, hypothesis
+    )
     weight = 1.0 / (np.mean(residual**2, axis=0) + problem.signal_floor**2)
-    order = sorted(found, key=lambda r: -_explained(r.change, residual, weight))
+    order = sorted(found, key=lambda r: -_explained_square(r.change, residual, weight))
     best = [r.term for r in order[:closest]]
     other_sizes = [(t, s) for t in best for k, s in enumerate(sizes[t]) if k != middle[t]]
-    return found + _simulated(problem, other_sizes, segments, hypothesis)
+    return found + _simulate_sizes(problem, other_sizes, segments, hypothesis)
 
 
-def _explained(change: FloatArray, residual: FloatArray, weight: FloatArray) -> float:
+def _explained_square(change: FloatArray, residual: FloatArray, weight: FloatArray) -> float:
     """Reduction of the weighted squared residual by a least-squares fit of the changes.
 
     Args:
@@ -141,7 +143,7 @@ def _explained(change: FloatArray, residual: FloatArray, weight: FloatArray) -> 
     return float(np.linalg.norm(a @ np.linalg.lstsq(a, b, rcond=None)[0]) ** 2)
 
 
-def _simulated(
+def _simulate_sizes(
     problem: Problem,
     sizes: Sequence[tuple[Term, tuple[FloatArray, tuple[int, ...]]]],
     segments: NDArray[np.int64],
@@ -155,7 +157,9 @@ def _simulated(
     for term, (full, amplitude_indices) in sizes:
         plan.append((term, full, amplitude_indices))
         for s in amplitude_indices:
-            rows.append(hypothesis.with_term(term, _alone(full, amplitude_indices, s)))
+            rows.append(
+                hypothesis.with_term(term, _with_single_amplitude(full, amplitude_indices, s))
+            )
     binned = bins(problem, segments)
     found = [binned.mean(r) for r in problem.residuals(rows, segments)]
     at, out = 1, []
@@ -169,7 +173,9 @@ def _simulated(
     return out
 
 
-def _alone(full: FloatArray, amplitude_indices: tuple[int, ...], amplitude: int) -> FloatArray:
+def _with_single_amplitude(
+    full: FloatArray, amplitude_indices: tuple[int, ...], amplitude: int
+) -> FloatArray:
     """Parameters with only one amplitude, the others zero."""
     alone = full.copy()
     alone[[k for k in amplitude_indices if k != amplitude]] = 0.0
@@ -202,7 +208,7 @@ def sensitivities(
 
 
 def sensitivities_around(
-    linear: Linear | None,
+    linear: Linearization | None,
     problem: Problem,
     terms: Sequence[Term],
     segments: NDArray[np.int64],
@@ -218,7 +224,7 @@ def sensitivities_around(
 
 def linearize(
     problem: Problem, segments: NDArray[np.int64], hypothesis: Hypothesis
-) -> Linear | None:
+) -> Linearization | None:
     """The linearization around a hypothesis; None if the robot can touch a surface.
 
     The end of a search and the comparisons after it ask for the same one.
@@ -226,14 +232,14 @@ def linearize(
     if problem.simulator.models.contact.world.size:
         return None
     linear, is_known = problem.kept(
-        hypothesis, segments, lambda: Linear(problem, hypothesis, segments)
+        hypothesis, segments, lambda: Linearization(problem, hypothesis, segments)
     )
     if is_known:
         problem.count_trajectories(hypothesis, segments)
     return linear
 
 
-class Linear:
+class Linearization:
     """Linearization of a problem around one hypothesis, along the measured motion.
 
     Args:
@@ -257,22 +263,22 @@ class Linear:
         )
         self.trajectory: MeasuredTrajectory = measured_trajectory(problem, hypothesis, segments)
         active = sort_by_hook_order(self.own)
-        self.rigid: Rigid = rigid_terms(self.simulator, self.trajectory, active)[0]
-        self.efforts = Efforts(self.simulator, self.trajectory)
+        self.rigid: RigidTerms = rigid_terms(self.simulator, self.trajectory, active)[0]
+        self.efforts = InverseDynamics(self.simulator, self.trajectory)
         (self.own_effort,) = self.efforts.of(active, 1)
         self.laws = LawForces(self.simulator, self.trajectory, self.rigid)
         self.base: Forces = self.laws.forces(active, 1)
         predicted = LawForces(self.simulator, self.trajectory.predicted, self.rigid).forces(
             active, 1
         )
-        self.deviation: LinearizedDynamics = linearized_dynamics(
+        self.dynamics: LinearizedDynamics = linearize_dynamics(
             self.simulator, self.trajectory, active, self.base, predicted,
-            force_slopes(self.simulator, self.trajectory, self.rigid, active),
+            state_force_derivatives(self.simulator, self.trajectory, self.rigid, active),
         )  # fmt: skip
         self.bins = bins(problem, segments)
-        self.readings = SensorReadings(problem, self.trajectory, self.deviation, self.bins)
-        self.starts = self._free_starts()
-        self.readings.free(self.starts)
+        self.readings = SensorReadings(problem, self.trajectory, self.dynamics, self.bins)
+        self.starts = self._free_initial_states()
+        self.readings.subtract_free_states(self.starts)
         self._sensitivities: dict[tuple[Term, ...], list[Sensitivity]] = {}
 
     def residual(self, residual: FloatArray) -> FloatArray:
@@ -292,14 +298,14 @@ class Linear:
             at += n
         return self.bins.mean(out)
 
-    def _free_starts(self) -> dict[int, FreeInitialState]:
+    def _free_initial_states(self) -> dict[int, FreeInitialState]:
         """Free initial states of the segments, with their response by the linearized dynamics."""
         if self.problem.free is None:
             return {}
         segments, samples, joints = self.trajectory.position.shape
         unit = np.tile(np.eye(2 * joints), (segments, 1, 1))
         none = np.zeros((segments, samples, joints, 2 * joints))
-        state = self.deviation.trajectory(none, unit)
+        state = self.dynamics.trajectory(none, unit)
         out = {}
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
@@ -327,19 +333,19 @@ class Linear:
             by_effect.setdefault(term.effect, []).append(term)
         cores = free_cores(self.simulator.threads)
         if cores > 1:
-            self.know_bodies([
+            self.precompute_rigid_efforts([
                 EMPTY.with_term(t, start) for each in by_effect.values() for t in each
-                for start, _ in grid(t)
+                for start, _ in starting_grid(t)
             ])  # fmt: skip
         groups = [tuple(each) for each in by_effect.values()]
         new = [g for g in groups if g not in self._sensitivities]
         batches = self._batches(new, cores)
-        found = Forks(cores).map(self._of_effects, batches)
+        found = Forks(cores).map(self._compute_effects, batches)
         for batch, each in zip(batches, found, strict=True):
             self._sensitivities.update(zip(batch, each, strict=True))
         return [response for group in groups for response in self._sensitivities[group]]
 
-    def _batches(self, groups: Sequence[_OfEffect], cores: int) -> list[list[_OfEffect]]:
+    def _batches(self, groups: Sequence[_TermsOfEffect], cores: int) -> list[list[_TermsOfEffect]]:
         """Candidates of each effect, in batches that are computed together, slow ones first."""
         remembers = any(e.remembers for e, _ in sort_by_hook_order(self.own))
         stepwise = [g for g in groups if remembers or g[0].law.remembers]
@@ -347,11 +353,11 @@ class Linear:
         together = [stepwise[i::cores] for i in range(min(cores, len(stepwise)))]
         return [*together, *([g] for g in groups if g not in stepwise)]
 
-    def _of_effects(self, groups: Sequence[_OfEffect]) -> list[list[Sensitivity]]:
+    def _compute_effects(self, groups: Sequence[_TermsOfEffect]) -> list[list[Sensitivity]]:
         """Sensitivities of each effect at several joints, at the sizes of its grid."""
-        plans = [(terms, grid(terms[0])) for terms in groups]
+        plans = [(terms, starting_grid(terms[0])) for terms in groups]
         return [
-            self._of_plan(terms, sizes, added)
+            self._compute_plan(terms, sizes, added)
             for (terms, sizes), added in zip(plans, self._added_forces(plans), strict=True)
         ]
 
@@ -364,9 +370,9 @@ class Linear:
         joints, scales = len(self.problem.joints), self.problem.scales
         values, parts, count = dict[int, dict[str, FloatArray]](), dict[int, slice](), 0
         for k, (terms, sizes) in enumerate(plans):
-            if terms[0].law.overrides(*_IN_FORCES):
+            if terms[0].law.overrides(*_FORCE_HOOKS):
                 rows = [
-                    _alone(full, amplitude_indices, s)
+                    _with_single_amplitude(full, amplitude_indices, s)
                     for full, amplitude_indices in sizes
                     for s in amplitude_indices
                 ]
@@ -375,7 +381,7 @@ class Linear:
                 count += len(rows)
         if not parts:
             return [None] * len(plans)
-        every = self._wide(count)
+        every = self._repeat_own_values(count)
         for k, part in parts.items():
             effect = plans[k][0][0].law
             absent = {p.name: absent_values(p, joints, scales) for p in effect.parameters}
@@ -393,9 +399,9 @@ class Linear:
 
     def at_sizes(self, terms: Sequence[Term], sizes: Sizes) -> list[Sensitivity]:
         """Sensitivities of one effect at several joints, at given sizes."""
-        return self._of_plan(terms, sizes, *self._added_forces([(terms, sizes)]))
+        return self._compute_plan(terms, sizes, *self._added_forces([(terms, sizes)]))
 
-    def _of_plan(
+    def _compute_plan(
         self,
         terms: Sequence[Term],
         sizes: Sizes,
@@ -404,11 +410,11 @@ class Linear:
         """As :meth:`at_sizes`, with the result of :meth:`_added_forces`."""
         out: list[Sensitivity] = []
         plan: list[tuple[Term, FloatArray, tuple[int, ...]]] = []
-        columns: list[Column] = []
+        columns: list[ReadingChange] = []
         for term, start, amplitude_indices, found in self._columns(terms, sizes, added):
             plan.append((term, start, amplitude_indices))
             columns += found
-        changes = self.readings.of(columns)
+        changes = self.readings.bin_means(columns)
         at, seen = 0, set[tuple[Term, bytes]]()
         for term, start, amplitude_indices in plan:
             change = np.stack(changes[at : at + len(amplitude_indices)], axis=-1)
@@ -425,11 +431,11 @@ class Linear:
         terms: Sequence[Term],
         sizes: Sizes,
         added: tuple[FloatArray, FloatArray] | None,
-    ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[Column]]]:
+    ) -> list[tuple[Term, FloatArray, tuple[int, ...], list[ReadingChange]]]:
         """Columns of one effect at several joints; all joints are computed at once."""
         effect = terms[0].law
         rows = [
-            _alone(full, amplitude_indices, s)
+            _with_single_amplitude(full, amplitude_indices, s)
             for full, amplitude_indices in sizes
             for s in amplitude_indices
         ]
@@ -446,14 +452,14 @@ class Linear:
             for full, amplitude_indices in sizes:
                 columns = []
                 for _ in amplitude_indices:
-                    column = self._sensed(effect, values, row, j)
+                    column = self._reading_change(effect, values, row, j)
                     if added is not None:
                         column.joint = None if j < 0 else j
                         column.force, column.drive = (
                             x[row] if j < 0 else x[row, ..., j] for x in added
                         )
                     if heavy:
-                        column = column.at_all(joints)
+                        column = column.at_all_joints(joints)
                         extra = masses[j][row]
                         column.force = extra if column.force is None else column.force + extra
                     columns.append(column)
@@ -480,7 +486,7 @@ class Linear:
             out[p.name] = array
         return out
 
-    def _wide(self, rows: int) -> dict[str, Values]:
+    def _repeat_own_values(self, rows: int) -> dict[str, Values]:
         """The hypothesis's parameters, repeated for each row."""
         return {
             e: {n: np.repeat(x, rows, axis=0) for n, x in v.items()} for e, v in self.own.items()
@@ -494,17 +500,19 @@ class Linear:
         each = [self._values(effect, rows, [term]) for term in terms]
         values = {n: np.concatenate([e[n] for e in each]) for n in each[0]}
         copies = len(rows) * len(terms)
-        active = sort_by_hook_order({**self._wide(copies), effect.id: values})
+        active = sort_by_hook_order({**self._repeat_own_values(copies), effect.id: values})
         efforts = self.efforts.of(active, copies)
-        forces = [-upsampled(e - self.own_effort, self.rigid.at, samples) for e in efforts]
+        forces = [-upsample(e - self.own_effort, self.rigid.at, samples) for e in efforts]
         return {
             term.joint: forces[i * len(rows) : (i + 1) * len(rows)] for i, term in enumerate(terms)
         }
 
-    def _sensed(self, effect: Effect, values: Values, row: int, joint: int) -> Column:
+    def _reading_change(
+        self, effect: Effect, values: Values, row: int, joint: int
+    ) -> ReadingChange:
         """Direct change of the readings, and of the initial state, by a sensor or clock effect."""
-        if not _sensing([(effect, values)]):
-            return Column()
+        if not _sensor_effects([(effect, values)]):
+            return ReadingChange()
         of_row = {n: x[row : row + 1] for n, x in values.items()}
         direct = []
         for i, s in enumerate(self.segments):
@@ -513,7 +521,7 @@ class Linear:
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
             # The predicted motion, because the measured one already contains the sensor errors.
             position = self.trajectory.reading[i][None]
-            velocity = self._at(self.trajectory.predicted_velocity[i], i, stamps[0])[None]
+            velocity = self._interpolate(self.trajectory.predicted_velocity[i], i, stamps[0])[None]
             moved, _ = effect.sense(stamps, position, velocity, of_row)
             change = moved - position
             if effect.overrides("sample_time"):
@@ -522,24 +530,32 @@ class Linear:
                 )
                 grid_q = self.trajectory.predicted_position[i]
                 change = (
-                    change + (self._at(grid_q, i, late[0]) - self._at(grid_q, i, stamps[0]))[None]
+                    change
+                    + (
+                        self._interpolate(grid_q, i, late[0])
+                        - self._interpolate(grid_q, i, stamps[0])
+                    )[None]
                 )
-            change = _only(change[0], joint)
+            change = _only_at_joint(change[0], joint)
             if self.problem.effort_floor is not None and segment.effort is not None:
                 measured = segment.effort[None]
                 effort = effect.sense_effort(measured, of_row)[0] - segment.effort
                 if effect.overrides("sample_time"):
                     effort = effort + self._effort_at(i, late[0]) - self.trajectory.effort[i]
-                change = np.concatenate([change, _only(effort, joint)], axis=1)
+                change = np.concatenate([change, _only_at_joint(effort, joint)], axis=1)
             direct.append(change)
         q0 = np.array([self.simulator.segments[s].initial_position for s in self.segments])
         v0 = np.array([self.simulator.segments[s].initial_velocity for s in self.segments])
         repeated = {n: np.repeat(x, len(q0), axis=0) for n, x in of_row.items()}
         q, v = effect.unsense(q0, v0, repeated)
-        initial = np.concatenate([_only(q - q0, joint), _only(v - v0, joint)], axis=1)
-        return Column(initial=initial if initial.any() else None, direct=np.concatenate(direct))
+        initial = np.concatenate(
+            [_only_at_joint(q - q0, joint), _only_at_joint(v - v0, joint)], axis=1
+        )
+        return ReadingChange(
+            initial=initial if initial.any() else None, direct=np.concatenate(direct)
+        )
 
-    def _at(self, values: FloatArray, i: int, stamps: FloatArray) -> FloatArray:
+    def _interpolate(self, values: FloatArray, i: int, stamps: FloatArray) -> FloatArray:
         """(samples, joints) values of segment ``i``, interpolated linearly at (stamps, joints)."""
         time = self.trajectory.time[i]
         return np.stack(
@@ -556,7 +572,7 @@ class Linear:
         effort, stamps = self.trajectory.effort[i], self.simulator.segments[self.segments[i]].time
         own = np.repeat(stamps[None, :, None], effort.shape[1], axis=2)
         own = self.simulator.true_reading_times(
-            self.segments[i : i + 1], own, _sensing(sort_by_hook_order(self.own))
+            self.segments[i : i + 1], own, _sensor_effects(sort_by_hook_order(self.own))
         )[0]
         return np.stack(
             [np.interp(taken[:, j], own[:, j], effort[:, j]) for j in range(effort.shape[1])],
@@ -565,11 +581,11 @@ class Linear:
 
     # -- whole hypotheses
 
-    def know_bodies(self, hypotheses: Sequence[Hypothesis]) -> None:
+    def precompute_rigid_efforts(self, hypotheses: Sequence[Hypothesis]) -> None:
         """Compute the rigid-body efforts of hypotheses once, before processes are forked."""
         joints = len(self.problem.joints)
         values = effect_values(hypotheses, joints, self.problem.scales)
-        self.efforts.know(
+        self.efforts.precompute_parts(
             [
                 (e, v) for e, v in sort_by_hook_order(values)
                 if changes_bodies(e, v, joints) and not changes_gravity(e, v, joints)
@@ -589,27 +605,29 @@ class Linear:
         )
         active = sort_by_hook_order(values)
         total, drive = self.laws.changes(active, copies, sort_by_hook_order(self.own), self.base)
-        columns = [Column(total[k], drive[k]) for k in range(copies)]
+        columns = [ReadingChange(total[k], drive[k]) for k in range(copies)]
         if any(changes_bodies(e, v, joints) for e, v in (*active, *sort_by_hook_order(self.own))):
             samples = self.trajectory.position.shape[1]
             efforts = self.efforts.of(active, copies)
             for column, effort in zip(columns, efforts, strict=True):
                 assert column.force is not None
-                column.force = column.force - upsampled(
+                column.force = column.force - upsample(
                     effort - self.own_effort, self.rigid.at, samples
                 )
-        base_reading, base_start = self._read_off(_sensing(sort_by_hook_order(self.own)), 0)
-        sensing, known = _sensing(active), dict[bytes, tuple[FloatArray, FloatArray]]()
+        base_reading, base_start = self._predicted_readings(
+            _sensor_effects(sort_by_hook_order(self.own)), 0
+        )
+        sensing, known = _sensor_effects(active), dict[bytes, tuple[FloatArray, FloatArray]]()
         for k, column in enumerate(columns):
             # Few hypotheses differ in their sensor effects.
             key = b"".join(x[k].tobytes() for _, v in sensing for x in v.values())
             if key not in known:
-                reading, start = self._read_off(sensing, k)
+                reading, start = self._predicted_readings(sensing, k)
                 known[key] = reading - base_reading, start - base_start
             column.direct, column.initial = known[key]
-        return self.readings.of(columns)
+        return self.readings.bin_means(columns)
 
-    def _read_off(self, active: ActiveEffects, row: int) -> tuple[FloatArray, FloatArray]:
+    def _predicted_readings(self, active: ActiveEffects, row: int) -> tuple[FloatArray, FloatArray]:
         """Sensor readings of the predicted motion, and the true initial state.
 
         Args:
@@ -626,8 +644,8 @@ class Linear:
             segment = self.simulator.segments[s]
             stamps = np.repeat(segment.time[None, :, None], n, axis=2)
             stamps = self.simulator.true_reading_times(self.segments[i : i + 1], stamps, of_row)
-            position = self._at(self.trajectory.predicted_position[i], i, stamps[0])[None]
-            velocity = self._at(self.trajectory.predicted_velocity[i], i, stamps[0])[None]
+            position = self._interpolate(self.trajectory.predicted_position[i], i, stamps[0])[None]
+            velocity = self._interpolate(self.trajectory.predicted_velocity[i], i, stamps[0])[None]
             measured = segment.effort is not None and self.problem.effort_floor is not None
             effort = position
             if measured and segment.effort is not None:
@@ -645,7 +663,7 @@ class Linear:
         return np.concatenate(out), np.concatenate([q, v0], axis=1)
 
 
-def _sensing(active: ActiveEffects) -> ActiveEffects:
+def _sensor_effects(active: ActiveEffects) -> ActiveEffects:
     """The effects that change sensor readings."""
     return [
         (e, v) for e, v in active
@@ -653,7 +671,7 @@ def _sensing(active: ActiveEffects) -> ActiveEffects:
     ]  # fmt: skip
 
 
-def _only(values: FloatArray, joint: int) -> FloatArray:
+def _only_at_joint(values: FloatArray, joint: int) -> FloatArray:
     """(..., joints) values that are zero except at one joint; unchanged for the robot (-1)."""
     if joint < 0:
         return values

@@ -25,7 +25,7 @@ _AT_ONCE = 32
 
 
 @dataclass(slots=True)
-class Column:
+class ReadingChange:
     """Changes by one amplitude of one candidate, or by one whole hypothesis.
 
     Attributes:
@@ -44,12 +44,12 @@ class Column:
     direct: FloatArray | None = None
     joint: int | None = None
 
-    def at_all(self, joints: int) -> Column:
+    def at_all_joints(self, joints: int) -> ReadingChange:
         """The same column with forces at all joints."""
         if self.joint is None:
             return self
-        force, drive = (_at_one(x, self.joint, joints) for x in (self.force, self.drive))
-        return Column(force, drive, self.initial, self.direct)
+        force, drive = (_only_at_joint(x, self.joint, joints) for x in (self.force, self.drive))
+        return ReadingChange(force, drive, self.initial, self.direct)
 
 
 class SensorReadings:
@@ -58,7 +58,7 @@ class SensorReadings:
     Args:
         problem: the problem.
         trajectory: the motion.
-        deviation: linearized dynamics along it.
+        dynamics: linearized dynamics along it.
         bins: bins of its segments.
     """
 
@@ -66,20 +66,20 @@ class SensorReadings:
         self,
         problem: Problem,
         trajectory: MeasuredTrajectory,
-        deviation: LinearizedDynamics,
+        dynamics: LinearizedDynamics,
         bins: Bins,
     ) -> None:
-        self.deviation = deviation
+        self.dynamics = dynamics
         self.joints = len(problem.joints)
         self.signals = len(problem.signal_floor)
         segments = [problem.simulator.segments[s] for s in trajectory.segments]
         lengths = [len(s.time) for s in segments]
         self._stamps = np.concatenate([[0], np.cumsum(lengths)])
         self._bins = np.concatenate([[0], np.cumsum(bins.lengths)])
-        self._at = [_between(trajectory, i, s.time) for i, s in enumerate(segments)]
-        self._mean = _means(bins, int(self._stamps[-1]))
+        self._at = [_interpolation_matrix(trajectory, i, s.time) for i, s in enumerate(segments)]
+        self._mean = _averaging_matrix(bins, int(self._stamps[-1]))
         at = sparse.block_diag(self._at, format="csr")
-        self._position = self._in_turn(self._mean @ at)
+        self._position = self._samples_first(self._mean @ at)
         self._position_weights: FloatArray | None = None
         if problem.position_weights:
             self._position_weights = problem.position_weights_of(trajectory.segments, bins.lengths)
@@ -91,16 +91,16 @@ class SensorReadings:
                 [problem.weigh_efforts(int(s), np.ones((n, self.joints))) for s, n in pairs]
             )
             self._efforts = [
-                self._in_turn(self._mean @ sparse.diags_array(weights) @ at)
+                self._samples_first(self._mean @ sparse.diags_array(weights) @ at)
                 for weights in self._effort_weights.T
             ]
         self._stiffness, self._damping = (
             np.ascontiguousarray(x.swapaxes(0, 1))[..., None]
-            for x in (deviation.stiffness, deviation.damping)
+            for x in (dynamics.stiffness, dynamics.damping)
         )
-        self._starts: dict[int, _Start] = {}
+        self._starts: dict[int, _FreeState] = {}
 
-    def free(self, starts: dict[int, FreeInitialState]) -> None:
+    def subtract_free_states(self, starts: dict[int, FreeInitialState]) -> None:
         """Subtract the part that free initial states explain from all later results.
 
         Args:
@@ -112,7 +112,7 @@ class SensorReadings:
             of_samples = np.stack([s @ self._at[i] for s in np.moveaxis(solve, 2, 0)], axis=2)
             mean = self._mean[self._bins[i] : self._bins[i + 1], self._stamps_of(i)]
             response = start.response.reshape(len(self._at[i].indptr) - 1, -1)
-            self._starts[i] = _Start(
+            self._starts[i] = _FreeState(
                 of_samples.reshape(shifts, -1), start.solve,
                 np.asarray(mean @ response).reshape(-1, shifts),
             )  # fmt: skip
@@ -122,17 +122,17 @@ class SensorReadings:
         read = self._at[i] @ values.reshape(len(values), -1)
         return np.asarray(read).reshape(-1, *values.shape[1:])
 
-    def of(self, columns: Sequence[Column]) -> list[FloatArray]:
+    def bin_means(self, columns: Sequence[ReadingChange]) -> list[FloatArray]:
         """Bin means (bins, signals) of the readings of every column."""
         return [
             change
             for first in range(0, len(columns), _AT_ONCE)
-            for change in self._of_few(columns[first : first + _AT_ONCE])
+            for change in self._convert_batch(columns[first : first + _AT_ONCE])
         ]
 
-    def _in_turn(self, read: sparse.csr_array) -> sparse.csr_array:
+    def _samples_first(self, read: sparse.csr_array) -> sparse.csr_array:
         """Reorder the columns of a matrix from (segments, samples) to (samples, segments)."""
-        segments, samples = self.deviation.stiffness.shape[:2]
+        segments, samples = self.dynamics.stiffness.shape[:2]
         in_turn = np.arange(segments * samples).reshape(segments, samples).T.ravel()
         return sparse.csr_array(read[:, in_turn])
 
@@ -140,15 +140,15 @@ class SensorReadings:
         """Slice of the stamps of segment ``i`` among those of all segments."""
         return slice(int(self._stamps[i]), int(self._stamps[i + 1]))
 
-    def _of_few(self, columns: Sequence[Column]) -> list[FloatArray]:
+    def _convert_batch(self, columns: Sequence[ReadingChange]) -> list[FloatArray]:
         joints, count = self.joints, len(columns)
-        segments, samples = self.deviation.stiffness.shape[:2]
+        segments, samples = self.dynamics.stiffness.shape[:2]
         initial = np.zeros((segments, 2 * joints, count))
         for k, c in enumerate(columns):
             if c.initial is not None:
                 initial[..., k] = c.initial
         binned = np.zeros((int(self._bins[-1]), self.signals, count))
-        moved, effort = self._acted(columns, initial)
+        moved, effort = self._deviations(columns, initial)
         if moved is not None:
             flat = moved.reshape(samples * segments, -1)
             binned[:, :joints] = (self._position @ flat).reshape(-1, joints, count)
@@ -157,7 +157,7 @@ class SensorReadings:
                 of_joint = effort[:, :, j].reshape(samples * segments, -1)
                 binned[:, joints + j] = mean @ of_joint
         direct = {id(c.direct): c.direct for c in columns if c.direct is not None}
-        means = {key: self._read_off(d) for key, d in direct.items()}
+        means = {key: self._bin_means(d) for key, d in direct.items()}
         for k, c in enumerate(columns):
             if c.direct is not None:
                 binned[:, :, k] += means[id(c.direct)]
@@ -167,8 +167,8 @@ class SensorReadings:
         out = binned.astype(np.float32)
         return [np.asarray(out[:, :, k]) for k in range(count)]
 
-    def _acted(
-        self, columns: Sequence[Column], initial: FloatArray
+    def _deviations(
+        self, columns: Sequence[ReadingChange], initial: FloatArray
     ) -> tuple[FloatArray | None, FloatArray | None]:
         """Deviations of positions and of efforts, (samples, segments, joints, columns) each.
 
@@ -176,18 +176,18 @@ class SensorReadings:
         not measured.
         """
         joints, count = self.joints, len(columns)
-        segments, samples = self.deviation.stiffness.shape[:2]
+        segments, samples = self.dynamics.stiffness.shape[:2]
         pushed = [c for c in columns if c.force is not None or c.drive is not None]
         alone = all(c.joint is not None for c in pushed)
         if not alone:
-            columns = [c.at_all(joints) for c in columns]
+            columns = [c.at_all_joints(joints) for c in columns]
         joint = np.array([c.joint or 0 for c in columns])
         none = np.zeros((segments, samples) if alone else (segments, samples, joints))
         shape = (samples, segments, joints, count)
         effort = None
         if self.signals > joints:
             effort = np.empty(shape)
-            drive = _side_by_side([none if c.drive is None else c.drive for c in columns])
+            drive = _stack_columns([none if c.drive is None else c.drive for c in columns])
             drive = drive.swapaxes(0, 1)
             here = joint == np.arange(joints)[:, None]
 
@@ -198,9 +198,13 @@ class SensorReadings:
             if effort is not None:
                 effort[:] = delivered(slice(None))
             return None, effort
-        force = _side_by_side([none if c.force is None else c.force for c in columns])
-        of = self.deviation
-        states = of.of_joints(force, joint, initial) if alone else of.of(force, initial)
+        force = _stack_columns([none if c.force is None else c.force for c in columns])
+        of = self.dynamics
+        states = (
+            of.propagate_joint_forces(force, joint, initial)
+            if alone
+            else of.propagate(force, initial)
+        )
         moved, first = np.empty(shape), 0
         for state in states:
             some = slice(first, first + len(state))
@@ -214,7 +218,7 @@ class SensorReadings:
         return moved, effort
 
     def _subtract_free_starts(
-        self, binned: FloatArray, columns: Sequence[Column], moved: FloatArray | None
+        self, binned: FloatArray, columns: Sequence[ReadingChange], moved: FloatArray | None
     ) -> None:
         """Subtract the part of the deviations that free initial states explain, in place.
 
@@ -238,7 +242,7 @@ class SensorReadings:
             of_segment = binned[self._bins[i] : self._bins[i + 1], : self.joints]
             of_segment -= (start.response @ shift).reshape(of_segment.shape)
 
-    def _read_off(self, direct: FloatArray) -> FloatArray:
+    def _bin_means(self, direct: FloatArray) -> FloatArray:
         """(bins, signals) means of (stamps, signals) readings, with weighted efforts."""
         if self._effort_weights is not None:
             weigh_efforts = direct[:, self.joints :] * self._effort_weights
@@ -247,7 +251,7 @@ class SensorReadings:
 
 
 @dataclass(frozen=True, slots=True)
-class _Start:
+class _FreeState:
     """The free initial state of one segment.
 
     Attributes:
@@ -261,7 +265,9 @@ class _Start:
     response: FloatArray
 
 
-def _between(trajectory: MeasuredTrajectory, i: int, stamps: FloatArray) -> sparse.csr_array:
+def _interpolation_matrix(
+    trajectory: MeasuredTrajectory, i: int, stamps: FloatArray
+) -> sparse.csr_array:
     """(stamps, samples) matrix that interpolates segment ``i`` linearly at its stamps."""
     samples = trajectory.position.shape[1]
     at = (stamps - trajectory.time[i, 0]) / trajectory.interval
@@ -273,7 +279,7 @@ def _between(trajectory: MeasuredTrajectory, i: int, stamps: FloatArray) -> spar
     return sparse.csr_array((weights, places), shape=(len(stamps), samples))
 
 
-def _means(bins: Bins, stamps: int) -> sparse.csr_array:
+def _averaging_matrix(bins: Bins, stamps: int) -> sparse.csr_array:
     """(bins, stamps) matrix that averages the stamps of each bin."""
     counts = bins.counts
     weights = np.repeat(1.0 / counts, counts)
@@ -281,7 +287,7 @@ def _means(bins: Bins, stamps: int) -> sparse.csr_array:
     return sparse.csr_array((weights, np.arange(stamps), ends), shape=(len(counts), stamps))
 
 
-def _at_one(values: FloatArray | None, joint: int, joints: int) -> FloatArray | None:
+def _only_at_joint(values: FloatArray | None, joint: int, joints: int) -> FloatArray | None:
     """(..., joints) values that are zero except at one joint; None stays None."""
     if values is None:
         return None
@@ -290,7 +296,7 @@ def _at_one(values: FloatArray | None, joint: int, joints: int) -> FloatArray | 
     return out
 
 
-def _side_by_side(columns: Sequence[FloatArray]) -> FloatArray:
+def _stack_columns(columns: Sequence[FloatArray]) -> FloatArray:
     """Arrays stacked along a new last axis, (..., columns).
 
     ``np.stack`` gives the same and takes four times as long, because it writes column by column.

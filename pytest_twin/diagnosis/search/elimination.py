@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_twin.diagnosis.first_order.sensitivities import Linear, linearize
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization, linearize
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.linearized_evidence import fit_and_score_linearized
 from pytest_twin.diagnosis.search.linearized_view import residual_view
@@ -84,7 +84,7 @@ def eliminate(comparison: ModelComparison, best: ScoredModel) -> Eliminated:
 
 
 def tolerances(
-    comparison: ModelComparison, best: ScoredModel, linear: Linear | None
+    comparison: ModelComparison, best: ScoredModel, linear: Linearization | None
 ) -> Callable[[Hypothesis], float]:
     """How far the evidence of a simplification may be below that of ``best``.
 
@@ -119,7 +119,7 @@ def tolerances(
 def undecided(
     comparison: ModelComparison,
     best: ScoredModel,
-    linear: Linear | None,
+    linear: Linearization | None,
     others: Sequence[Hypothesis],
     tolerance: Callable[[Hypothesis], float],
 ) -> list[Hypothesis]:

@@ -8,8 +8,12 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import ResidualView
-from pytest_twin.diagnosis.first_order.linearized_fit import FAR_OFF, LinearizedFit, fit_linearized
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.linearized_fit import (
+    FAR_ITERATIONS,
+    LinearizedFit,
+    fit_linearized,
+)
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 
@@ -21,7 +25,7 @@ def linearized_evidence(
     effective = view.effective_of_best([p.residual for p in linear_fits])
     return np.array(
         [
-            view.worth(p.residual, effective, p.hypothesis.free)
+            view.penalized_likelihood(p.residual, effective, p.hypothesis.free)
             - penalty_per_effect * len(p.hypothesis.terms)
             for p in linear_fits
         ]
@@ -29,14 +33,14 @@ def linearized_evidence(
 
 
 def fit_and_score_linearized(
-    linear: Linear,
+    linear: Linearization,
     view: ResidualView,
     best: ScoredModel,
     others: Sequence[Hypothesis],
     penalty_per_effect: float,
 ) -> tuple[list[Hypothesis], FloatArray]:
     """Hypotheses fitted in the motion linearized at ``best``, and their evidence relative to it."""
-    linear_fits = fit_linearized(linear, view, others, FAR_OFF)
+    linear_fits = fit_linearized(linear, view, others, FAR_ITERATIONS)
     values = linearized_evidence(
         view, [LinearizedFit(best.hypothesis, view.residual), *linear_fits], penalty_per_effect
     )

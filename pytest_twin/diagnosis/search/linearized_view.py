@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.harmonic_search import search_harmonics
 from pytest_twin.diagnosis.first_order.limit_refinement import refine_limits
 from pytest_twin.diagnosis.first_order.sensitivities import (
-    Linear,
+    Linearization,
     Sensitivity,
     linearize,
     sensitivities_around,
@@ -39,7 +39,7 @@ class LinearizedView:
     """
 
     around: ScoredModel
-    linear: Linear | None
+    linear: Linearization | None
     view: ResidualView
     candidate_sensitivities: CandidateSensitivities
 

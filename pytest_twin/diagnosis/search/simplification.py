@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.first_order.sensitivities import grid
+from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
@@ -30,7 +30,7 @@ def merge_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
         for new in candidates(problem):
             both = {a.effect, b.effect} <= set(new.law.confused_with)
             if both and new.joint == a.joint and new not in hypothesis.terms:
-                (start, _), *_ = grid(new)
+                (start, _), *_ = starting_grid(new)
                 out.append(hypothesis.without(a, b).with_term(new, start))
     return out
 
@@ -57,7 +57,7 @@ def mean_start(
     problem: Problem, hypothesis: Hypothesis, each: Sequence[Term], new: Term
 ) -> FloatArray:
     """Start of the term ``new``: the mean of equally named parameters of the terms ``each``."""
-    (start, _), *_ = grid(new)
+    (start, _), *_ = starting_grid(new)
     each_has = [values_of(problem, hypothesis, t) for t in each]
     for k, p in enumerate(new.parameters):
         alike = [values[p.name] for values in each_has if p.name in values]
@@ -149,7 +149,7 @@ def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
     place = hypothesis.slice_of(term)
     own = hypothesis.theta[place]
     is_estimated, found = term.is_estimated(own), dict[bytes, Hypothesis]()
-    for start, _ in grid(term):
+    for start, _ in starting_grid(term):
         other = term.is_estimated(start)
         if other.sum() <= most:
             theta = hypothesis.theta.copy()
@@ -169,7 +169,7 @@ def _as_equivalents(problem: Problem, hypothesis: Hypothesis, term: Term) -> lis
         if new in hypothesis.terms:
             continue
         forms = dict[bytes, Hypothesis]()
-        for start, _ in grid(new):
+        for start, _ in starting_grid(new):
             has = new.law.has(start)
             for k, p in enumerate(new.parameters):
                 if has[k] and p.name in own:

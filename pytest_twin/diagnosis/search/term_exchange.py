@@ -19,7 +19,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import NormalEquations, ResidualView
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.linearized_fit import LinearizedFit
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.linearized_evidence import (
@@ -284,19 +284,19 @@ def _exchanges_in_places(
     lefts = _residuals_of(best.problem, linearized.linear, view, reduced, gears)
     for removed, rest, gear, left in zip(places, reduced, gears, lefts, strict=True):
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
-        lens = NormalEquations(
+        equations = NormalEquations(
             ResidualView(left, slope, view.floor, view.lengths),
             linearized.candidate_sensitivities,
         )
-        chosen = lens.children(lens.bare, count, rest.terms)
-        structures = [lens.bare, *(lens.structure(c) for c in chosen)]
+        chosen = equations.children(equations.base, count, rest.terms)
+        structures = [equations.base, *(equations.structure(c) for c in chosen)]
         hypotheses = [rest.with_terms(s.starts) for s in structures]
         seen = [LinearizedFit(h, s.residual) for h, s in zip(hypotheses, structures, strict=True)]
         values = linearized_evidence(
             view, [LinearizedFit(own, view.residual), *seen], penalty_per_effect
         )
         values = np.nan_to_num(values, nan=-np.inf)
-        far = bool(view.above(np.mean(left**2, axis=0), EXCHANGE.far_apart).any())
+        far = bool(view.is_above(np.mean(left**2, axis=0), EXCHANGE.far_apart).any())
         for s, h, value in zip(structures, hypotheses, values[1:] - values[0], strict=True):
             new = next(iter(s.starts), None)
             is_doubtful = far and new is not None and (gear or linearized.linear is None)
@@ -306,7 +306,7 @@ def _exchanges_in_places(
 
 def _residuals_of(
     problem: Problem,
-    linear: Linear | None,
+    linear: Linearization | None,
     view: ResidualView,
     reduced: Sequence[Hypothesis],
     gears: Sequence[bool],
@@ -330,7 +330,7 @@ def _residuals_of(
 
 def residuals_without(
     problem: Problem,
-    linear: Linear,
+    linear: Linearization,
     view: ResidualView,
     own: Hypothesis,
     places: Sequence[tuple[Term, ...]],

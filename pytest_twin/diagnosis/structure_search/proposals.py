@@ -178,7 +178,7 @@ def _exchanged(
     def search(most: int, width: int) -> BeamSearch:
         return BeamSearch(
             width, most, settings.earns,
-            lambda before, after: bool((after < before).any()), barred=elastic,
+            lambda before, after: bool((after < before).any()), excluded=elastic,
         )  # fmt: skip
 
     for removed, rest, left in zip(removed_sets, reduced, lefts, strict=True):
@@ -186,13 +186,15 @@ def _exchanged(
             yield rest
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
         seen = ResidualView(left, slope, view.floor, view.lengths)
-        lens = NormalEquations(seen, candidate_sensitivities)
+        equations = NormalEquations(seen, candidate_sensitivities)
         if elastic:
-            for chosen in lens.children(lens.bare, 2 * settings.of_each_elastic, barred=rigid):
-                yield rest.with_terms(lens.structure(chosen).starts)
+            for chosen in equations.children(
+                equations.base, 2 * settings.of_each_elastic, excluded=rigid
+            ):
+                yield rest.with_terms(equations.structure(chosen).starts)
         most = settings.added if not removed else min(len(removed) + 1, 2)
         width = settings.beam if not removed else settings.beam // 2
-        for level in search(most, width).levels(lens):
+        for level in search(most, width).levels(equations):
             for structure in level[:width]:
                 yield rest.with_terms(structure.starts)
 

@@ -19,7 +19,7 @@ from pytest_twin.diagnosis.search_result import (
     residuals_everywhere,
 )
 from pytest_twin.diagnosis.unexplained import unexplained
-from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, free_laws
+from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, fit_free_laws
 from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, law_json
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.diagnosis.windows import WINDOW
@@ -47,13 +47,13 @@ class ConfirmedLaws:
         """The laws as findings of ``diagnosis.json``; they follow the catalogue's effects."""
         return [law_json(law, gain) for law, gain in self.laws]
 
-    def removed_share(self, joint: str) -> float | None:
+    def removed_share_at(self, joint: str) -> float | None:
         """Share of the squared test error that the laws at a joint remove; None without a law."""
         gains = [gain for law, gain in self.laws if law.joint == joint]
         return max(gains, default=None)
 
 
-def laws_of_residual(given: ModelSetup, found: SearchResult, near: float | None) -> FreeLaws:
+def fit_laws_to_residual(given: ModelSetup, found: SearchResult, near: float | None) -> FreeLaws:
     """Free laws for the residual that a search leaves unexplained.
 
     Args:
@@ -72,10 +72,10 @@ def laws_of_residual(given: ModelSetup, found: SearchResult, near: float | None)
         prepared, trials = build_problem(given, trials, [], window=near or WINDOW, scales=scales)
     left = unexplained(found, prepared, trials)
     where = {joint: item.where for joint, item in left.items()}
-    return free_laws(prepared, hypothesis, where, prepared.problem.fit)
+    return fit_free_laws(prepared, hypothesis, where, prepared.problem.fit)
 
 
-def confirmed_on_test(
+def confirm_on_test(
     found: FreeLaws, fitted: Problem, tested: SearchResult, *, searched_all: bool = True
 ) -> ConfirmedLaws:
     """Predict the test recordings with the laws, and drop laws that remove too little of the error.
@@ -97,8 +97,8 @@ def confirmed_on_test(
             continue
         kept.append(law)
     while kept:
-        terms = {law.term: _moved(law.term, column) for law in kept}
-        everything = _with(named, found.hypothesis, terms)
+        terms = {law.term: _at_tested_joint(law.term, column) for law in kept}
+        everything = _with_laws(named, found.hypothesis, terms)
         after = residuals_everywhere(problem, everything)
         whole = _squared(problem, after)
         gains = []
@@ -135,12 +135,12 @@ def confirmed_on_test(
     return ConfirmedLaws((), free, tested, tuple(notes))
 
 
-def _moved(term: Term, column: Mapping[int, int]) -> Term:
+def _at_tested_joint(term: Term, column: Mapping[int, int]) -> Term:
     """A term in the numbering of the tested joints."""
     return Term(term.effect, column[term.joint])
 
 
-def _with(named: Hypothesis, laws: Hypothesis, terms: Mapping[Term, Term]) -> Hypothesis:
+def _with_laws(named: Hypothesis, laws: Hypothesis, terms: Mapping[Term, Term]) -> Hypothesis:
     """The findings ``named`` with laws in addition; ``terms`` maps laws to renumbered terms."""
     out = named
     for term, here in terms.items():

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
-from pytest_twin.diagnosis.first_order.sensor_readings import Column
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
+from pytest_twin.diagnosis.first_order.sensor_readings import ReadingChange
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects.unnamed_law import (
     COLD_FRACTION,
@@ -66,31 +66,31 @@ class Covariate:
     @property
     def occupancy(self) -> FloatArray:
         """(KNOTS,) share of the recorded samples near each knot."""
-        weights = self._hats(self.at[self.inside])
+        weights = self._hat_functions(self.at[self.inside])
         share: FloatArray = weights.sum(axis=0) / max(int(self.inside.sum()), 1)
         return share
 
-    def columns(self, joint: int) -> list[Column]:
+    def columns(self, joint: int) -> list[ReadingChange]:
         """For each knot the force at ``joint`` if only this knot has the value 1, N*m or N."""
-        hats = self._hats(self.at) * self.sign[..., None]
+        hats = self._hat_functions(self.at) * self.sign[..., None]
         forces = np.ascontiguousarray(np.moveaxis(hats, -1, 0))
-        return [Column(force=f, drive=np.zeros_like(f), joint=joint) for f in forces]
+        return [ReadingChange(force=f, drive=np.zeros_like(f), joint=joint) for f in forces]
 
-    def moved_to(self, linear: Linear, joint: int) -> Covariate:
+    def for_linearization(self, linear: Linearization, joint: int) -> Covariate:
         """The same table along the measured motion of another linearization."""
         for other in covariates(linear, joint):
             if (other.effect, other.variable) == (self.effect, self.variable):
                 return replace(other, low=self.low, high=self.high, valid=self.valid)
         return self
 
-    def _hats(self, at: FloatArray) -> FloatArray:
+    def _hat_functions(self, at: FloatArray) -> FloatArray:
         """(..., KNOTS) linear interpolation weights; zero from one interval outside the knots."""
         place = (at - self.low) / max(self.high - self.low, 1e-12) * (KNOTS - 1)
         weights: FloatArray = np.maximum(1.0 - np.abs(place[..., None] - np.arange(KNOTS)), 0.0)
         return weights
 
 
-def covariates(linear: Linear, joint: int) -> list[Covariate]:
+def covariates(linear: Linearization, joint: int) -> list[Covariate]:
     """All variables that vary in the recordings, over their whole ranges, the simplest first."""
     trajectory, simulator = linear.trajectory, linear.simulator
     segments = [simulator.segments[s] for s in trajectory.segments]
@@ -98,16 +98,17 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
     position, velocity = trajectory.position[..., joint], trajectory.velocity[..., joint]
     still = FREE_LAWS.still * float(linear.problem.scales.of["velocity"][joint])
     cold = np.array([s.cold_fraction for s in segments])
-    against = -np.tanh(velocity / trajectory.slip_velocity[joint])
+    against_motion = -np.tanh(velocity / trajectory.slip_velocity[joint])
     force, friction = np.ones_like(position), UnnamedFriction.id
+    since = _time_since_reversal(velocity, still, trajectory.interval)
     found = [
         (UnnamedLaw.id, POSITION, position, force),
-        (friction, POSITION, position, against),
-        (friction, SPEED, np.abs(velocity), against),
+        (friction, POSITION, position, against_motion),
+        (friction, SPEED, np.abs(velocity), against_motion),
         (UnnamedLaw.id, VELOCITY, velocity, force),
-        (friction, LOAD, np.abs(linear.laws.load[..., joint]), against),
-        (friction, SINCE_REVERSAL, _since(velocity, still, trajectory.interval), against),
-    ]  # fmt: skip
+        (friction, LOAD, np.abs(linear.laws.load[..., joint]), against_motion),
+        (friction, SINCE_REVERSAL, since, against_motion),
+    ]
     if all(s.mode_of(joint) == "position" for s in segments):
         # A velocity or effort command mostly comes from an outer loop and contains its reaction to
         # the missing force. It would therefore explain any force.
@@ -117,7 +118,7 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
         found.append((UnnamedLaw.id, COMMAND, command, force))
     if len(set(cold)) >= FREE_LAWS.fewest_temperatures:
         of_samples = np.repeat(cold[:, None], position.shape[1], axis=1)
-        found.append((UnnamedThermalFriction.id, COLD_FRACTION, of_samples, against))
+        found.append((UnnamedThermalFriction.id, COLD_FRACTION, of_samples, against_motion))
     out = []
     for effect, variable, at, sign in found:
         if not np.isfinite(at).all():
@@ -133,7 +134,7 @@ def covariates(linear: Linear, joint: int) -> list[Covariate]:
     return out
 
 
-def _since(velocity: FloatArray, still: float, interval: float) -> FloatArray:
+def _time_since_reversal(velocity: FloatArray, still: float, interval: float) -> FloatArray:
     """(segments, samples) time since the last reversal in s; since the start without one."""
     since, direction = np.zeros((2, len(velocity)))
     out = np.empty_like(velocity)

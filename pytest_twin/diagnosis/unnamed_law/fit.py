@@ -17,18 +17,23 @@ from scipy.special import stdtr, stdtrit
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.findings import joint_type, joint_unit
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.prepare import Prepared
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.unnamed_law.covariates import Covariate
-from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, Rival
+from pytest_twin.diagnosis.unnamed_law.law import AlternativeVariable, FreeLaw
 from pytest_twin.diagnosis.unnamed_law.regression import log_ratio, standard_error
-from pytest_twin.diagnosis.unnamed_law.selection import Chosen, Data, rank_tables, with_second
+from pytest_twin.diagnosis.unnamed_law.selection import (
+    JointResidual,
+    TableFit,
+    add_second_table,
+    rank_tables,
+)
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
-from pytest_twin.diagnosis.unnamed_law.shape import Curve, resembles
-from pytest_twin.diagnosis.unnamed_law.simulated import Fitted, fit_tables
+from pytest_twin.diagnosis.unnamed_law.shape import Curve, matching_effect
+from pytest_twin.diagnosis.unnamed_law.table_fit import SimulatedTables, fit_tables
 from pytest_twin.diagnosis.verdict import UNSEEN
 
 
@@ -51,10 +56,10 @@ class FreeLaws:
         return self.hypothesis.without(law.term)
 
 
-def free_laws(
+def fit_free_laws(
     prepared: Prepared,
     hypothesis: Hypothesis,
-    left: Mapping[str, TimeAndRegime],
+    unexplained_at: Mapping[str, TimeAndRegime],
     segments: NDArray[np.int64],
 ) -> FreeLaws:
     """Fit free laws at the joints that are left unexplained.
@@ -62,7 +67,7 @@ def free_laws(
     Args:
         prepared: the problem.
         hypothesis: the findings.
-        left: joint -> where its residual occurs, the largest residual first.
+        unexplained_at: joint -> where its residual occurs, the largest residual first.
         segments: indices of the segments that may be used; of each recording all or none.
     """
     problem = prepared.problem
@@ -79,12 +84,12 @@ def free_laws(
         ))  # fmt: skip
     found: list[FreeLaw] = []
     notes = []
-    for joint, where in list(left.items())[: FREE_LAWS.most_joints]:
+    for joint, where in list(unexplained_at.items())[: FREE_LAWS.most_joints]:
         column = problem.joints.index(joint)
         if problem.floor[column] >= UNSEEN or _has_table(problem, column):
             continue
-        data = _data(problem, hypothesis, column, segments, recording)
-        result = _at_joint(problem, hypothesis, data)
+        data = _joint_residual(problem, hypothesis, column, segments, recording)
+        result = _fit_at_joint(problem, hypothesis, data)
         if isinstance(result, str):
             notes.append(f"no free law at joint {joint}: {result}")
             continue
@@ -102,25 +107,25 @@ def _has_table(problem: Problem, joint: int) -> bool:
     )
 
 
-def _data(
+def _joint_residual(
     problem: Problem,
     hypothesis: Hypothesis,
     joint: int,
     segments: NDArray[np.int64],
     recording: NDArray[np.int64],
-) -> Data:
+) -> JointResidual:
     """Residual of the findings at a joint, with the linearization around them."""
-    linear = Linear(problem, hypothesis, segments)
+    linear = Linearization(problem, hypothesis, segments)
     residual = linear.residual(problem.residuals([hypothesis], segments)[0])
     level = float(np.median(linear.base.level[0][..., joint]))
     weights = 1.0 / problem.signal_floor
     of_bins = np.repeat(recording, linear.bins.lengths)
-    return Data(linear, joint, residual, weights, of_bins, level)
+    return JointResidual(linear, joint, residual, weights, of_bins, level)
 
 
-def _at_joint(
-    problem: Problem, hypothesis: Hypothesis, data: Data
-) -> tuple[Chosen, Fitted, list[Chosen]] | str:
+def _fit_at_joint(
+    problem: Problem, hypothesis: Hypothesis, data: JointResidual
+) -> tuple[TableFit, SimulatedTables, list[TableFit]] | str:
     """Tables in the linearized motion, the same simulated, and all candidates; or the reason why
     there is no law.
     """
@@ -129,14 +134,14 @@ def _at_joint(
     ranking = rank_tables(data)
     if not ranking:
         return "nothing that a force may depend on varies in the recordings"
-    chosen = with_second(data, ranking)
+    chosen = add_second_table(data, ranking)
     share, clear = _removed(chosen.regression.square, chosen.errors)
     if share < FREE_LAWS.removes or not clear:
         return (
             "over no variable does a force from some recordings explain the others: the best, "
-            f"{_named(chosen.tables)}, removes {100 * max(share, 0.0):.0f} % of their squared "
-            f"error ({100 * FREE_LAWS.removes:.0f} % required). A push in time or a random torque "
-            "looks like this"
+            f"{_describe_tables(chosen.tables)}, removes {100 * max(share, 0.0):.0f} % of their "
+            f"squared error ({100 * FREE_LAWS.removes:.0f} % required). A push in time or a random "
+            "torque looks like this"
         )
     after = fit_tables(problem, hypothesis, chosen, data)
     if after is None:
@@ -144,8 +149,8 @@ def _at_joint(
     share, clear = _removed(after.before, after.errors)
     if share < FREE_LAWS.removes or not clear:
         return (
-            f"simulated, {_named(chosen.tables)} removes {100 * max(share, 0.0):.0f} % of the "
-            "squared error of recordings that it was not fitted to "
+            f"simulated, {_describe_tables(chosen.tables)} removes {100 * max(share, 0.0):.0f} % "
+            "of the squared error of recordings that it was not fitted to "
             f"({100 * FREE_LAWS.removes:.0f} % required)"
         )
     return chosen, after, ranking
@@ -161,7 +166,7 @@ def _removed(before: FloatArray, errors: FloatArray) -> tuple[float, bool]:
     return float(less.sum() / before.sum()), bool(less.sum() > standard_error(less))
 
 
-def _named(tables: Sequence[Covariate]) -> str:
+def _describe_tables(tables: Sequence[Covariate]) -> str:
     """Kind and variable of each table, in words."""
     kinds = [f"{'friction' if t.is_friction else 'a force'} over {t.variable.name}" for t in tables]
     return " with ".join(kinds)
@@ -171,9 +176,9 @@ def _laws(
     problem: Problem,
     joint: str,
     where: TimeAndRegime,
-    chosen: Chosen,
-    after: Fitted,
-    ranking: Sequence[Chosen],
+    chosen: TableFit,
+    after: SimulatedTables,
+    ranking: Sequence[TableFit],
 ) -> list[FreeLaw]:
     """The fitted tables of a joint as laws with bands, confidences and alternatives."""
     column = problem.joints.index(joint)
@@ -200,8 +205,8 @@ def _laws(
         mine = [(c, p) for c, p in shares if c.tables[0].variable == table.variable
                 and c.tables[0].effect == table.effect]  # fmt: skip
         others = [(c, p) for c, p in shares if (c, p) not in mine]
-        rivals = tuple(
-            Rival(c.tables[0].variable.name, c.tables[0].is_friction, p)
+        alternatives = tuple(
+            AlternativeVariable(c.tables[0].variable.name, c.tables[0].is_friction, p)
             for c, p in others if p > FREE_LAWS.least_listed
         ) if count == 1 else ()  # fmt: skip
         confidence = (
@@ -211,14 +216,20 @@ def _laws(
         )
         found.append(
             FreeLaw(
-                joint, Term(table.effect, column), curve,
-                resembles(curve, turns=kind == "hinge"), share, confidence, rivals[:4], where,
+                joint=joint,
+                term=Term(table.effect, column),
+                curve=curve,
+                resembles=matching_effect(curve, turns=kind == "hinge"),
+                removed=share,
+                confidence=confidence,
+                alternatives=alternatives[:4],
+                where=where,
             )
-        )  # fmt: skip
+        )
     return found
 
 
-def _half_width(after: Fitted) -> FloatArray:
+def _half_width(after: SimulatedTables) -> FloatArray:
     """(p,) half widths of 95 % bands, from the larger of the sandwich variance and the jackknife
     variance over recordings.
     """
@@ -230,7 +241,7 @@ def _half_width(after: Fitted) -> FloatArray:
     return half
 
 
-def _shares(ranking: Sequence[Chosen]) -> list[tuple[Chosen, float]]:
+def _shares(ranking: Sequence[TableFit]) -> list[tuple[TableFit, float]]:
     """Single tables with their shares, which sum to 1.
 
     The weight of a table is the p-value of a paired t-test between its errors on left-out

@@ -7,7 +7,7 @@ from typing import Any
 
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
-from pytest_twin.diagnosis.unnamed_law.shape import Curve, in_words
+from pytest_twin.diagnosis.unnamed_law.shape import Curve, describe_curve
 from pytest_twin.effects.unnamed_law import UnnamedLaw
 
 _KNOWN_SHAPE = "its shape is that of {}: inspect the joint for that cause"
@@ -18,7 +18,7 @@ _NEXT_TEST = (
 
 
 @dataclass(frozen=True, slots=True)
-class Rival:
+class AlternativeVariable:
     """Another variable over which a table explains a part of the residual.
 
     Attributes:
@@ -44,7 +44,7 @@ class FreeLaw:
         removed: share of the squared error of left-out recordings that the law removes, by
             cross-validation over whole recordings.
         confidence: share of this variable against the others, 0 to 1.
-        rivals: other variables, most likely first.
+        alternatives: other variables, most likely first.
         where: when the residual occurs.
     """
 
@@ -54,13 +54,13 @@ class FreeLaw:
     resembles: str | None
     removed: float
     confidence: float
-    rivals: tuple[Rival, ...]
+    alternatives: tuple[AlternativeVariable, ...]
     where: TimeAndRegime
 
     @property
     def words(self) -> str:
         """Description of the curve in one phrase, with units."""
-        return in_words(self.curve)
+        return describe_curve(self.curve)
 
 
 def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
                 "effect": UnnamedLaw.id, "joint": law.joint, "confidence": round(r.confidence, 4),
                 "variable": r.variable, "acts": _acts(r.is_friction),
             }
-            for r in law.rivals
+            for r in law.alternatives
         ],
         "next_test": _next_test(law),
         "law": {
@@ -126,4 +126,4 @@ def _next_test(law: FreeLaw) -> str:
     return f"{text}; {_KNOWN_SHAPE.format(law.resembles.replace('_', ' '))}"
 
 
-__all__ = ["FreeLaw", "Rival", "law_json"]
+__all__ = ["AlternativeVariable", "FreeLaw", "law_json"]

@@ -101,7 +101,7 @@ def standard_error(differences: FloatArray) -> float:
     return float(np.sqrt(n) * np.std(differences, ddof=1)) if n > 1 else np.inf
 
 
-def simplest(errors: Sequence[FloatArray]) -> int:
+def simplest_within_error(errors: Sequence[FloatArray]) -> int:
     """Index of the simplest model whose error is within one standard error of the smallest.
 
     This is the one-standard-error rule (Hastie, Tibshirani, Friedman, The Elements of Statistical

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.unnamed_law.covariates import Covariate, covariates
 from pytest_twin.diagnosis.unnamed_law.regression import (
     STRENGTHS,
     Regression,
     log_ratio,
-    simplest,
+    simplest_within_error,
     standard_error,
 )
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
@@ -24,7 +24,7 @@ from pytest_twin.effects.unnamed_law import KNOTS
 
 
 @dataclass(frozen=True, slots=True)
-class Data:
+class JointResidual:
     """The residual that a law at one joint has to explain.
 
     Attributes:
@@ -36,7 +36,7 @@ class Data:
         level: dry friction that the joint already has, N*m or N.
     """
 
-    linear: Linear
+    linear: Linearization
     joint: int
     residual: FloatArray
     weights: FloatArray
@@ -45,7 +45,7 @@ class Data:
 
     def responses(self, covariate: Covariate) -> FloatArray:
         """(bins * signals, KNOTS) weighted responses to unit values at the knots."""
-        changes = self.linear.readings.of(covariate.columns(self.joint))
+        changes = self.linear.readings.bin_means(covariate.columns(self.joint))
         stacked = np.stack(changes, axis=-1) * self.weights[:, None]
         return stacked.reshape(-1, len(changes)).astype(float)
 
@@ -76,7 +76,7 @@ class Data:
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class TableFit:
     """Tables at one joint with the penalty that cross-validation chooses.
 
     Attributes:
@@ -99,15 +99,17 @@ class Chosen:
         return self.regression.fitted(self.strength)
 
 
-def choose_strength(data: Data, tables: Sequence[Covariate], responses: FloatArray) -> Chosen:
+def choose_strength(
+    data: JointResidual, tables: Sequence[Covariate], responses: FloatArray
+) -> TableFit:
     """Tables with the strongest penalty whose error is within one standard error of the best."""
     regression = data.regression(tables, responses, data.residual)
     errors = [regression.left_out_errors(s) for s in STRENGTHS]
-    k = simplest(errors)
-    return Chosen(tuple(tables), responses, regression, STRENGTHS[k], errors[k])
+    k = simplest_within_error(errors)
+    return TableFit(tuple(tables), responses, regression, STRENGTHS[k], errors[k])
 
 
-def rank_tables(data: Data) -> list[Chosen]:
+def rank_tables(data: JointResidual) -> list[TableFit]:
     """A table over each variable, the best first; over a narrow range if the force is local."""
     singles = []
     for covariate in covariates(data.linear, data.joint):
@@ -124,7 +126,7 @@ def rank_tables(data: Data) -> list[Chosen]:
     return _simplest_first(singles)
 
 
-def with_second(data: Data, singles: Sequence[Chosen]) -> Chosen:
+def add_second_table(data: JointResidual, singles: Sequence[TableFit]) -> TableFit:
     """The best single table, or a force and a friction if the second table removes enough."""
     best = singles[0]
     forces, frictions = (
@@ -146,11 +148,11 @@ def with_second(data: Data, singles: Sequence[Chosen]) -> Chosen:
     return best
 
 
-def _error(chosen: Chosen) -> float:
+def _error(chosen: TableFit) -> float:
     return float(chosen.errors.sum())
 
 
-def _simplest_first(chosen: Sequence[Chosen]) -> list[Chosen]:
+def _simplest_first(chosen: Sequence[TableFit]) -> list[TableFit]:
     """Tables by error, after the first in the given order within one standard error of the best."""
     if not chosen:
         return []

@@ -50,20 +50,20 @@ class Curve:
         return int(np.argmax(np.where(passed, np.abs(self.values), -1.0)))
 
 
-def in_words(curve: Curve) -> str:
+def describe_curve(curve: Curve) -> str:
     """Description of the parts of the curve whose band excludes zero, with units."""
     unit, force = curve.units
-    stretches = _stretches(curve)
-    if not stretches:
+    intervals = _clear_intervals(curve)
+    if not intervals:
         return f"no force above its own uncertainty over the {curve.variable.name}"
-    if len(stretches) == 2 and curve.variable is POSITION and not curve.is_friction:
-        pair = _towards_or_away(curve, *stretches)
+    if len(intervals) == 2 and curve.variable is POSITION and not curve.is_friction:
+        pair = _describe_attraction(curve, *intervals)
         if pair:
             return pair
-    return ", ".join(_force_words(curve, s, unit, force) for s in stretches)
+    return ", ".join(_describe_interval(curve, s, unit, force) for s in intervals)
 
 
-def _force_words(curve: Curve, inside: slice, unit: str, force: str) -> str:
+def _describe_interval(curve: Curve, inside: slice, unit: str, force: str) -> str:
     values, knots = curve.values[inside], curve.knots[inside]
     peak = float(values[np.argmax(np.abs(values))])
     low, high = float(knots[0]), float(knots[-1])
@@ -86,7 +86,7 @@ def _force_words(curve: Curve, inside: slice, unit: str, force: str) -> str:
     return f"{amount} within {half:.2g} {unit} of {middle:.2g} {unit} ({name})"
 
 
-def _towards_or_away(curve: Curve, first: slice, second: slice) -> str | None:
+def _describe_attraction(curve: Curve, first: slice, second: slice) -> str | None:
     """Description of two neighbouring parts of opposite sign as attraction or repulsion."""
     a, b = (float(curve.values[s][np.argmax(np.abs(curve.values[s]))]) for s in (first, second))
     gap = float(curve.knots[second.start] - curve.knots[first.stop - 1])
@@ -106,7 +106,7 @@ def _towards_or_away(curve: Curve, first: slice, second: slice) -> str | None:
     )
 
 
-def _stretches(curve: Curve) -> list[slice]:
+def _clear_intervals(curve: Curve) -> list[slice]:
     """Stretches of knots with a clear force of one sign, the strongest few in their order."""
     size = np.abs(curve.values)
     clear = (size > curve.half_width) & (size > FREE_LAWS.described * size[curve.peak])
@@ -117,7 +117,7 @@ def _stretches(curve: Curve) -> list[slice]:
     return sorted(strongest, key=lambda s: s.start)
 
 
-def resembles(curve: Curve, *, turns: bool) -> str | None:
+def matching_effect(curve: Curve, *, turns: bool) -> str | None:
     """The id of the simplest effect of the catalogue with nearly this curve; None without one.
 
     Args:
@@ -186,4 +186,4 @@ def _share(curve: Curve, columns: FloatArray) -> float:
     return 1.0 - float(off @ off) / total
 
 
-__all__ = ["Curve", "in_words", "resembles"]
+__all__ = ["Curve", "describe_curve", "matching_effect"]

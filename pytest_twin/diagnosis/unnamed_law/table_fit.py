@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.sensitivities import Linear
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.unnamed_law.covariates import Covariate
 from pytest_twin.diagnosis.unnamed_law.regression import Regression
-from pytest_twin.diagnosis.unnamed_law.selection import Chosen, Data
+from pytest_twin.diagnosis.unnamed_law.selection import JointResidual, TableFit
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects.unnamed_law import TABLES, UnnamedFriction
 
@@ -28,7 +28,7 @@ halved."""
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class SimulatedTables:
     """Tables after simulation.
 
     Attributes:
@@ -63,17 +63,17 @@ def with_tables(
         law, others = TABLES[table.effect], {}
         if isinstance(law, UnnamedFriction):
             others["still"] = FREE_LAWS.still * float(problem.scales.of["velocity"][joint])
-        given = law.parameters_of(
+        parameters = law.parameters_of(
             table.variable, (table.low, table.high), table.valid, values, **others
         )
-        theta = [given[p.name] / problem.scales.value(p, joint) for p in term.parameters]
+        theta = [parameters[p.name] / problem.scales.value(p, joint) for p in term.parameters]
         out = out.with_term(term, np.array(theta))
     return out
 
 
 def fit_tables(
-    problem: Problem, hypothesis: Hypothesis, chosen: Chosen, data: Data
-) -> Fitted | None:
+    problem: Problem, hypothesis: Hypothesis, chosen: TableFit, data: JointResidual
+) -> SimulatedTables | None:
     """Fit tables by simulation; None if no simulation with them, or no derivative, is finite.
 
     Args:
@@ -84,7 +84,7 @@ def fit_tables(
     """
     values, regression = chosen.coefficients, chosen.regression
     linear = data.linear
-    penal = regression.normal(chosen.strength) - regression.gram.sum(axis=0)
+    penalty_matrix = regression.normal(chosen.strength) - regression.gram.sum(axis=0)
 
     def at(c: FloatArray) -> Hypothesis:
         return with_tables(problem, hypothesis, data.joint, chosen.tables, c)
@@ -93,7 +93,7 @@ def fit_tables(
         return linear.bins.mean(problem.residuals([at(c)], linear.segments)[0])
 
     def objective(residual: FloatArray, c: FloatArray) -> float:
-        return float(np.sum((residual * data.weights) ** 2) + c @ penal @ c)
+        return float(np.sum((residual * data.weights) ** 2) + c @ penalty_matrix @ c)
 
     # If the whole force is too large for the linearization, a part of it is a better start.
     for share in (1.0, 0.5, 0.25):
@@ -105,11 +105,13 @@ def fit_tables(
         return None
     local: Regression | None = None
     for _ in range(_STEPS):
-        around = _around(problem, at(values), data, chosen.tables, residual, values)
-        if not np.isfinite(around.gram).all():
+        local_regression = _linearize_around(
+            problem, at(values), data, chosen.tables, residual, values
+        )
+        if not np.isfinite(local_regression.gram).all():
             # The linearized motion diverges, but the simulated one does not.
             break
-        local = around
+        local = local_regression
         step = local.fitted(chosen.strength) - values
         for _ in range(_HALVINGS):
             tried = values + step
@@ -135,30 +137,32 @@ def fit_tables(
         _error(problem, at(c), data, r) for c, r in zip(left_out, recordings, strict=True)
     ])  # fmt: skip
     before = np.array([_error(problem, hypothesis, data, r) for r in recordings])
-    return Fitted(
+    return SimulatedTables(
         at(values), values, before, errors, left_out, _covariance(local, chosen.strength, values)
     )
 
 
-def _around(
+def _linearize_around(
     problem: Problem,
     hypothesis: Hypothesis,
-    data: Data,
+    data: JointResidual,
     tables: Sequence[Covariate],
     residual: FloatArray,
     values: FloatArray,
 ) -> Regression:
     """Return the least-squares sums of a step from ``values``."""
-    linear = Linear(problem, hypothesis, data.linear.segments)
-    columns = [c for t in tables for c in t.moved_to(linear, data.joint).columns(data.joint)]
-    changes = linear.readings.of(columns)
+    linear = Linearization(problem, hypothesis, data.linear.segments)
+    columns = [
+        c for t in tables for c in t.for_linearization(linear, data.joint).columns(data.joint)
+    ]
+    changes = linear.readings.bin_means(columns)
     responses = np.stack(changes, axis=-1) * data.weights[:, None]
     flat = responses.reshape(-1, len(changes)).astype(float)
     whole = residual + (flat @ values).reshape(residual.shape) / data.weights
     return data.regression(tables, flat, whole)
 
 
-def _error(problem: Problem, hypothesis: Hypothesis, data: Data, recording: int) -> float:
+def _error(problem: Problem, hypothesis: Hypothesis, data: JointResidual, recording: int) -> float:
     """Weighted squared error of one recording in the simulation."""
     linear, bins = data.linear, data.linear.bins
     owner = np.repeat(np.arange(len(bins.lengths)), bins.lengths)
@@ -176,6 +180,6 @@ def _covariance(local: Regression, strength: float, values: FloatArray) -> Float
     inverse = np.linalg.inv(local.normal(strength))
     scores = local.moment - local.gram @ values
     count = len(scores)
-    middle = scores.T @ scores * (count / max(count - 1, 1))
-    clustered: FloatArray = inverse @ middle @ inverse
+    meat = scores.T @ scores * (count / max(count - 1, 1))
+    clustered: FloatArray = inverse @ meat @ inverse
     return clustered
