@@ -33,6 +33,8 @@ class ChosenCommands:
             contain the joint.
         never: joints that the topic names but no message commands.
         notes: fields that are not used, one line each.
+        unstated: joints whose commands may be in any field by the recording, so that the model's
+            actuator decided.
     """
 
     joints: tuple[str, ...]
@@ -40,6 +42,7 @@ class ChosenCommands:
     table: FloatArray
     never: tuple[str, ...]
     notes: tuple[str, ...]
+    unstated: frozenset[str] = frozenset()
 
 
 def choose_command_fields(
@@ -67,6 +70,7 @@ def choose_command_fields(
     modes: list[CommandMode] = []
     columns: list[NDArray[np.float64]] = []
     never: list[str] = []
+    unstated: set[str] = set()
     unused: dict[tuple[CommandMode, tuple[CommandMode, ...], str], list[str]] = {}
     if isinstance(options.command_mode, Mapping):
         for joint in options.command_mode:
@@ -101,6 +105,8 @@ def choose_command_fields(
         joints.append(joint)
         modes.append(mode)
         columns.append(table[:, column])
+        if asked is None and _are_equal(series, column, filled):
+            unstated.add(joint)
         rest = tuple(name for name in filled if name != mode)
         if rest:
             unused.setdefault((mode, rest, why), []).append(joint)
@@ -123,8 +129,9 @@ def choose_command_fields(
         for joint, fields in unfit.items()
     ]
     return ChosenCommands(
-        tuple(joints), tuple(modes), np.stack(columns, axis=1), tuple(never), tuple(notes)
-    )
+        tuple(joints), tuple(modes), np.stack(columns, axis=1), tuple(never), tuple(notes),
+        frozenset(unstated),
+    )  # fmt: skip
 
 
 def _filled(series: JointSeries, column: int) -> tuple[CommandMode, ...]:
@@ -133,6 +140,12 @@ def _filled(series: JointSeries, column: int) -> tuple[CommandMode, ...]:
         for name in COMMAND_MODES
         if (table := getattr(series, name)) is not None and not np.isnan(table[:, column]).all()
     )
+
+
+def _are_equal(series: JointSeries, column: int, filled: Sequence[CommandMode]) -> bool:
+    """Whether several fields have the same values: readers do so where a format states no field."""
+    first, *others = (getattr(series, name)[:, column] for name in filled)
+    return bool(others) and all(np.array_equal(first, one, equal_nan=True) for one in others)
 
 
 def _fields_without_actuator(

@@ -209,6 +209,7 @@ class _Maker:
         for at, (joint, mode) in enumerate(zip(commanded.joints, commanded.modes, strict=True)):
             if mode == "position":
                 self.checks.within_range(joint, command[:, at], command_time, commands.series.topic)
+        self.check_unstated_efforts(joints, time, position, command_time, command, commands)
         for joint in commanded.never:
             self.checks.mark(
                 "unavailable", commands.series.topic, joint, command_time[0], command_time[-1],
@@ -359,6 +360,31 @@ class _Maker:
         self.checks.refuse_contradictions(joint, position, time, topic)
         self.checks.refuse_two_sources(joint, position, topic)
         self.checks.note_outliers(joint, position, time, topic)
+
+    def check_unstated_efforts(
+        self,
+        joints: tuple[str, ...],
+        time: FloatArray,
+        position: FloatArray,
+        command_time: FloatArray,
+        command: FloatArray,
+        commands: TimedMessages,
+    ) -> None:
+        """Check commands that are efforts only because the model has motors."""
+        chosen = self.commanded
+        both = [
+            (at, joints.index(joint))
+            for at, (joint, mode) in enumerate(zip(chosen.joints, chosen.modes, strict=True))
+            if mode == "effort" and joint in chosen.unstated and joint in joints
+        ]
+        if not both:
+            return
+        own, measured = (list(each) for each in zip(*both, strict=True))
+        held = np.searchsorted(command_time, time, side="right") - 1
+        later = held >= 0
+        self.checks.refuse_positions_as_efforts(
+            command[held[later]][:, own], position[later][:, measured], commands.series.topic
+        )
 
     def note_order(self, timed: TimedMessages, start: int) -> None:
         """Mark stamps that are not in the order of the file."""

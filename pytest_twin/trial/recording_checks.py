@@ -31,6 +31,11 @@ _STUCK_SPAN = 0.2
 _BEYOND_RANGE = 10.0
 _SMALL_RANGE = 0.1
 """rad. A smaller range is often an error of unit: MuJoCo read rad as degrees."""
+_MOVED = 0.02
+"""rad or m. Joints whose positions deviate less (RMS) do not show what follows them."""
+_FOLLOWS = 0.2
+"""Largest difference (RMS) of commands and positions, relative to the deviation of the positions, of
+position commands that are followed. Efforts have another course: gravity, inertia and friction."""
 # Larger numbers of marks of one kind are combined into one mark.
 _MAX_MARKS = 200
 # Two publishers alternate if the distance to the next sample is this many times that to the second
@@ -220,6 +225,36 @@ class RecordingChecks:
             expected="one publisher; record the topic of one robot, or rename the joints of one of "
             "the robots",
         )
+
+    def refuse_positions_as_efforts(
+        self, commands: FloatArray, positions: FloatArray, topic: str
+    ) -> None:
+        """Check that efforts are not positions: no joint that moves follows its command.
+
+        Args:
+            commands: (n, joints) commands that the model's motors take as efforts.
+            positions: (n, joints) measured positions, rad or m, at the same times.
+            topic: name in the recording.
+
+        Raises:
+            RecordingError: every joint that moves follows its command.
+        """
+        known = np.isfinite(commands) & np.isfinite(positions)
+        ratios = []
+        for column, rows in enumerate(known.T):
+            deviation = float(np.std(positions[rows, column])) if rows.any() else 0.0
+            if deviation > _MOVED:
+                apart = commands[rows, column] - positions[rows, column]
+                ratios.append(float(np.sqrt(np.mean(apart**2))) / deviation)
+        if ratios and max(ratios) < _FOLLOWS:
+            raise self.error(
+                "the model's motors take efforts, but the commands are followed as positions",
+                topic,
+                value=f"positions differ from commands by at most {100 * max(ratios):.2g} % of "
+                "their motion (RMS)",
+                expected="a model with position servos; or command_mode: effort, if these are "
+                "efforts",
+            )
 
     def note_stuck(
         self,
