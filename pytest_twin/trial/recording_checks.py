@@ -34,8 +34,8 @@ _SMALL_RANGE = 0.1
 _MOVED = 0.02
 """rad or m. Joints whose positions deviate less (RMS) do not show what follows them."""
 _FOLLOWS = 0.2
-"""Largest difference (RMS) of commands and positions, relative to the deviation of the positions, of
-position commands that are followed. Efforts have another course: gravity, inertia and friction."""
+"""Largest difference (RMS) of commands and positions, relative to the deviation of the positions,
+of position commands that are followed. Efforts have another course: gravity, inertia, friction."""
 # Larger numbers of marks of one kind are combined into one mark.
 _MAX_MARKS = 200
 # Two publishers alternate if the distance to the next sample is this many times that to the second
