@@ -23,6 +23,9 @@ INERTIAL = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
 [kg*m], mass [kg], all in the joint's frame. Second moments come first, so that a base parameter is
 named after them where masses are regrouped into it."""
 _ORDER = np.array([_PINOCCHIO_ORDER.index(name) for name in INERTIAL])
+_MASS = INERTIAL.index("m")
+_LEAST_MASS = 1e-6
+"""kg. Below it, the centre of mass (first moment divided by mass) is not accurate."""
 
 
 class InverseDynamics:
@@ -100,6 +103,67 @@ class InverseDynamics:
             whole = pin.computeJointTorqueRegressor(model, data, q[at], v[at], a[at])
             found[at] = whole.ravel()[places]
         return found.reshape(len(position), len(rows), len(self._links), 10)
+
+    def derivatives(
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        parameters: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Derivatives of joint efforts with respect to the motion, without armature.
+
+        The algorithm is that of Carpentier and Mansard, Analytical Derivatives of Rigid Body
+        Dynamics Algorithms, RSS 2018.
+
+        Args:
+            position: (n, joints) coordinates of the model, rad or m.
+            velocity, acceleration: (n, joints) rad/s, rad/s^2, or m/s, m/s^2.
+            parameters: (links, 10) inertial parameters, which may be physically inconsistent.
+
+        Returns:
+            (n, joints, joints) by position, by velocity, and by acceleration; the last index is
+            the joint that moves.
+        """
+        # Pinocchio divides by the mass of a link. Efforts are linear in it.
+        added = np.zeros_like(parameters)
+        added[np.abs(parameters[:, _MASS]) < _LEAST_MASS, _MASS] = 1.0
+        by_q, by_v, by_a = self._derivatives(position, velocity, acceleration, parameters + added)
+        if added.any():
+            own = self._derivatives(position, velocity, acceleration, added)
+            by_q, by_v, by_a = by_q - own[0], by_v - own[1], by_a - own[2]
+        return by_q, by_v, by_a
+
+    def _derivatives(
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        parameters: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The same as :meth:`derivatives`; masses are 0 only for links without inertia."""
+        model = self._model.copy()
+        model.armature = np.zeros(model.nv)
+        for at, own in zip(self._links, parameters, strict=True):
+            ordered = np.empty(len(own))
+            ordered[_ORDER] = own
+            model.inertias[at] = (
+                pin.Inertia.FromDynamicParameters(ordered) if own.any() else pin.Inertia.Zero()
+            )
+        data = model.createData()
+        rows = np.array([model.joints[i].idx_v for i in self._ids], dtype=np.intp)
+        square = np.ix_(rows, rows)
+        q = self._configurations(position)
+        v, a = np.zeros((2, len(position), model.nv))
+        v[:, rows], a[:, rows] = velocity, acceleration
+        by_q, by_v, by_a = np.empty((3, len(position), len(rows), len(rows)))
+        for at in range(len(position)):
+            pin.computeRNEADerivatives(model, data, q[at], v[at], a[at])
+            by_q[at], by_v[at] = data.dtau_dq[square], data.dtau_dv[square]
+            by_a[at] = data.M[square]
+        # Pinocchio fills the upper triangle of the mass matrix.
+        filled = rows[:, None] <= rows
+        return by_q, by_v, np.where(filled, by_a, by_a.transpose(0, 2, 1))
 
     def _configurations(self, position: FloatArray) -> FloatArray:
         """(n, nq) configurations of Pinocchio, which has cosine and sine for unbounded hinges."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from arms import needed_effort
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pytest_twin.errors import SpecError
 from pytest_twin.identification.regressor.base_parameters import base_of, structural_base
@@ -61,6 +62,44 @@ def test_efforts_of_random_robots_agree_with_mujoco(robot, tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
     for form in ("urdf", "mjcf"):
         check_effort(load(robot.write(folder, form)))
+
+
+def check_derivatives(regressor: Regressor, parameters: np.ndarray) -> None:
+    """Derivatives by the motion agree with central differences of the regressor's efforts."""
+    state = motion(len(regressor.joints), samples=10)
+    step = 1e-5
+    for which, found in enumerate(regressor.derivatives(*state, parameters)):
+        for joint in range(len(regressor.joints)):
+            ends = []
+            for side in (step, -step):
+                moved = state.copy()
+                moved[which, :, joint] += side
+                ends.append(regressor.matrix(*moved) @ parameters)
+            expected = (ends[0] - ends[1]) / (2.0 * step)
+            near = 1e-6 * max(1.0, np.abs(ends).max())
+            np.testing.assert_allclose(found[:, :, joint], expected, rtol=1e-6, atol=near)
+
+
+@given(robot=robots(links=(2, 5), mimics=False, meshes=False), seed=st.integers(0, 99))
+@settings(max_examples=15, deadline=None)
+def test_derivatives_of_efforts_agree_with_differences(robot, seed, tmp_path_factory):
+    realization = load(robot.write(tmp_path_factory.mktemp("robot"), "mjcf"))
+    regressor = Regressor(realization, realization.joints)
+    # Values of base parameters, with zero for all others: links without mass, no real bodies.
+    base = structural_base(regressor)
+    parameters = np.zeros(len(regressor.columns))
+    random = np.random.default_rng(seed).normal(size=len(base))
+    parameters[base.independent] = base.values(regressor.prior) + 0.1 * random
+    check_derivatives(regressor, parameters)
+
+
+def test_derivatives_count_shared_motors_and_currents(tmp_path):
+    regressor = Regressor(
+        model_of(TWO_LINKS, tmp_path), ["shoulder", "elbow"],
+        [SharedMotor("elbow", "shoulder", -1.0)], unscaled=["shoulder"],
+    )  # fmt: skip
+    parameters = regressor.prior + np.random.default_rng(3).normal(size=len(regressor.columns))
+    check_derivatives(regressor, parameters)
 
 
 def test_dry_friction_opposes_the_motion(tmp_path):

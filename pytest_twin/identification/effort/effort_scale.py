@@ -92,13 +92,13 @@ def payload_scales(
         regressor: of the robot.
         chosen: how motion is filtered.
     """
+    if all(known_payload(realization, one) is None for one in recordings):
+        return {}
     rows = sample(recordings, [regressor] * len(recordings), chosen)
     added = [
         payload_effort(realization, regressor, one, own)
         for one, own in zip(recordings, rows, strict=True)
     ]
-    if all(one is None for one in added):
-        return {}
     known = np.concatenate([
         np.zeros_like(own.effort) if one is None else one
         for one, own in zip(added, rows, strict=True)

@@ -19,16 +19,13 @@ from pytest_twin.identification.effort.least_squares import (
     solve,
     weighed,
 )
-from pytest_twin.identification.effort.recording_rows import predicted
+from pytest_twin.identification.effort.recording_rows import encoder_slopes
 from pytest_twin.identification.measured_recordings import Measured
 from pytest_twin.identification.motions import entry
 from pytest_twin.identification.regressor import BaseParameters, Regressor
 from pytest_twin.realization import Realization
 
 BIAS, SCALE = "encoder_bias", "encoder_scale"
-_STEP = 1e-4
-"""Step of the central difference, rad, m or fraction. Its error is 1e-9 of the derivative, below
-the threshold for determined parameters. The error of a one-sided difference would be above it."""
 _WIDEST = 0.05
 """Half width (rad, m or fraction) above which the motion does not determine an encoder error. It is
 3 degrees, an error that is visible at the robot's alignment marks."""
@@ -184,14 +181,10 @@ def slopes_of(
     whole[base.independent] = values
     carried = [payload_parameters(realization, regressor, one) for one in recordings]
     each = [whole if one is None else whole + one for one in carried]
-    slopes = []
-    for joint, kind in names:
-        ends = []
-        for step in (_STEP, -_STEP):
-            moved = without_errors(recordings, [EncoderError(joint, kind, step, 0.0)])
-            ends.append(np.concatenate(predicted(moved, regressor, chosen, each)))
-        slopes.append((ends[0] - ends[1]) / (2.0 * _STEP))
-    return np.stack(slopes, axis=2)
+    zeros, scales = encoder_slopes(recordings, regressor, chosen, each)
+    of_kind = {BIAS: zeros, SCALE: scales}
+    columns = [of_kind[kind][:, :, regressor.joints.index(joint)] for joint, kind in names]
+    return np.stack(columns, axis=2)
 
 
 def without_errors(

@@ -75,28 +75,41 @@ def sample(
     ]
 
 
-def predicted(
+def encoder_slopes(
     recordings: Sequence[Measured],
     regressor: Regressor,
     chosen: Filter,
     parameters: Sequence[FloatArray],
-) -> list[FloatArray]:
-    """Return the (n, joints) predicted effort of each recording, ``matrix @ parameters``.
-
-    The effort is filtered instead of the matrix, which has thirty times as many columns.
+) -> tuple[FloatArray, FloatArray]:
+    """Return the changes of the predicted effort with the errors of all encoders.
 
     Args:
         recordings: recordings with the joints of the regressor.
         regressor: regressor of the robot.
         chosen: filter of the motion.
         parameters: (p,) parameters of each recording.
+
+    Returns:
+        (n, joints, joints) by the zeros, N*m/rad or N/m, and the same by the relative errors of
+        the scales; rows as in :func:`sample`, the last index is the joint of the encoder.
     """
     motions = [differentiate(one, chosen) for one in recordings]
     rest = _rest(motions)
-    return [
-        inner_rows(_unfiltered(motion, regressor, rest) @ own, motion, chosen)
-        for motion, own in zip(motions, parameters, strict=True)
-    ]
+    zeros, scales = [], []
+    for motion, own in zip(motions, parameters, strict=True):
+        moving = _moving(motion, rest)
+        by_position, by_velocity, by_acceleration = regressor.derivatives(
+            motion.position, moving, motion.acceleration, own
+        )
+        # The true position is (measured - zero) / (1 + scale).
+        zeros.append(inner_rows(-by_position, motion, chosen))
+        by_scale = (
+            by_position * motion.position[:, None]
+            + by_velocity * moving[:, None]
+            + by_acceleration * motion.acceleration[:, None]
+        )
+        scales.append(inner_rows(-by_scale, motion, chosen))
+    return np.concatenate(zeros), np.concatenate(scales)
 
 
 def _rest(motions: Sequence[Motion]) -> FloatArray:
@@ -123,23 +136,24 @@ def _rows(
     )
 
 
+def _moving(motion: Motion, rest: FloatArray) -> FloatArray:
+    """(n, joints) velocities, 0 at rest."""
+    return np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
+
+
 def _known(recording: Measured, motion: Motion, rest: FloatArray) -> FloatArray:
     """(n, joints) known efforts; 0 where the effort is a current of unknown torque constant."""
     if recording.known is None:
         return np.zeros_like(motion.effort)
-    moving = np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
+    moving = _moving(motion, rest)
     time = recording.start + motion.time
     found = recording.known.along(time, (motion.position, moving), motion.effort, recording)
     return np.where(recording.unscaled, 0.0, found)
 
 
 def _matrix(motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray) -> FloatArray:
-    return inner_rows(_unfiltered(motion, regressor, rest), motion, chosen)
-
-
-def _unfiltered(motion: Motion, regressor: Regressor, rest: FloatArray) -> FloatArray:
-    moving = np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
-    return regressor.matrix(motion.position, moving, motion.acceleration)
+    matrix = regressor.matrix(motion.position, _moving(motion, rest), motion.acceleration)
+    return inner_rows(matrix, motion, chosen)
 
 
 def inner_rows(values: FloatArray, motion: Motion, chosen: Filter) -> FloatArray:

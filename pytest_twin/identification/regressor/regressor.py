@@ -113,6 +113,54 @@ class Regressor:
             found[:, two, column] = ratio * direction
         return found
 
+    def derivatives(
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        parameters: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Derivatives of the effort ``matrix(motion) @ parameters`` with respect to the motion.
+
+        The direction of dry friction is constant.
+
+        Args:
+            position, velocity, acceleration: (n, joints) as for :meth:`matrix`.
+            parameters: (p,) parameters.
+
+        Returns:
+            (n, joints, joints) by position, by velocity, and by acceleration; the last index is
+            the joint that moves.
+        """
+        motion = position, velocity, acceleration
+        found = self._dynamics.derivatives(*motion, self._links_of(parameters))
+        if self._unscaled:
+            nominal = self._dynamics.derivatives(*motion, self._links_of(self.prior))
+            for joint in self._unscaled:
+                row = self.joints.index(joint)
+                scale = parameters[self._at[joint, "effort_scale"]]
+                for own, per_scale in zip(found, nominal, strict=True):
+                    own[:, row] = scale * per_scale[:, row]
+        _, by_velocity, by_acceleration = found
+        for row, joint in enumerate(self.joints):
+            by_velocity[:, row, row] += parameters[self._at[joint, "viscous_friction"]]
+            by_acceleration[:, row, row] += parameters[self._at[joint, "armature"]]
+        for motor in self._shared:
+            one, two = self.joints.index(motor.joint), self.joints.index(motor.other)
+            for kind, own in (
+                ("coupled_armature", by_acceleration),
+                ("coupled_viscous_friction", by_velocity),
+            ):
+                coupled = motor.ratio * parameters[self._at[motor.joint, kind]]
+                own[:, one, two] += coupled
+                own[:, two, one] += coupled
+        return found
+
+    def _links_of(self, parameters: FloatArray) -> FloatArray:
+        """(links, 10) inertial parameters of the links."""
+        starts = [self._at[link, INERTIAL[0]] for link in self._dynamics.links]
+        return np.array([parameters[start : start + len(INERTIAL)] for start in starts])
+
     def _prior(self, realization: NamedModel) -> FloatArray:
         values = np.zeros(len(self.columns))
         for link, stated in zip(self._dynamics.links, self._dynamics.parameters, strict=True):
